@@ -25,8 +25,7 @@ from cosim import FlightError, InputError
 from cosim.laws import Array, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 from hexjet_laws.lqg import discrete_model, kalman_filter
 
-BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
-TOLERANCE = 1e-9  # tolerance of OSQP's solution, relative to the command
+BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps of each command
 
 
 def osqp() -> Any:
@@ -52,9 +51,8 @@ class MpcAxis:
             powers.append(A @ powers[-1])
         self._of_state = powers[samples]
         self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
-        responses = np.array(
-            [C @ power @ B for power in powers[:horizon]]
-        )  # response of y to a unit command at each step
+        # Response of y to a unit command at each step.
+        responses = np.array([C @ power @ B for power in powers[:horizon]])
         block = np.minimum(np.searchsorted(np.cumsum(BLOCKS), np.arange(horizon), side="right"), moves - 1)
         forced_response = np.zeros((horizon, moves))
         for j in range(horizon):
@@ -73,7 +71,7 @@ class MpcAxis:
     def reset(self) -> None:
         self._filter.reset()
         self._sent: Array = np.zeros(self._samples + 1)  # the oldest first
-        self._solver: Any = None  # another flight begins with another solver: its answers remember the last ones
+        self._solver: Any = None  # answers depend on the last ones
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         sent = self._sent
@@ -84,7 +82,7 @@ class MpcAxis:
         arrival = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
         of_arrival, of_setpoint, of_last = self._gradient
         gradient = of_arrival @ arrival - of_setpoint * setpoint - of_last * (applied + disturbance)
-        plan = self._solution @ gradient  # plan for the command and the disturbance together
+        plan = self._solution @ gradient  # for command and disturbance
         if np.abs(plan - disturbance).max() > self._room:
             plan = self.solve_bounded(gradient, disturbance)
         return float(plan[0]) - disturbance
@@ -102,7 +100,7 @@ class MpcAxis:
             # step lengths adapted by the clock would make flights differ
             self._solver.setup(
                 csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
-                eps_abs=TOLERANCE, eps_rel=TOLERANCE, adaptive_rho=False, rho=1.0, max_iter=20000,
+                eps_abs=1e-9, eps_rel=1e-9, adaptive_rho=False, rho=1.0, max_iter=20000,
                 polishing=True, verbose=False,
             )  # fmt: skip
         else:

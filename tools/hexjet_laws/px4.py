@@ -18,8 +18,7 @@ from math import cos, exp, inf, pi, radians, sqrt, tan
 
 from cosim.laws import Axis, AxisLaw, RateLaw, attitude_gain_parameter, clamp, positive_parameter
 
-FADES = radians(400.0)  # rad/s of error at which nothing is integrated any more
-ACCELERATION_HZ = 30.0  # IMU_DGYRO_CUTOFF as it ships
+FADES = radians(400.0)  # rad/s of error: integration ends
 
 
 class LowPass:
@@ -51,7 +50,7 @@ class Px4Axis:
     ) -> None:
         self._p, self._i, self._d, self._forward = p, i * step, d / step, forward
         self._keep, self._per_step, self._limit = exp(-reference * step), 1.0 / (attitude * step), limit
-        self._step, self._low_pass = step, LowPass(ACCELERATION_HZ, step)
+        self._step, self._low_pass = step, LowPass(30.0, step)  # IMU_DGYRO_CUTOFF
         self.reset()
 
     def reset(self) -> None:

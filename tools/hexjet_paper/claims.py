@@ -30,8 +30,9 @@ from hexjet_paper.numbers import Basis, Record
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]
 NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")
 
-SIMILAR = 15.0  # percent, chosen by us: a smaller spread is similar, a smaller growth is little
-DISTINCT = 10.0  # percent of overshoot, chosen by us: less is not distinct
+# Percent of spread or growth that counts as little, and of overshoot that is not distinct; chosen by us.
+SIMILAR = 15.0
+DISTINCT = 10.0
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 WAITING = "holds if the wait itself is left out: the answer comes 20 samples later and is otherwise no worse"
 SEEN_BY_PREDICTOR = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
@@ -65,7 +66,7 @@ class Evidence:
     margins: Mapping[str, Margins]
     gain_at_low_end: Mapping[str, float]
     gain_at_8_hz: Mapping[str, float]
-    tracking: Mapping[str, float] = field(default_factory=dict)  # of the manual flight, by the printed numbers' keys
+    tracking: Mapping[str, float] = field(default_factory=dict)  # of the manual flight, by printed key
 
     def stable(self, name: str) -> bool:
         return self.metrics[name].stable
@@ -99,7 +100,7 @@ class ClaimRow(Record):
 
 
 Answer = tuple[bool, str]
-Test = Callable[[Evidence, str], Answer]  # the second argument is the state predictor's name
+Test = Callable[[Evidence, str], Answer]  # with the state predictor's name
 
 
 @dataclass(frozen=True)

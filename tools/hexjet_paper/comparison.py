@@ -33,7 +33,6 @@ TITLES = {
     "state": "state predictor, G_n(z) realised",
     STATE_AS_PRINTED: "state predictor, matrices as printed",
 }
-FREQUENCY_DELAY = 5
 
 
 class Row(Record):
@@ -95,7 +94,7 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     run = on_linear_plant(calibration)
     results = {e.name: run(e) for e in experiments()}
     say("frequency response")
-    loops = {name: quadrotor_axis(calibration, name, FREQUENCY_DELAY) for name in COMPARED}
+    loops = {name: quadrotor_axis(calibration, name, 5) for name in COMPARED}
     sweeps = {name: sweep(loop) for name, loop in loops.items()}
     evidence = Evidence(
         metrics={name: result.metrics for name, result in results.items()},

@@ -21,8 +21,8 @@ from hexjet_paper.numbers import Record
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
 HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
-QUADROTOR_DELAY = 10  # where the paper's controllers part
-ROBUST = 1.7  # peak sensitivity that a careful designer allows
+# Peak sensitivity that a careful designer allows.
+ROBUST = 1.7
 _POINTS = 1200  # of the unit circle
 
 
@@ -53,7 +53,8 @@ class RobustnessMap(Record):
 
 def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
     """Return the nominal loops without noise, by vehicle and controller."""
-    axes = {("quadrotor", c): quadrotor_axis(calibration, c, QUADROTOR_DELAY, noisy=False) for c in QUADROTOR}
+    # With ten added samples the controllers of the paper differ.
+    axes = {("quadrotor", c): quadrotor_axis(calibration, c, 10, noisy=False) for c in QUADROTOR}
     axes |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
     return axes
 
@@ -90,7 +91,7 @@ class DelayPoint(Record):
     delay: int  # samples
     stable: bool
     sensitivity: float | None  # None where unstable
-    rmse: float | None  # rad, of the vehicle's doublet; None where unstable
+    rmse: float | None  # rad, of the doublet; None: unstable
 
 
 def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> dict[tuple[str, str], list[DelayPoint]]:
@@ -118,9 +119,9 @@ class Offset(Record):
 
     controller: str
     peak: float  # rad
-    early: float  # rad, mean over a second, 10 s after the onset: what a pilot meets
-    late: float  # rad, mean over a second, 60 s after the onset: the slow pole has let go
-    time: list[float]  # s after the onset, one value every 0.1 s over the first 20 s
+    early: float  # rad, mean over 1 s, 10 s after onset
+    late: float  # rad, mean over 1 s, 60 s after onset
+    time: list[float]  # s after the onset, every 0.1 s
     angle: list[float]  # rad
 
 
@@ -208,7 +209,7 @@ class Reach(Record):
 
     engine: str
     controller: str
-    bandwidth: float | None  # Hz, where roll over set-point falls by 3 dB; None if nothing qualifies
+    bandwidth: float | None  # Hz, at -3 dB; None: nothing qualifies
     sensitivity: float | None
     p: float | None
     d: float | None
@@ -315,7 +316,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
             for gain in np.geomspace(0.1, 8.0, 14)
         ]
         for width in (0.0, 1.25, 1.1, 1.03):
-            if width:  # around the best so far, if this tuning holds it
+            if width:  # around the best so far
                 if chosen is None or chosen.tuning != tuning:
                     break
                 factors = (1.0 / width, 1.0, width)

@@ -21,8 +21,8 @@ class Calibration(BaseModel):
     i: float  # command per rad
     d: float  # command per rad/s^2
     attitude_gain_1_s: float
-    disturbance_each_s: float  # length of either half of the disturbance doublet
-    observer_rad_s: float  # both poles of the double-integrator observer
+    disturbance_each_s: float  # of either half
+    observer_rad_s: float  # both, of the double integrator
     payload_gain: float  # of the plant's gain, with 230 g more
     # Hex-Jet, found; rate integral in proportion to vehicle.toml
     hexjet_p: float
@@ -31,10 +31,10 @@ class Calibration(BaseModel):
     corrected_p: float
     corrected_attitude_gain_1_s: float
     # chosen
-    predictor_sees_disturbance: bool = True  # it enters before the predictor's tap; see the claims
-    extra_delay_samples: float = 0.0  # nothing printed asks for any that it could be told from d
+    predictor_sees_disturbance: bool = True  # see the claims
+    extra_delay_samples: float = 0.0  # nothing printed asks for any
     d_filter_s: float = 0.0053  # PX4's 30 Hz
-    gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz; no printed number tells it
+    gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz
     filter_s: float = 0.05  # filtered Smith
     model_observer_rad_s: float = 60.0
     disturbance_observer_rad_s: float = 40.0

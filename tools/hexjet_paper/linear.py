@@ -36,13 +36,14 @@ from hexjet_paper import numbers
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Response = Callable[[Complex], Complex]  # of ``z``, points of the upper half of the unit circle
+Response = Callable[[Complex], Complex]  # of ``z`` on the upper unit circle
 Pair = tuple[Complex, Complex]
-PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``: see :mod:`hexjet_paper.loops`
+PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``
 Signal = Callable[[int], float]
-LARGEST = 1e6  # rad/s: a loop that grows beyond this is unstable
+LARGEST = 1e6  # rad/s, of an unstable loop
 
-STATE_AS_PRINTED = "state-as-printed"  # the state predictor run with the printed matrices, 1/3660 of the plant's gain
+# The state predictor run with the printed matrices, 1/3660 of the plant's gain.
+STATE_AS_PRINTED = "state-as-printed"
 
 
 def nothing(k: int) -> float:
@@ -63,7 +64,7 @@ class Plant:
     """
 
     model: RateModel
-    gain: float = 1.0  # of the printed gain: motors, battery, payload
+    gain: float = 1.0  # of the printed one
     extra_samples: float = 0.0  # delay that nobody modelled
 
 

@@ -54,8 +54,8 @@ FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
 SCENARIOS = "scenarios"
 
-Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
-Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function that another process can run, and its arguments
+Say = Callable[[str, int, int], None]  # what, how much of it, of how much
+Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
 
 
 @checked(workers=Limits(1, 64))
@@ -256,7 +256,7 @@ def identify() -> Identified:
     values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     responses["roll"] = _response(roll.response, 1.0)
     deviation = roll.reference_deviation()
-    assert deviation is not None  # the Hex-Jet states G(z) for these engines
+    assert deviation is not None  # G(z) is stated for these engines
     return Identified(values, responses, deviation, (roll.sweep.from_hz, roll.sweep.to_hz))
 
 
@@ -285,7 +285,7 @@ def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dic
         raise FlightError(f"{error}; what was finished is kept, call again") from error
     for old in {*folder.glob("*.json"), *folder.glob("*.pickle")} - set(files.values()):
         if old.name.rsplit("-", 1)[0] in tasks:
-            old.unlink()  # of other sources: nothing will take it up
+            old.unlink()  # of other sources
     return {name: parts[name] for name in tasks}
 
 

@@ -51,32 +51,28 @@ PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 START_TIMING = StartTiming(
     before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True
 )
-HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
-_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
-_SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # TCP by default; 3 and 4 are for GNSS
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
-GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
+# Raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix.
+GNSS_CHANNEL = 16
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
-HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
-_SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
+_SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by magic: rate, count, pulses [us]
 _STICKS = Struct("<16H")
 # One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
 _STATE = (
     b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
 )
-_START_S = 60.0  # time limit for its first packet, s
 # A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
 _REPEAT_S = 0.5
-_INFO = 6  # severity as in syslog
-_MAX_STEP_S = 0.1  # s; a longer step does not advance its clock
+_MAX_STEP_S = 0.1  # longer ones do not advance its clock
 
 
 Release = tuple[int, int]
 NEWEST: Release = (4, 8)
-FLOWN: tuple[Release, ...] = ((4, 6), (4, 8))  # as 4.6.0-dev of October 2024 and 4.8.0-dev of April 2026
+FLOWN: tuple[Release, ...] = ((4, 6), (4, 8))  # dev of October 2024 and April 2026
 _TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")
 
 
@@ -101,7 +97,7 @@ class TransmitterChannel(NamedTuple):
 
     number: int
     pulse: int  # us
-    since_s: float | None = None  # of the flight, low before; None: from the autopilot's first frame on
+    since_s: float | None = None  # low before; None: from its first frame
 
 
 def parse_channel(text: str, where: str) -> TransmitterChannel:
@@ -148,7 +144,7 @@ class ArduPilot(Autopilot):
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
-        self._count = -1  # frame count of the last packet, answered or about to be
+        self._count = -1  # of the last packet
 
     @property
     def sticks_port(self) -> int:
@@ -163,7 +159,7 @@ class ArduPilot(Autopilot):
             # it would not say that it hears no sticks
             listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
             self._program = Program(self._command(), self._folder, log, {})
-        timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {self._port}")
+        timer = AnswerTimer(self.name, 60.0, self._program, f"sent nothing to port {self._port}")
         while self._peer is None:
             try:
                 packet, sender = timer.receive_packet(self._socket)
@@ -178,7 +174,7 @@ class ArduPilot(Autopilot):
         place, launch = self._place, self.setup
         home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
         command = [str(self.program), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
-        command += ["--speedup", str(_SPEEDUP)]
+        command += ["--speedup", "100"]  # the lockstep sets the pace
         for serial in _SERIALS:
             has_station = serial == 0 and launch.station is not None
             command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
@@ -213,12 +209,12 @@ class ArduPilot(Autopilot):
                 counts.foreign += 1
                 continue
             count = servos[2]
-            if sender != peer:  # a second or restarted program gets no answer, so it stands still
+            if sender != peer:  # a second or restarted program
                 counts.foreign += 1
                 continue
             if count == self._count:
                 counts.repeated += 1
-                if monotonic() - sent_at > self.repeat_delay:  # the answer was lost, because it still waits
+                if monotonic() - sent_at > self.repeat_delay:  # the answer was lost
                     sock.sendto(state, peer)
                     sent_at = monotonic()
                 continue
@@ -285,7 +281,7 @@ class ArduPilot(Autopilot):
         if not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
-        return FirmwareReport(notes.version, notes.parameters or {}, [(at, _INFO, text) for at, text in notes.messages])
+        return FirmwareReport(notes.version, notes.parameters or {}, [(at, 6, text) for at, text in notes.messages])
 
 
 class Transmitter:
@@ -301,7 +297,7 @@ class Transmitter:
         self._least, most = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
         self._span = max(most - self._least, 0.01)
         self._is_boosted = parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0
-        expo = clip((0.5 - parameters.get("MOT_THST_HOVER", HOVER)) / 0.375, -0.5, 1.0)
+        expo = clip((0.5 - parameters.get("MOT_THST_HOVER", 0.35)) / 0.375, -0.5, 1.0)
         self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
         self._channels, self._half_step = channels, 0.5 * step
 
@@ -310,11 +306,11 @@ class Transmitter:
         sticks = frame.sticks
         pulses = [
             to_pulse(sticks.roll),
-            to_pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
+            to_pulse(-sticks.pitch),  # stick forward is nose down
             self._throttle(sticks),
             to_pulse(sticks.yaw),
         ]
-        mode = HOLD_PULSE if sticks.holds_place else 1500
+        mode = 2000 if sticks.holds_place else 1500  # FLTMODE6 or FLTMODE4
         pulses += [mode, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:
             begins = 0.0 if channel.since_s is None else ArduPilot.timing.before_s + channel.since_s
@@ -334,4 +330,4 @@ class Transmitter:
         nearest = bisect_left(self._curve, fraction)
         if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
             nearest -= 1
-        return 1000 + max(nearest, 1)  # a pulse of 1000 is a closed throttle, at which the motors idle
+        return 1000 + max(nearest, 1)  # 1000 is closed, at which motors idle

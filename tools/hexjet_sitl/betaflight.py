@@ -45,15 +45,18 @@ from hexjet_sitl.lockstep import (
 from hexjet_sitl.parameters import refuse_effectiveness
 
 STATE, RC, CONSOLE = 2, 3, 10  # offsets from the first port
-PORT = 9001  # port of the raw outputs, by Betaflight's convention
-PORT_SPACING = 20  # ports from one instance to the next: fourteen are one's
-_STATE = struct.Struct("<18d")  # time, rates, force, quaternion, velocity, position, pressure
+# Of the raw outputs, by Betaflight's convention; an instance has fourteen ports from there on.
+PORT = 9001
+PORT_SPACING = 20
+# Time, rates, force, quaternion, velocity, position, pressure.
+_STATE = struct.Struct("<18d")
 _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
-_CONSOLE_S = 20.0  # time limit of the console's first answer, for a busy machine; chosen by us
-_CONFIGURE_TRIES = 3  # chosen by us: its console's threads share buffers without a lock, and it may hang
-_NEUTRAL = 1500
+# s until its console answers on a busy machine, and attempts: its console's threads share buffers without a lock and
+# may hang; chosen by us.
+_CONSOLE_S = 20.0
+_CONFIGURE_TRIES = 3
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
 # loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
@@ -70,18 +73,17 @@ _CONSTANT_GAINS = (
 _REFUSALS = ("ERROR", "Invalid", "UNKNOWN")
 MAX_MOTORS = 8
 MAX_GAIN = 250
-# By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
-# until the third.  They come long before the flight.
-_CLOCK_FRAMES = 2
+# Of pitch and yaw on the outputs that carry the tilts; chosen by us, see make_mixer_settings.
+TILT_WEIGHT = 0.1
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
 START_TIMING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
-TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see make_mixer_settings
-_FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a servo
+_FULL_SUM = 500.0  # pidsum_limit: the range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
-YAW_I = 2.5  # src/main/flight/pid_init.c: by how much more its integral of yaw's error counts
+# src/main/flight/pid_init.c: its integral of yaw's error counts more by this.
+YAW_I = 2.5
 
 
 def find_installed() -> Path | None:
@@ -148,7 +150,7 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         "feature -GPS",
         "feature -TELEMETRY",
         "set motor_pwm_protocol = PWM",
-        "set acc_calibration = 0,0,0,1",  # marked as calibrated: the simulated accelerometer has no zero to find
+        "set acc_calibration = 0,0,0,1",  # there is no zero to find
         "set small_angle = 180",  # allow arming at any lean
         "set min_check = 1010",
         "set deadband = 0",
@@ -162,8 +164,8 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         ],
         f"set angle_limit = {START_TIMING.lean_deg:g}",
         "aux 0 0 0 1700 2100 0 0",  # the first switch arms
-        "aux 1 1 1 1700 2100 0 0",  # the second switch selects the self-levelling mode
-        "aux 2 28 1 1700 2100 0 0",  # the second switch also selects air mode, which keeps the attitude at low throttle
+        "aux 1 1 1 1700 2100 0 0",  # the second: self-levelling
+        "aux 2 28 1 1700 2100 0 0",  # and air mode, also at low throttle
         "set runaway_takeoff_prevention = OFF",
     ]
 
@@ -238,7 +240,9 @@ class Betaflight(Autopilot):
         counts = self.counts
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
-        if counts.frames <= _CLOCK_FRAMES:
+        # By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no
+        # loop until the third.  They come long before the flight.
+        if counts.frames <= 2:
             counts.boot += 1
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
         while len(packet := self._packet(timer)) != _RAW.size:
@@ -267,14 +271,14 @@ class Betaflight(Autopilot):
     def _channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed, _ = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
-        low = 1010.0  # min_check: a pulse below it is no throttle
+        low = 1010.0  # min_check
         sticks = [
             to_pulse(roll),
             to_pulse(pitch),
             round(low + (2000.0 - low) * fraction) if armed and fraction else 1000,
         ]
         switch = 2000 if armed else 1000
-        return [*sticks, to_pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
+        return [*sticks, to_pulse(yaw), switch, 2000, *[1500] * 10]
 
     def _packet(self, timer: AnswerTimer) -> bytes:
         assert self._in is not None

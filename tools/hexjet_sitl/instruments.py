@@ -36,7 +36,6 @@ _IGRF = (
      (-0.9, 0.7, 1.2, -0.3, -1.3, -0.1, 0.2, -0.2, 0.5, 0.6, -0.6, -0.3, -0.5)),
 )
 # fmt: on
-_RADIUS = 6371200.0  # reference radius of the expansion, m
 
 
 def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:
@@ -50,7 +49,8 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
     c, s = cos(latitude), (1.0 - FLATTENING) ** 2 * sin(latitude)
     centric = atan2(s, c)
     ct, st = sin(centric), cos(centric)
-    ratio = _RADIUS / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
+    radius = 6371200.0  # m, reference of the expansion
+    ratio = radius / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
     radial = south = east = 0.0
     for m in range(degree + 1):
         # of this order the functions of all degrees, and what they grow by with t, each of the two before it

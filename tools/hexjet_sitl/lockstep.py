@@ -25,7 +25,8 @@ from cosim.spec.vehicle import Vehicle
 
 LOCAL = "127.0.0.1"
 _TIMEVAL = Struct("@ll")  # seconds and microseconds
-CHECK_S = 0.25  # chosen by us: the longest wait between two checks of the program
+# The longest wait between two checks of the program, chosen by us.
+CHECK_S = 0.25
 
 
 class StickPositions(NamedTuple):
@@ -36,10 +37,11 @@ class StickPositions(NamedTuple):
     yaw: float = 0.0  # 1: nose right
     throttle: float = 0.0
     armed: bool = False
-    holds_place: bool = False  # the mode switch: the autopilot holds place and height, the sticks ask for speeds
+    holds_place: bool = False  # else manual; sticks ask for speeds
 
 
-STICKS_S = 0.02  # longest time between two messages of the sticks: as often as a receiver sends them
+# Longest time between two messages of the sticks: as often as a receiver sends them.
+STICKS_S = 0.02
 
 
 def to_pulse(fraction: float) -> int:
@@ -50,7 +52,7 @@ def to_pulse(fraction: float) -> int:
 class SensorFrame(NamedTuple):
     """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`hexjet_sitl.instruments`."""
 
-    time: float  # s; that of the autopilot, which began before the flight
+    time: float  # s, of the autopilot's clock
     rate: Vector3  # rad/s, body
     force: Vector3  # m/s^2, body, specific force
     attitude: Quaternion
@@ -59,8 +61,8 @@ class SensorFrame(NamedTuple):
     altitude: float  # m above the ground, by the barometer
     sticks: StickPositions
     spool: PerJet = ()  # rad/s, where the engines report it
-    truth: State | None = None  # true state for the autopilot's log; no estimator reads it
-    silent: Collection[str] = ()  # sensors that are out: what stands above of them is what they said last
+    truth: State | None = None  # for the autopilot's log alone
+    silent: Collection[str] = ()  # failed sensors, at their last values
 
 
 class ActuatorOutputs(NamedTuple):
@@ -77,10 +79,10 @@ class LockstepCounts:
 
     frames: int = 0  # sent
     answers: int = 0  # received
-    repeated: int = 0  # packets that requested a frame again: sent again, not stepped
-    foreign: int = 0  # packets from another sender than the autopilot, or of no known kind: ignored
+    repeated: int = 0  # frames sent again, not stepped
+    foreign: int = 0  # ignored packets of other senders
     boot: int = 0  # frames before the first answer
-    longest_s: float = 0.0  # of the clock, that the autopilot took for an answer
+    longest_s: float = 0.0  # of an answer, by the clock
 
     @property
     def missing(self) -> int:
@@ -97,21 +99,21 @@ class StartTiming:
     after either.
     """
 
-    before_s: float  # from the autopilot's first frame to the flight's first step
+    before_s: float  # from its first frame to the flight
     arming_s: float
     throttle_s: float
     lean_deg: float  # at full stick
     turn_deg_s: float  # at full stick
-    unarmed: str = ""  # end of the message where the autopilot did not arm
-    turns_target: bool = False  # whether the stick turns a heading that it holds by itself at the same time
+    unarmed: str = ""  # message where it did not arm
+    turns_target: bool = False  # stick and held heading turn together
 
 
 class FirmwareReport(NamedTuple):
     """What an autopilot's own log says of it, where it keeps one that is read here."""
 
-    version: str = ""  # its release and revision; empty: not known
+    version: str = ""  # release and revision; empty: unknown
     parameters: Mapping[str, float] = {}  # all that it flew with
-    messages: Sequence[tuple[float, int, str]] = ()  # time from its first frame s, severity as in syslog, text
+    messages: Sequence[tuple[float, int, str]] = ()  # s from its first frame, severity, text
 
 
 # Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
@@ -137,18 +139,18 @@ class Setup:
     Of what belongs to one autopilot the others see nothing.
     """
 
-    instance: int = 0  # number of the instance, where several run at the same time
+    instance: int = 0  # number, where several run
     limit_s: float = 5.0  # wall-clock time limit of an answer
-    port: int | None = None  # Betaflight: its first port; None: that of the instance
-    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as it ships
+    port: int | None = None  # Betaflight: first port
+    gains: str = "vehicle"  # or a file's; "stock": its own
     lines: Sequence[str] = ()  # Betaflight: lines for its console
-    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
-    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
-    hold_from_s: float | None = None  # PX4, ArduPilot: of the flight; from then on it holds place and height
-    hands_off: bool = False  # PX4, ArduPilot: a ground station arms and flies it
-    defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
-    channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
-    station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
+    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over the made ones
+    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's
+    hold_from_s: float | None = None  # PX4, ArduPilot: flown in a hold mode
+    hands_off: bool = False  # a ground station arms and flies it
+    defaults: Path | None = None  # ArduPilot: file of parameters
+    channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE[@SECONDS]
+    station: int | None = None  # ArduPilot: local UDP port for MAVLink
 
     def __post_init__(self) -> None:
         check_words(self.parameters, self.lines)
@@ -262,7 +264,7 @@ class AnswerTimer:
     def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
         """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
         while True:
-            if self._has_checked:  # skip the check before the first wait, because most frames take only one
+            if self._has_checked:  # most frames take one wait
                 self.remaining()
             self._has_checked = True
             with suppress(BlockingIOError):
@@ -275,7 +277,7 @@ class AnswerTimer:
 
 
 def set_receive_timeout(sock: socket.socket) -> socket.socket:
-    """Make a socket wait for :data:`SLICE_S` and then raise BlockingIOError, and return it.
+    """Make a socket wait for :data:`CHECK_S` and then raise BlockingIOError, and return it.
 
     It is one system call, where a time-out of Python's takes three.
     """
@@ -293,16 +295,16 @@ class Autopilot:
     name: ClassVar[str]
     timing: ClassVar[StartTiming]
     port_option: ClassVar[str] = "instance"  # that states another port
-    log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
-    patience_s = 0.0  # that it has to end by itself once it is asked to
+    log_pattern: ClassVar[str] = ""  # of its own logs, if any is read
+    patience_s = 0.0  # to end by itself when asked to
 
     def __init__(self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, setup: Setup) -> None:
         self.counts = LockstepCounts()
         self.limit = setup.limit_s  # wall-clock time limit of an answer, s
         self.setup, self.program = setup, program
-        self.endpoint = ""  # address that a program started by hand connects to
+        self.endpoint = ""  # for a program started by hand
         self.details: dict[str, Any] = {"gains": setup.gains}  # for the run's lockstep.json
-        self.remark = ""  # on a program of a version that was not flown
+        self.remark = ""  # on a version that was not flown
         self._folder, self._step = folder, step
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None

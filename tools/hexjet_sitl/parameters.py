@@ -313,7 +313,7 @@ def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
         raise InputError(
             f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {max_motors} outputs at most"
         )
-    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # a tilt to the front, below the centre: nose up
+    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # below the centre: nose up
     rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]
     rows += [("0", pitch, yaw, 0, "true") for yaw in (1, -1)]
     return "\n".join(

@@ -31,11 +31,13 @@ from hexjet_sitl.parameters import (
 )
 from hexjet_sitl.pilot import find_hover_throttle
 
-INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
-MAX_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
-VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
-PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are looked for on the path
-BUILDS = {  # how their makers build them, and where they say so
+# Ports above this stand for instance numbers; chosen by us: nobody uses them.
+INSTANCE_PORTS = 32_760
+MAX_INSTANCES = 250  # as hexjet sitl takes
+VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: programs
+PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names on the path
+# How their makers build them, and where they say so.
+BUILDS = {
     "px4": "make px4_sitl, and have a package in their releases; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }

@@ -58,12 +58,10 @@ START_TIMING = StartTiming(
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # flag in the mode field
-_START_S = 60.0  # time limit of its connection, for a start on a busy machine
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
-_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
-_END_S = 0.5  # wall-clock time that a process may take to end behind its connection
-_BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
+_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release
+_BOOT_TIMEOUT = 0.02  # s, before its first answer
 
 
 def invert_yaw_curve(turn: float) -> float:
@@ -104,7 +102,7 @@ class Px4(Autopilot):
     name = "px4"
     timing = START_TIMING
     log_pattern = "log/**/*.ulg"
-    patience_s = 1.0  # what it printed and logged last is in its buffers until it is asked to end
+    patience_s = 1.0  # it writes its buffers when asked to end
 
     def __init__(
         self,
@@ -147,7 +145,7 @@ class Px4(Autopilot):
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
-        timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
+        timer = AnswerTimer(self.name, 60.0, self._program, f"did not connect to port {port}")
         while self._link is None:
             try:
                 server.settimeout(timer.remaining())
@@ -156,7 +154,7 @@ class Px4(Autopilot):
             with suppress(TimeoutError):
                 self._link = self._own(server.accept()[0])
         if self._program is not None:
-            check_unknown_parameters(log, parameters, self.optional)  # its parameters are set before it connects
+            check_unknown_parameters(log, parameters, self.optional)  # it sets parameters before it connects
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
@@ -168,7 +166,7 @@ class Px4(Autopilot):
         counts.frames += 1
         booting = counts.answers == 0
         timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
-        has_waited = booting  # not before the first answer, which is all that most frames take
+        has_waited = booting  # most frames are answered by then
         while True:
             try:
                 left = timer.remaining() if has_waited else 0.0
@@ -182,7 +180,7 @@ class Px4(Autopilot):
                 if values[0] > now:
                     raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
                 if values[0] < now or answer is not None:
-                    counts.repeated += 1  # an answer to an earlier frame: it came late or twice
+                    counts.repeated += 1  # late or repeated
                 else:
                     answer = self._answer(values)
             if answer is not None:
@@ -203,7 +201,7 @@ class Px4(Autopilot):
         return "" if self._program is None else self._program.end_description
 
     def _closed(self) -> FlightError:
-        ended = "" if self._program is None else self._program.describe_end(_END_S)  # its sockets close before it ends
+        ended = "" if self._program is None else self._program.describe_end(0.5)  # its sockets close before it ends
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
     def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:

@@ -25,12 +25,12 @@ class AutopilotTable(Model):
     """
 
     name: Literal["betaflight", "px4", "ardupilot"]
-    binary: str = ""  # its program, as seen from the study's folder; none: as found without --binary
+    binary: str = ""  # from the study's folder
     gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships
     lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
     # Parameters of PX4 and ArduPilot, over those from the vehicle.
     parameters: dict[str, float] = Field(default_factory=dict)
-    channels: list[str] = Field(default_factory=list)  # channels of ArduPilot's transmitter, as --channel takes them
+    channels: list[str] = Field(default_factory=list)  # of ArduPilot, as --channel
     timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
 
     @model_validator(mode="after")

@@ -44,7 +44,8 @@ def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vec
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
     curve: int | None = None
-    if not thrust["identity"]:  # it inverts a throttle: the reference's curve, or the first station's
+    # It inverts a throttle: by the reference's curve, or the first station's.
+    if not thrust["identity"]:
         curve = thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"]
     values = make_common_values(form, labels) | {
         "autopilot": _TITLES[autopilot],

@@ -35,7 +35,7 @@ NO_LICENCE = "not stated (choose a licence)"
 class Labels:
     """Name, title and licence of the files as the user chose them, and the origin of their numbers."""
 
-    name: str  # of files, functions and types: a C identifier
+    name: str  # a C identifier, also of files
     title: str
     licence: str | None  # SPDX expression or a name
     origin: tuple[str, ...]  # lines on where the numbers come from

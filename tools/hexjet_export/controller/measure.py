@@ -13,7 +13,6 @@ from cosim import InputError
 from cosim.files import temporary
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-ffp-contract=off")
-_LONGEST_S = 300.0  # for one run of a compiler or of the test program; chosen by us
 _NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes')
 _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 _TEST = re.compile(
@@ -29,12 +28,12 @@ class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
     compiler: str  # first line of its version
-    same: bool  # every number of the flight to the last bit, in double
+    same: bool  # bit for bit, in double
     float_throttle: float
     float_tilt: float  # rad
     float_passes: bool  # within half a step of a 12-bit command
-    stack: int | None  # bytes, of reset or step with all that they call but the library of mathematics
-    cycles: tuple[int, int] | None  # of the time-stamp counter: worst step of the flight, mean
+    stack: int | None  # bytes of reset or step
+    cycles: tuple[int, int] | None  # worst step of the flight, mean
     code: int | None  # bytes of machine code and constants
     state: int | None  # bytes of the struct
 
@@ -90,7 +89,7 @@ def _run_test(cc: str, folder: Path, name: str, program: Path, *flags: str) -> s
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False)
+    return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=300.0, check=False)
 
 
 def _figures(text: str) -> tuple[int, float, float]:

@@ -15,7 +15,7 @@ from cosim.logs import Column, Verdict, list_events, read_pilot_record
 
 Block = dict[str, Array]
 Line = dict[str, Any]  # of the autopilot's record
-Timed = tuple[int, int, int, bytes]  # of MCAP: step, time [ns], channel, message
+Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
 
 INFO, ERROR = 6, 3  # severities as in syslog
 
@@ -87,7 +87,7 @@ def list_numbers(scenario: Scenario | None) -> dict[str, float]:
         return {}
     table = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
     vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
-    family = Path(scenario.engine).name.removesuffix("-fmi2")  # what a model is filed under, in either FMI version
+    family = Path(scenario.engine).name.removesuffix("-fmi2")  # models are filed under it
     vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
     return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", table)])
 

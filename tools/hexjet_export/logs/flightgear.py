@@ -22,20 +22,21 @@ from cosim.spec.scenario import Environment
 
 VERSION, ENGINES, TANKS, WHEELS, CONTROLS = 24, 4, 4, 3, 10
 FORMAT = (
-    ">II3d"  # version, padding; longitude, latitude, height
-    "6f3f2f3f3f3f2f"  # agl, attitude, flow; rates; speed, climb; velocities; specific force; stall, slip
+    ">II3d"  # longitude, latitude, height
+    # agl, attitude, flow; rates; speed, climb; velocities; specific force; stall, slip
+    "6f3f2f3f3f3f2f"
     f"I{ENGINES}I{9 * ENGINES}f"  # engines: state, then nine numbers each
     f"I{TANKS}f"
     f"I{WHEELS}I{3 * WHEELS}f"
-    f"Iif{CONTROLS}f"  # time, its warp, visibility; where the controls stand
+    f"Iif{CONTROLS}f"  # time, warp, visibility, controls
 )
 SIZE = 408  # bytes
 FEET = 1.0 / 0.3048  # in a metre, by definition
 KNOT = 1852.0 / 3600.0  # m/s, by definition
-RATE_1_S = 60.0  # packets a second of flight: what FlightGear draws
+# Packets a second of flight: what FlightGear draws.
+RATE_1_S = 60.0
 VISIBILITY_M = 25_000.0  # chosen by us: clear air
 RUNNING, OFF = 2, 0  # of eng_state
-MOST_PITCH = 1.5  # rad: Euler rates beyond it are those here
 
 
 class FlightGear:
@@ -84,7 +85,7 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
     roll, pitch, yaw = state.euler
     p, q, r = state.rate
     turn = q * sin(roll) + r * cos(roll)
-    level = max(-MOST_PITCH, min(MOST_PITCH, pitch))
+    level = max(-1.5, min(1.5, pitch))  # finite Euler rates
     (north, east, down), wind, to_body = state.velocity, state.wind, conjugate(state.attitude)
     air = rotate(to_body, (north - wind[0], east - wind[1], down - wind[2]))
     u, v, w = rotate(to_body, state.velocity)

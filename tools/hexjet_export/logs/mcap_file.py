@@ -45,8 +45,7 @@ SUBJECTS = {
 }
 CUSTOM, TIME = "/own", "/time"
 _PACKAGE = "hexjet"  # of the schemas of our channels
-_DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
-_LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
+_LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log
 
 
 class Channel(NamedTuple):
@@ -138,7 +137,8 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
         schema = writer.register_schema(f"{_PACKAGE}.{message.name}", "protobuf", files.SerializeToString())
         meanings = {column.name: describe_column(column) for column in of}
         channel = writer.register_channel(topic, "protobuf", schema, meanings)
-        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
+        # Wire type 1 of Protocol Buffers has eight bytes.
+        tags = tuple(_varint(number << 3 | 1) for number in range(1, len(of) + 1))
         layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
         channels.append(Channel(channel, tuple(column.name for column in of), np.dtype(layout), tags))
     return channels

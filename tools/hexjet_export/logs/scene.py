@@ -42,7 +42,6 @@ from hexjet_export.logs.contents import Block, Timed, quaternions
 # Seconds between two messages, chosen by us: as often as a screen shows a picture, and no more bytes than the columns
 # take; a map needs less.
 EVERY_S = {"/tf": 0.02, "/pose": 0.02, "/scene/arrows": 0.04, "/location": 0.1}
-WIND_S = 0.2  # length of the wind's arrow per speed, chosen by us: 5 m/s are 1 m
 
 # north is the world's y, east its x, down its -z: half a turn about the bisector of x and y
 _NED_IN_WORLD = (0.0, sqrt(0.5), sqrt(0.5), 0.0)
@@ -128,7 +127,8 @@ class Scene:
         entity = _entity(update, "wind", "ned", time)
         entity.frame_locked = False
         entity.metadata.add(key="speed_m_s", value=repr(hypot(*wind)))
-        _arrow(entity, _position(block, row), direction_quaternion(*wind), WIND_S * hypot(*wind), 0.04 * size, _WIND)
+        # An arrow of 1 m for 5 m/s, chosen by us.
+        _arrow(entity, _position(block, row), direction_quaternion(*wind), 0.2 * hypot(*wind), 0.04 * size, _WIND)
         return update
 
 

@@ -35,8 +35,6 @@ from hexjet_export.logs.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES
 
 Rates = Literal["all", "px4"]
 _TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
-_LONGEST = 240  # bytes of a parameter's name, which shares 255 with its type
-_INTEGER_LIMIT = 2**31  # beyond it an integer is no parameter
 
 
 def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
@@ -163,7 +161,7 @@ def _by_parameter_name(numbers: Mapping[str, float]) -> dict[str, float]:
     return {
         name: value
         for name, value in named.items()
-        if len(name) <= _LONGEST and not (isinstance(value, int) and not -_INTEGER_LIMIT <= value < _INTEGER_LIMIT)
+        if len(name) <= 240 and not (isinstance(value, int) and not -(2**31) <= value < 2**31)
     }
 
 
@@ -178,7 +176,7 @@ def _fill(message: NDArray[np.void], number: int, fields: Iterable[Field], block
     message["type"] = ord("D")
     message["id"] = number
     message["timestamp"] = np.rint(1e6 * block["time_s"])
-    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite
+    with np.errstate(over="ignore"):  # float32 overflows to infinity
         for field in fields:
             message[field.name] = field.values(block)
 

@@ -31,7 +31,6 @@ NAV_STATE = {
     "ORBIT": 21,
 }
 STANDBY, ARMED = 1, 2
-_AGAIN_S = 1.0
 
 
 class Series(NamedTuple):
@@ -43,7 +42,7 @@ class Series(NamedTuple):
 
 def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
     """Return ``vehicle_status``, ``vehicle_land_detected``, ``home_position`` and ``mission_result`` of a flight."""
-    again = max(1, round(_AGAIN_S / step))
+    again = max(1, round(1.0 / step))
     by_state: dict[str, Series] = {}
     for topic, kind, fields in (
         ("vehicle_status", "state", _STATUS),

@@ -179,7 +179,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             column("float", "windspeed_north", "wind_north_m_s"),
             column("float", "windspeed_east", "wind_east_m_s"),
         ],
-        "hexjet_height": [  # above the ground, where PX4's barometric height is above the sea
+        "hexjet_height": [  # above the ground, not the sea
             column("float", "true_m", "altitude_m"),
             column("float", "measured_m", "altitude_measured_m"),
             column("float", "setpoint_m", "altitude_setpoint_m"),
@@ -216,7 +216,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             column("float", "mass_kg", "mass_kg"),
             _optional("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
         ],
-        "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
+        "hexjet_fault": [  # 1: acts; and health of jets, 1: healthy
             _optional("float", "jet", *of_jets("fault_jet_{}"), length=jets),
             _optional("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
             _optional("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
@@ -229,7 +229,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
 
 TOPICS = topics(HEXJET)
 
-CUSTOM = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file describes each
+CUSTOM = "hexjet_own"  # columns of blocks, one info message each
 
 # What an autopilot says better than the rows do, and what it adds.
 STATES = ("vehicle_status", "vehicle_land_detected")

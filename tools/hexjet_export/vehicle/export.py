@@ -34,8 +34,6 @@ from hexjet_export.vehicle.ports import ExportedFlight, VehicleContents
 from hexjet_export.vehicle.process import FLIGHT, MANIFEST
 from hexjet_export.vehicle.ssp import write_ssp
 
-MOST_SEED = 2**31 - 1  # largest integer of FMI
-
 
 @dataclass(frozen=True)
 class ExportedVehicle:
@@ -207,7 +205,7 @@ def _resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str
 def _as_engine(flight: ExportedFlight, labels: Labels) -> EngineDefinition:
     """Return the vehicle as the FMU build takes an engine: variables, and the C that starts the process."""
     text, seed = "Of the sensors' noise and the turbulence", float(flight.simulation.scenario.seed)
-    parameter = VariableDefinition("seed", 1, "parameter", True, None, 0.0, float(MOST_SEED), seed, text)
+    parameter = VariableDefinition("seed", 1, "parameter", True, None, 0.0, float(2**31 - 1), seed, text)
     return EngineDefinition(
         name=labels.name,
         folder=Path(tempfile.gettempdir()),

@@ -16,8 +16,8 @@ from typing import Any, NoReturn
 from cosim.base.storage.files import write_all
 
 START = 0.0  # the request to start; 1.0 is one to step
-MANIFEST = "vehicle.json"  # what the archive says of itself, beside the flight
-FLIGHT = "flight"  # the folder with the scenario and its files
+MANIFEST = "vehicle.json"  # description in the archive
+FLIGHT = "flight"  # folder of the scenario and its files
 ANY_VERSION = "HEXJET_ANY_VERSION"
 
 
@@ -33,7 +33,7 @@ class _Socket:
     def __init__(self) -> None:
         self._file = os.dup(0)
         nothing = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)  # keep the socket out of processes that this one starts
+        os.dup2(nothing, 0)  # not inherited by other processes
         os.close(nothing)
 
     def receive(self, frame: struct.Struct) -> tuple[float, ...]:
@@ -86,7 +86,7 @@ class _Server:
                 "fly it all the same"
             )
         self._contents = VehicleContents(manifest["engines_inside"], manifest["controller_inside"])
-        trust(folder)  # its code is the FMU's, which the importer runs
+        trust(folder)  # code of the FMU, run by the importer
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
         self._flight = self._build_flight(self._scenario.seed)
         inputs = [variable.name for variable in self._flight.inputs]
@@ -96,7 +96,7 @@ class _Server:
         self._inputs = inputs
         self._in = struct.Struct(f"={3 + len(inputs)}d")
         self._out = struct.Struct(f"={1 + len(outputs)}d")
-        self._steps_left = 0  # control steps to go until the next meeting
+        self._steps_left = 0  # control steps until the next exchange
         self._answer_due = False
 
     def _build_flight(self, seed: int) -> Any:

@@ -47,7 +47,6 @@ SHORT = NAMES | {
     "state-disturbance": "state, disturbance estimate",
 }
 FIDELITIES = ("linear plant", "six degrees of freedom")
-WORST = 4.0  # peak sensitivity at which the colours of the maps end
 _SENSITIVITY = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
 _UNSTABLE = "#c9a0a0"
 
@@ -170,7 +169,7 @@ def identification(reproduction: Reproduction) -> Figure:
             measured = reproduction.identified.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, part))
-                if part == "phase":  # on the printed model's turn of the circle
+                if part == "phase":  # on the printed model's turn
                     points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
                 curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
             row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))
@@ -259,7 +258,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
             "type": "heatmap",
             "z": rounded,
             "zmin": 1.0,
-            "zmax": WORST,
+            "zmax": 4.0,
             "colorscale": _SENSITIVITY,
             "showscale": with_scale,
             "colorbar": {"title": {"text": "M_s"}, "thickness": 12, "len": 0.6, "y": 0.5},

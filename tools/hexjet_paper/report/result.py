@@ -65,7 +65,7 @@ class Identified:
 
     numbers: dict[str, float]
     responses: dict[str, Response]  # turbojet, edf, roll
-    deviation: tuple[float, float]  # dB, deg: the swept roll response from the printed G(z), at worst
+    deviation: tuple[float, float]  # dB, deg: worst, from the printed G(z)
     band: tuple[float, float]  # Hz
 
 
