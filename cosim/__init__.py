@@ -138,7 +138,7 @@ class _Package(ModuleType):
 
 sys.modules[__name__].__class__ = _Package
 
-select_modules()  # before any module that may be compiled is imported
+select_modules()  # before other modules are imported
 load_with_reference()  # before numpy is
 
 

@@ -81,7 +81,7 @@ def fly_watched(
     from cosim.simulation.user_code import check_scenario_trust
 
     scenario, own = opened(scenario, controller)
-    check_scenario_trust(scenario)  # before its metrics are asked for their names
+    check_scenario_trust(scenario)  # before its metrics are named
     check_expected(scenario)
     with build(scenario, own, with_ledger=sink is None) as simulation:
         replay = _replay(simulation) if scenario.requests is not None else None
@@ -102,10 +102,10 @@ def fly_watched(
             if noting is not None:
                 noting.close()
             simulation.plugins.close()
-        except FlightError as error:  # the log cannot be written: the disk is full, say
+        except FlightError as error:  # a full disk, say
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
-            if sink is not None:  # whoever keeps a flight for itself flies more than one, and is to stop altogether
+            if sink is not None:  # a caller that flies many must stop
                 raise
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
@@ -187,7 +187,7 @@ def record(
     files |= dict(contents or {})
     metrics = simulation.plugins.metrics
     setup = make_setup(simulation, resolved, notes=sink is None)  # a sink is for flights by the thousand
-    if folder is None:  # nothing is copied: its parameter files are where they were
+    if folder is None:  # parameter files stay where they are
         scenario = simulation.scenario
         resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])
     return begin_run(setup, resolved, folder, files, background, sink, columns, metrics)

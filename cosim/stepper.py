@@ -34,7 +34,7 @@ class Given(NamedTuple):
 
     k: int
     command: Command | None  # None: the scenario's
-    throttle: PerJet | None = None  # None: not by hand, or those at which the engines stood
+    throttle: PerJet | None = None  # None: the controller's
     tilt: PerServo | None = None
 
 

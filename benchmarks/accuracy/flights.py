@@ -124,7 +124,7 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
         for kind, method in zip(("rotational", "translational"), scheme.rates, strict=True):
             frame._set(f"simulation/integrator/rate/{kind}", method)
         frame._set("simulation/integrator/position/rotational", scheme.attitude)
-        frame._make_up = scheme.make_up
+        frame._extrapolation = scheme.make_up
 
     def step(inputs: StepInputs) -> Motion:
         changed = inputs.disturbance.payload != frame._disturbance.payload

@@ -14,7 +14,6 @@ from cosim.control.allocation.authority import Reach
 from cosim.results.report.three_views import begin_drawing, finish_drawing, line, text
 from cosim.spec.vehicle import Vehicle
 
-DIRECTIONS = 24  # directions of a section, the axes and the diagonals among them
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
 Corners = list[tuple[float, float]]
 SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
@@ -56,7 +55,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
         without: dict[str, Corners] = {}
         if not number:
             for jet in range(1, len(vehicle.jets) + 1):
-                section, _ = _section(reach.without([jet]), right, up, DIRECTIONS // 2)
+                section, _ = _section(reach.without([jet]), right, up, 12)
                 if section:
                     without[str(jet)] = section
         _draw(root, number * VIEW, (right, up), whole, bound, without)
@@ -64,7 +63,7 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
 
 
 def _section(
-    reach: Reach, right: int, up: int, directions: int = DIRECTIONS, bound_gap: float = 0.02
+    reach: Reach, right: int, up: int, directions: int = 24, bound_gap: float = 0.02
 ) -> tuple[Corners, Corners]:
     """Return the corners of the attained moments, N m, and of their upper bound where that is far off.
 
@@ -112,7 +111,7 @@ def _draw(
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})
-    for number, (name, section) in enumerate(without.items()):  # each at another corner, as many lie on each other
+    for number, (name, section) in enumerate(without.items()):  # each at another corner
         x, y = at(section[number % len(section)])
         text(root, x + 3, y - 3, name, "dim")
     text(root, left_px + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")

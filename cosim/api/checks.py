@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import FolderResult, Limits, Result, Table, checked
 from cosim.api.call.choices import as_settings
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from cosim.aircraft_check.check import AircraftCheck
@@ -113,7 +113,7 @@ def check_engine(
 
     check_results_folder(out, *CHECK)
     texts = as_settings(settings)
-    mention([*texts, engine], Path())
+    trust_named_code([*texts, engine], Path())
     result = EngineCheckResult(check_fmu(str(engine), step_s, parse_values(texts), time_limit_s))
     return result if out is None else result.write(out)
 
@@ -267,5 +267,5 @@ def check_aircraft(
     from cosim.aircraft_check.check import check_aircraft as check
 
     flown = None if engine is None else str(engine)
-    mention([engine], Path())
+    trust_named_code([engine], Path())
     return AircraftCheckResult(check(str(aircraft), flown, None if out is None else Path(out)))

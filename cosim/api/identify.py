@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
 from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from cosim.identify.sweep import Identification
@@ -159,7 +159,7 @@ def identify(
 
     check_results_folder(out, RECORD, *FILES)
     texts, name = as_settings(settings), None if engine is None else str(engine)
-    mention([*texts, name], Path())
+    trust_named_code([*texts, name], Path())
     swept: dict[str, Any] = {"from_hz": from_hz, "to_hz": to_hz, "amplitude": amplitude, "duration": duration_s}
     swept |= {"hold": hold} | ({} if lags is None else {"lags": lags})
     if subject != "engine":

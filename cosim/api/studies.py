@@ -92,11 +92,11 @@ def study_settings(
     """Return the settings of a study, with aircraft, engine and blocks of the user's; paths are meant from here."""
     import json
 
-    from cosim.base.trust import mention
+    from cosim.base.trust import trust_named_code
     from cosim.spec.vehicle import file_seen_from
 
     engines = [] if engine is None else [f"engine={json.dumps(file_seen_from(str(engine), Path()))}"]
-    mention([*metrics, engine, wind], Path())
+    trust_named_code([*metrics, engine, wind], Path())
     vehicle = aircraft_settings(None if aircraft is None else str(aircraft))
     return [*vehicle, *engines, *as_settings(settings), *plugin_settings(tuple(metrics), wind)]
 

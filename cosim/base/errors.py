@@ -9,8 +9,8 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-# Of a failed system call: the machine has no more to give, and nobody's input is wrong.
-MACHINE_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+# A system call that fails with one of these lacks disk, memory or files: the input is not wrong.
+RESOURCE_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 OUTPUT = "standard output"  # name of standard output in errors
 
 
@@ -19,15 +19,15 @@ class InputError(ValueError):
 
 
 class NotIdentifiedError(InputError):
-    """A sweep or a log that does not tell a model: one line with the reason and what to do (exit status 1)."""
+    """A sweep or a log from which no model can be identified: a line with reason and remedy (exit status 1)."""
 
 
 class FlightError(RuntimeError):
-    """Something failed while the vehicle flew: the run ends as ``failed`` and its log is kept (exit status 1)."""
+    """A flight failed: the run ends as ``failed`` and its log is kept (exit status 1)."""
 
 
 class Notice(UserWarning):
-    """Something of the user's is taken otherwise than it stands there, and the rest flies: one line, said once."""
+    """An input was ignored or reinterpreted, and the flight goes on: one line, issued once."""
 
 
 def notify(text: str, category: type[Warning] = Notice) -> None:

@@ -27,7 +27,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import cache_folder, settings_folder
 from cosim.base.wording import printable
 
-ENVIRONMENT = "HEXJET_TRUST"  # 1: as --trust for every command
+ENV_VAR = "HEXJET_TRUST"  # 1: as --trust for every command
 REMEMBERED = "trusted"  # folders in the format of sha256sum
 # What hexjet reads or writes and never runs does not count, or each edit of a scenario and each flight would ask again.
 _DATA = re.compile(
@@ -68,7 +68,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Decision:
-    """What may be run in this process beside what is remembered: handed to the processes that work for it."""
+    """Code that may run in this process besides the remembered folders; workers inherit it."""
 
     places: frozenset[Path] = frozenset()  # folders with all that is below them
     named: frozenset[Path | str] = frozenset()  # code that the user named
@@ -145,11 +145,10 @@ def trust(*places: Path | str) -> None:
     _add(places=[path if path.is_dir() else path.parent for path in paths])
 
 
-def mention(choices: Iterable[Path | str | None], folder: Path) -> None:
-    """Take the code in these choices, with which a program changes a scenario, as named by the user.
+def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None:
+    """Trust the code that a program names when it changes a scenario by these choices.
 
-    Files are seen from ``folder``; None is no choice.  A command has its arguments for that, and changes scenarios by
-    what files say too.
+    Files are relative to ``folder``; None is no choice.  Within a command nothing is trusted here: its arguments are.
     """
     if _decision.by_program:
         texts = [str(choice) for choice in choices if choice]
@@ -200,24 +199,24 @@ def is_code_forbidden() -> bool:
 
 
 @contextmanager
-def at_a_command(ask: Callable[[Sequence[str]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
-    """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of other folders."""
+def command_trust_scope(ask: Callable[[Sequence[str]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
+    """Trust the code that a command's arguments name; ``ask`` asks the user about other folders."""
     global _ask, _decision
-    before, previous = (_ask, _decision), os.environ.get(ENVIRONMENT)
+    before, previous = (_ask, _decision), os.environ.get(ENV_VAR)
     _ask, _decision = ask, Decision(by_program=False)
     try:
         _add(named=_named_in(arguments))
         yield
     finally:
         _ask, _decision = before
-        os.environ.pop(ENVIRONMENT, None)
+        os.environ.pop(ENV_VAR, None)
         if previous is not None:
-            os.environ[ENVIRONMENT] = previous
+            os.environ[ENV_VAR] = previous
 
 
 def trust_everything() -> None:
     """Run whatever is named anywhere, and remember it; so do the processes that are started from now on."""
-    os.environ[ENVIRONMENT] = "1"
+    os.environ[ENV_VAR] = "1"
 
 
 def decision() -> Decision:
@@ -245,7 +244,7 @@ def _is_accepted(code: Code) -> bool:
     names = {name.resolve() if isinstance(name, Path) else name for name in code.names or (code.path,)}
     named_folders = {name.parent for name in _decision.named if isinstance(name, Path)}
     return (
-        os.environ.get(ENVIRONMENT) == "1"
+        os.environ.get(ENV_VAR) == "1"
         or bool(names & _decision.named)
         or (not code.arguments and code.folder in named_folders)
         or any(place in _decision.places for place in (code.folder, *code.folder.parents))

@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import (
-    MACHINE_TROUBLE,
     OUTPUT,
+    RESOURCE_ERRNOS,
     FlightError,
     InputError,
     Notice,
     NotIdentifiedError,
     nearest,
 )
-from cosim.base.trust import at_a_command
+from cosim.base.trust import command_trust_scope
 from cosim.base.wording import printable_line
 from cosim.cli import table
 from cosim.cli.console import REPORTED, echo, lay_out, note
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
     warnings.showwarning = _show_notices(warnings.showwarning)
     words = sys.argv[1:] if arguments is None else arguments
     try:
-        with treat_sigterm_as_interrupt(), at_a_command(trust_prompt(), words):
+        with treat_sigterm_as_interrupt(), command_trust_scope(trust_prompt(), words):
             status = run(words)
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
         _drop_output()
         status = DONE
     except (InputError, FlightError, OSError, MemoryError) as error:
-        if isinstance(error, OSError) and error.errno not in (*MACHINE_TROUBLE, errno.ENAMETOOLONG):
+        if isinstance(error, OSError) and error.errno not in (*RESOURCE_ERRNOS, errno.ENAMETOOLONG):
             raise
         message, status = _explain(error)
         _complain(message)

@@ -57,7 +57,7 @@ class AltitudeController:
             self._lead.set_poles(lead)
 
     def reset(self) -> None:
-        """Return to no integral."""
+        """Reset the integral to zero."""
         self._integral = 0.0
         self._started = False
         self._old_gains: AltitudeGains | None = None

@@ -28,7 +28,7 @@ class AttitudeController:
         self.reset()
 
     def reset(self) -> None:
-        """Drop a change of gains that is fading; nothing else is kept between steps but the set-point's quaternion."""
+        """End a change of gains at once; the only other state is the quaternion of the set-point."""
         self._old_law: tuple[Vector3, Vector3] | None = None
         self._fades: tuple[Fade, ...] = ()
 

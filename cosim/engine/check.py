@@ -48,9 +48,6 @@ COMPARED_STEPS = 500
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
-# ---- the check
-
-
 def check_fmu(
     engine: str,
     step: float | None = None,

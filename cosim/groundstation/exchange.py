@@ -120,8 +120,6 @@ class Exchange:
         self._wakers: tuple[Callable[[], None], ...] = ()
         self.turned_away = 0  # requests for which there was no room
 
-    # --- for observers --------------------------------------------------------------------------------------------
-
     @property
     def snapshot(self) -> Snapshot | None:
         """The last snapshot that was published; None before the first."""
@@ -142,8 +140,6 @@ class Exchange:
                 self._wakers = tuple(waker for waker in self._wakers if waker is not wake)
 
         return unsubscribe
-
-    # --- for senders of requests ----------------------------------------------------------------------------------
 
     def ask(
         self,
@@ -176,8 +172,6 @@ class Exchange:
             dropped.answer(rq.Answer(True, rq.Result.ACCEPTED, "followed by a newer one"))
         if is_full:
             waiting.answer(rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, "too many requests"))
-
-    # --- for the flight ------------------------------------------------------------------------------------------
 
     @property
     def request_count(self) -> int:

@@ -143,8 +143,6 @@ class Session:
                 return self.runs
             self._restart = False
 
-    # --- one flight ----------------------------------------------------------------------------------------------
-
     def _build(self) -> SessionFlight:
         """Build a flight without beginning it: nothing but its folder is written yet."""
         number = len(self.runs) + 1

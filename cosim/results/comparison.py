@@ -130,9 +130,6 @@ def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]
     ]
 
 
-# ---- pieces
-
-
 def _pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
     base = make_time_base(first.log, second.log)
     columns_first, columns_second = first.log.columns, second.log.columns

@@ -1,4 +1,4 @@
-"""What happened in a flight: one list that report, exports and whoever else ask, each entry with its time.
+"""The events of a flight with their times, for reports and exports.
 
 Faults, the engine monitor's verdicts and contacts are read from the log, so that they are there also of a flight that
 was killed; what disturbed it is in the scenario, and what an autopilot said in its record beside the log.

@@ -1,4 +1,4 @@
-"""What a flight may do and still count as flown: limits on its metrics, for every flight.
+"""Limits on the metrics of every flight: one that exceeds them does not count as flown.
 
 The outcome says how a flight ended; it is ``completed`` wherever the vehicle went meanwhile.  The limits say whether it
 went where it was asked to go, and did so by means that it has.  They come from the size of the vehicle and from what

@@ -47,7 +47,7 @@ class Record(BaseModel):
 
 
 class AxisMetrics(Record):
-    """One axis.  None stands for what this flight cannot tell."""
+    """Metrics of one axis; None: not measurable in this flight."""
 
     commanded: bool  # set-point changes, or differs at first
     rmse_rad: float | None = None  # root of the mean square of the error
@@ -86,7 +86,7 @@ class SpeedMetrics(Record):
 
 
 class EffortMetrics(Record):
-    """What the actuators were made to do."""
+    """Use of the actuators: saturation and activity."""
 
     saturated_percent: float | None = None  # of the steps in the air
     alternating_percent: float | None = None  # of steps: worst second, worst command
@@ -95,7 +95,7 @@ class EffortMetrics(Record):
 
 
 class Metrics(Record):
-    """Everything that is measured of one flight."""
+    """All metrics of one flight."""
 
     axes: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
@@ -107,7 +107,7 @@ class Metrics(Record):
 
 
 class Reach(Record):
-    """How far the actuators can be told to go."""
+    """Ranges of the actuators' commands."""
 
     throttle: tuple[tuple[float, float], ...]  # least and most, jet 1 first
     tilt_rad: float | None = None  # of two banks, either way

@@ -28,7 +28,7 @@ from cosim.results.log.recorder import BackgroundSink, KeepingSink, Log, MemoryS
 from cosim.results.metrics import AxisMetrics
 from cosim.results.summary import Setup, Summary, summarize, summary_json
 from cosim.simulation.pacing import PaceReport
-from cosim.simulation.plugins import CustomMetric, make_refusing_metric
+from cosim.simulation.plugins import CustomMetric, make_unavailable_metric
 from cosim.spec.scenario import Scenario
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
@@ -320,7 +320,7 @@ def _recover(folder: Path) -> None:
                 setup = Setup.model_validate_json(note)
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
-            custom = [make_refusing_metric(block.name) for block in setup.brought if block.key == "metrics"]
+            custom = [make_unavailable_metric(block.name) for block in setup.brought if block.key == "metrics"]
             summary, log = _settle(folder, setup, "failed", "interrupted", None, custom=custom)
             _shorten(folder, summary, len(log))
         elif not (folder / LOG).is_file():

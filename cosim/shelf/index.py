@@ -26,7 +26,7 @@ GENERATOR = "hexjet open"  # in the title of the page
 TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
-LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # suffixes of logs of other flight controllers
+LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
 
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 
     name: str
     kind: str
-    details: dict[str, str]  # such as its scenario; empty where nothing says it
+    details: dict[str, str]  # such as its scenario; or empty
     metrics: dict[str, float]  # SI, by the names of docs/metrics.md
     page: str  # the file to look at; empty: none
 
@@ -107,7 +107,7 @@ def read_entry(folder: Path) -> Entry:
 
 def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     details = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
-    with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
+    with suppress(KeyError, TypeError, ValueError):  # an older or foreign summary
         digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]
         details["controller"] = describe_controller(details["controller"], digest, files)
@@ -133,7 +133,7 @@ def _read_head(path: Path) -> dict[str, Any]:
     """Return what a TOML file has before its first table, all of it where that alone cannot be read; else nothing."""
     with suppress(ValueError, RecursionError):
         text = read_text(path)
-        with suppress(tomllib.TOMLDecodeError):  # a line of a text or of a list may begin like a table
+        with suppress(tomllib.TOMLDecodeError):  # a line of a text may begin like a table
             return tomllib.loads(text.partition("\n[")[0])
         return tomllib.loads(text)
     return {}

@@ -140,14 +140,14 @@ class _Hover:
         rotors = self._rotors(axis, turned)
         if by_servo <= MINOR:
             rows = [*self._by_thrust(turned.thrusts), *rotors]
-            return [*rows, *_beside("servos give", by_servo, "tilt servos")]
+            return [*rows, *_minor_share_rows("servos give", by_servo, "tilt servos")]
         if by_thrust <= MINOR:
             rows = [*self._by_servos(turned.servos), *rotors]
-            return [*rows, *_beside("engines give", by_thrust, _owner(self._engines))]
+            return [*rows, *_minor_share_rows("engines give", by_thrust, _owner(self._engines))]
         why = (
             f"no one delay: servos give {100.0 * by_servo:.0f} % of the moment, by themselves "
-            f"{_said(self._by_servos(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
-            f"{_said(self._by_thrust(turned.thrusts))} late: their sum is as late as one or the other by its frequency"
+            f"{_format_total(self._by_servos(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
+            f"{_format_total(self._by_thrust(turned.thrusts))} late: the lag of their sum depends on frequency"
         )
         return [(why, "allocation", "mixed", None)]
 
@@ -155,7 +155,7 @@ class _Hover:
         engines, step, later = self._engines, self._step, self._scenario.mismatch.delay_samples
         owner = _owner(engines)
         owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
-        known = [self._around(jet) for jet in range(len(engines))]
+        known = [self._small_step_response(jet) for jet in range(len(engines))]
         how = MEASURED if any(engine.pole is None and engine.small_step is not None for engine in engines) else ""
         how = how or (AT_HOVER if any(known) else "")
         delays = [_delay(engine, step) for engine in engines]
@@ -193,7 +193,7 @@ class _Hover:
             return []
         return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
 
-    def _around(self, jet: int) -> SmallStepResponse | None:
+    def _small_step_response(self, jet: int) -> SmallStepResponse | None:
         """Return the response about trim of an engine of the library that states no pole; None for any other engine."""
         engine = self._engines[jet]
         if engine.pole is not None or not engine.library:
@@ -203,13 +203,13 @@ class _Hover:
         return measure_small_steps(engine, throttle, self._step)
 
 
-def _beside(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
+def _minor_share_rows(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
     if share < 5e-4:
         return []
     return [(f"{who} {100.0 * share:.1f} % of the moment beside it: not in the sum", owner, "beside", 0.0)]
 
 
-def _said(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
+def _format_total(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
     samples = [row[3] for row in rows]
     return "?" if None in samples else f"{sum(value for value in samples if value is not None):.1f}"
 

@@ -1,4 +1,4 @@
-"""What a healthy engine does, measured on the engine itself: the model that the engine monitor compares with."""
+"""The reference model of the engine monitor, measured on the engine itself."""
 
 from __future__ import annotations
 

@@ -247,7 +247,7 @@ class GuidedPilot:
         if self._last_point is not None and self._last_point[1] is not None:
             return self._to_altitude
         here, (up, down) = self._height.track.position[0], self._rates
-        sink = min(down, descent_rate(here, self._limits.braking, self._limits.lateness))
+        sink = min(down, descent_rate(here, self._limits.braking, self._limits.response_time))
         if self._climb is not None:
             return self._height.at_velocity((min(max(self._climb, -sink), up), 0.0)).position[0]
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]

@@ -1,4 +1,4 @@
-"""Identified models held against the vehicle that they are of: gain, delay and lag.
+"""Comparison of identified models with their vehicle: gain, delay and lag.
 
 What a predictor believes is a response that was identified once, of a vehicle of one mass and inertia with one engine.
 The vehicle and the engine say the same otherwise: the gain at rest is a lever times thrust over a moment of inertia,
@@ -86,7 +86,7 @@ class ModelAgreement:
 
     @property
     def is_unfit(self) -> bool:
-        """Whether a predictor with this model does not do its work: gain, delay, lag beyond these."""
+        """Whether gain, delay or lag are too wrong for a predictor with this model."""
         return self._excess(1.5, 1.0 / 3.0, 0.5) > 1.0
 
     @property

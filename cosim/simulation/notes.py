@@ -1,4 +1,4 @@
-"""What of a flight does nothing although it is stated, or costs exactness: a line each for terminal, page, summary."""
+"""Notes on settings of a flight that have no effect or cost accuracy, for terminal, page and summary."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ BY_WIND_M = 300.0
 
 
 def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
-    """Return what a flight's turbulence and tank do not do; empty where all that is stated acts."""
+    """Return notes on settings of turbulence and tank that have no effect."""
     return [*note_incomplete_turbulence(scenario), *note_missing_fuel_flow(vehicle, engines)]
 
 

@@ -37,7 +37,7 @@ _KEYS = {"observer": 2, "sensors": 3, "wind": 4}
 
 @dataclass(frozen=True)
 class BlockInfo:
-    """What a plug-in's ``prepare`` is given, where it has one; nothing in it is of the controller."""
+    """Data for the ``prepare`` of a plug-in; it does not contain the controller's."""
 
     step_s: float
     vehicle: Vehicle  # as stated
@@ -183,7 +183,7 @@ def read_metric(source: Source) -> CustomMetric:
     return CustomMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
 
 
-def make_refusing_metric(name: str) -> CustomMetric:
+def make_unavailable_metric(name: str) -> CustomMetric:
     """Return a metric that refuses to be computed, for a killed flight: what finishes such a flight runs no code."""
 
     def refuse() -> Any:
@@ -263,9 +263,6 @@ class GuardedSensors:
     @property
     def shown(self) -> tuple[float, ...]:
         return tuple([float(value) for value in _call(self._source, "shown", lambda: self._block.shown)])
-
-
-# ---- wind
 
 
 def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Vehicle, float, float], FieldWind]:

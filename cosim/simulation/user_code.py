@@ -1,4 +1,4 @@
-"""What of a scenario is code: so that the user is asked once, for all of it, before any of it is run."""
+"""The code that a scenario names: the user is asked for trust once, before any of it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file of a kind must have: another file is answered with what was expected."""
+"""Required keys of each kind of file, to tell the user which kind was expected."""
 
 from __future__ import annotations
 

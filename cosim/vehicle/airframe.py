@@ -5,13 +5,13 @@ itself.  One control step is ``substeps`` runs of JSBSim with every input held.
 
 JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
 run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
-(rectangular rule).  The rest is made up here: in the first of several runs force and moment carry :data:`MAKE_UP` of
-their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
+(rectangular rule).  The rest is corrected here: in the first of several runs forces carry :data:`EXTRAPOLATION`
+of their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
 within the step.  With a single run a step there is no first run to correct, and a force acts half a run late, which the
 delay ledger lists.
 
-Where a payload comes or goes it is the mass that jumps, not the force: :meth:`Airframe._start_anew`.  With a single run
-a step it is half a run late like the forces, as being late together costs least.
+Where a payload comes or goes the mass jumps, not the force: :meth:`Airframe._step_mass_jump`.  With a single run a
+step it is half a run late like the forces, as being late together costs least.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ ON_THE_GROUND: Final = RECTANGULAR  # of both rates, with a contact
 # A surface is moved by this share of its range, for so many seconds, to see what it does; chosen by us: small beside
 # where tables bend, long beside actuators
 SETTLING: Final = (0.05, 2.0)
-MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
+# Share of the change of a force that its first run carries on top, by method: see the module's text.
+EXTRAPOLATION: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _NED = ("north", "east", "down")
@@ -271,7 +272,7 @@ class Airframe:
         self._full = self._mass = self._get_mass() * SLUG
         self._burnt = 0.0
         self._spin = ZERO3
-        self._ahead = False  # with the first run's extra change
+        self._is_extrapolated = False  # with the first run's extra change
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
@@ -312,13 +313,13 @@ class Airframe:
         try:
             if old is not None and runs > 1:
                 self._settle()
-                ended = not self._start_anew(old, forces, push, twist)
+                ended = not self._step_mass_jump(old, forces, push, twist)
                 runs -= 1
             elif runs > 1:
-                self._act_with(forces, push, twist, self._make_up)
+                self._write_extrapolated(forces, push, twist, self._extrapolation)
                 ended = not run()
                 runs -= 1
-                if self._ahead:
+                if self._is_extrapolated:
                     self._settle()
             else:
                 ended = False
@@ -331,7 +332,7 @@ class Airframe:
             raise FlightError("JSBSim ended the run")
         return self._read()
 
-    def _start_anew(self, old: Payload, forces: list[Vector3], push: Vector3, twist: Vector3) -> bool:
+    def _step_mass_jump(self, old: Payload, forces: list[Vector3], push: Vector3, twist: Vector3) -> bool:
         """Make the first run of a step in which the payload is no longer the ``old`` one; whether JSBSim goes on.
 
         See :mod:`cosim.vehicle.mass_change`.  The new centre of gravity gets its velocity by a force in the first run's
@@ -345,7 +346,7 @@ class Airframe:
         size = 0.0
         if not self._touching:
             size = 2.0 * self._mass / self._dt
-            shift = _beyond(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
+            shift = _extrapolate(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
         jolt = (size * x, size * y, size * z)
         # at the centre of gravity as built, and with no moment about the present one
         self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
@@ -373,24 +374,24 @@ class Airframe:
         """Set the integration methods from acceleration to velocity, of both kinds, from the next run on."""
         for set_method in self._methods:
             set_method(method)
-        self._method, self._make_up = method, MAKE_UP[method]
+        self._method, self._extrapolation = method, EXTRAPOLATION[method]
 
     def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
         """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
         self._put(forces)
-        self._act_beside(push, twist)
+        self._write_body_load(push, twist)
         self._forces = forces
 
-    def _act_with(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
+    def _write_extrapolated(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
         """Let these act with ``share`` of the change since the last on top; the jets' last forces stay as they were."""
         self._put(forces, self._forces, share)
         if push != self._pushed:
-            push = _beyond(push, self._pushed, share)
+            push = _extrapolate(push, self._pushed, share)
         if twist != self._twisted:
-            twist = _beyond(twist, self._twisted, share)
-        self._act_beside(push, twist)
+            twist = _extrapolate(twist, self._twisted, share)
+        self._write_body_load(push, twist)
 
-    def _act_beside(self, push: Vector3, twist: Vector3) -> None:
+    def _write_body_load(self, push: Vector3, twist: Vector3) -> None:
         if push != self._pushed:
             self._push.put(push[0], push[1], push[2])
         if twist != self._twisted:
@@ -419,32 +420,32 @@ class Airframe:
     def prepare_step(self, momentum: Vector3, burnt: float, tilt: PerServo = ()) -> None:
         """Set the rotors' ``momentum`` [kg m^2/s, body], the ``burnt`` fuel [kg] and the surfaces of the next step.
 
-        Momentum and fuel act from its beginning, as forces do: the first of several runs has :data:`MAKE_UP` of their
-        change on top.  ``tilt``: the angles of all servos; the last are those of the surfaces.
+        Momentum and fuel act from its beginning, as forces do: the first of several runs has :data:`EXTRAPOLATION` of
+        their change on top.  ``tilt``: the angles of all servos; the last are those of the surfaces.
         """
         if self._surfaces:
             first = len(tilt) - len(self._surfaces)
             for number, surface in enumerate(self._surfaces):
                 surface(tilt[first + number])
         if burnt != self._burnt:
-            self._lack(burnt + self._share_of_first_run() * (burnt - self._burnt))
+            self._set_burnt_fuel(burnt + self._share_of_first_run() * (burnt - self._burnt))
             self._burnt, self._mass = burnt, self._full - burnt
-            self._ahead = True
+            self._is_extrapolated = True
         if self._momentum is not None and momentum != self._spin:
-            x, y, z = _beyond(momentum, self._spin, self._share_of_first_run())
+            x, y, z = _extrapolate(momentum, self._spin, self._share_of_first_run())
             self._momentum.put(x, y, z)
             self._spin = momentum
-            self._ahead = True
+            self._is_extrapolated = True
 
     def _share_of_first_run(self) -> float:
         """Return the share of a change that the first run has on top."""
-        return self._make_up if self.substeps > 1 else 0.0
+        return self._extrapolation if self.substeps > 1 else 0.0
 
     def _settle(self) -> None:
         """Let fuel and rotors be what they are, without what the first run had on top."""
-        self._ahead = False
+        self._is_extrapolated = False
         if self._burnt:
-            self._lack(self._burnt)
+            self._set_burnt_fuel(self._burnt)
         if self._momentum is not None:
             self.set_momentum(self._spin)
 
@@ -464,11 +465,11 @@ class Airframe:
 
         The fuel is a point mass in its tank, and what is burnt a negative one beside the vehicle as built.
         """
-        self._lack(mass)
+        self._set_burnt_fuel(mass)
         self._burnt = mass
         self._mass = self._full - mass
 
-    def _lack(self, mass: float) -> None:
+    def _set_burnt_fuel(self, mass: float) -> None:
         self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
 
     def air(self) -> tuple[float, float]:
@@ -618,7 +619,7 @@ def _sum(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-def _beyond(new: Vector3, old: Vector3, share: float) -> Vector3:
+def _extrapolate(new: Vector3, old: Vector3, share: float) -> Vector3:
     """Return ``new`` extrapolated by ``share`` of the way from ``old`` to it."""
     x, y, z = new
     return (x + share * (x - old[0]), y + share * (y - old[1]), z + share * (z - old[2]))

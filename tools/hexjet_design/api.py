@@ -13,7 +13,7 @@ from cosim.api.call.choices import as_settings, engine_for, list_fmu_defects
 from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import load_hook
 from cosim.base.storage.files import read_text
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from hexjet_design.design import Design
@@ -196,7 +196,7 @@ def design(
     from hexjet_design.proof.run import add_proof
 
     hears, texts = progress or Progress(), as_settings(settings)
-    mention([*texts, engine], Path())
+    trust_named_code([*texts, engine], Path())
     if out is not None:
         prepare(Path(out))
     limit = limit or controller == LAW

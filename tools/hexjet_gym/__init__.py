@@ -30,8 +30,9 @@ except ModuleNotFoundError as error:
     ) from None
 
 ACTS = ("actuators", "rates", "attitude")  # what an action is
-LEAN = pi / 6.0  # rad: the roll and pitch that an action of 1 asks for; chosen by us, three times the paper's doublet
-CLIMB = 10.0  # m: from the height at the start to that which an action of 1 asks for; chosen by us
+# rad of roll and pitch that an action of 1 asks for; chosen by us, three times the paper's doublet.
+LEAN = pi / 6.0
+CLIMB = 10.0  # m per 1 of an action; chosen by us
 # An observation is bounded, as libraries for learning want it; what is beyond is shown as the bound.  Chosen by us, far
 # from where a flight goes that is not lost.
 MOST_SPEED, MOST_HEIGHT = 200.0, 10_000.0  # m/s, m
@@ -47,7 +48,7 @@ class Signal(NamedTuple):
     frame: str
     low: float
     high: float
-    scale: float = 1.0  # SI in a 1 of an action; observations are SI
+    scale: float = 1.0  # SI per 1 of an action
 
 
 Reward = Callable[[Stepper, Sample, Command], float]
@@ -220,7 +221,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             command = flight.command
             try:
                 sample = self._fly(values.tolist(), command)
-            except FlightError:  # an engine or a controller failed, and this step has no sample
+            except FlightError:  # this step has no sample
                 break
             positions = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
             self._actuators.appendleft(positions)

@@ -49,7 +49,7 @@ PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
 # once throttle is raised.  Full stick: ATC_ANGLE_MAX, and PILOT_Y_RATE as it ships.
 START_TIMING = StartTiming(
-    before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True
+    before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, stick_moves_heading=True
 )
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # TCP by default; 3 and 4 are for GNSS
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.

@@ -80,7 +80,7 @@ class AutopilotBlock:
         lean, turn = radians(self._timing.lean_deg), radians(self._timing.turn_deg_s)
         hold_from = self.autopilot.setup.hold_from_s
         hold_from = inf if hold_from is None else hold_from
-        self._pilot = StickPilot(belief, lean, turn, hold_from, self._timing.turns_target)
+        self._pilot = StickPilot(belief, lean, turn, hold_from, self._timing.stick_moves_heading)
 
     @property
     def start_s(self) -> float:

@@ -105,7 +105,7 @@ class StartTiming:
     lean_deg: float  # at full stick
     turn_deg_s: float  # at full stick
     unarmed: str = ""  # message where it did not arm
-    turns_target: bool = False  # stick and held heading turn together
+    stick_moves_heading: bool = False  # stick and held heading turn together
 
 
 class FirmwareReport(NamedTuple):

@@ -42,7 +42,7 @@ class StickPilot:
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
     Once a height below the ground is asked for and the vehicle stands still near it, it is disarmed, and stays so.
-    Where the stick ``turns_target``, the heading that the autopilot holds by itself, that loop is closed around this
+    With ``stick_moves_heading`` the stick turns the heading that the autopilot holds: the loop is closed around that
     heading: around the vehicle's there would be two loops about one error, which overshoot.  The stick moves as often
     as a receiver sends it, so that the turn is what was sent, whenever the autopilot hears it.
     From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
@@ -50,7 +50,7 @@ class StickPilot:
     """
 
     def __init__(
-        self, belief: Belief, lean: float, turn: float, hold_from: float = inf, turns_target: bool = False
+        self, belief: Belief, lean: float, turn: float, hold_from: float = inf, stick_moves_heading: bool = False
     ) -> None:
         gains, vehicle = belief.vehicle.control, belief.vehicle
         self._belief = belief
@@ -61,7 +61,7 @@ class StickPilot:
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._span = vehicle.aero.span_m
-        self._turns_target, self._turned = turns_target, 0.0
+        self._stick_moves_heading, self._turned = stick_moves_heading, 0.0
         self._held_steps = max(1, round(STICKS_S / belief.step_s))
         # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
         self._target: tuple[float, float] | None = None
@@ -101,7 +101,7 @@ class StickPilot:
 
     def _turn_stick(self, yaw: float, heading: float, target_s: float = 5.0) -> float:
         """Return the yaw stick for a commanded heading [rad] at a measured one."""
-        if not self._turns_target:
+        if not self._stick_moves_heading:
             return self._heading * wrap(yaw - heading) / self._turn
         target, expected = self._target or (heading, heading)
         if self._steps % self._held_steps == 1 or self._held_steps == 1:

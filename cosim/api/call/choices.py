@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
@@ -55,7 +55,7 @@ def choose(
     if isinstance(scenario, Scenario) and not (texts or engines or controller or aircraft or model or seed is not None):
         return scenario
     named = None if controller is None else str(controller)
-    mention([*texts, *engines, named], Path())
+    trust_named_code([*texts, *engines, named], Path())
     vehicle, models = None if aircraft is None else str(aircraft), None if model is None else Path(model)
     return load_scenario(scenario, named, engines, seed, texts, models, vehicle, note)
 

@@ -155,10 +155,9 @@ def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
 
 
 def check_results_folder(out: Path | str | None, record: str, *files: str) -> None:
-    """Raise InputError where the folder ``out`` holds one of ``files``, or ``record``, that no earlier call left there.
+    """Refuse to overwrite files in the folder ``out`` that no earlier call has written.  Raises InputError.
 
-    And where ``out`` is a file.  An earlier call is told by its ``record``; one in JSON must be an object.  None: no
-    results are written.
+    An earlier call has left its ``record``, in JSON an object.  A file as ``out`` is refused too; None writes nothing.
     """
     if out is None:
         return

@@ -11,7 +11,7 @@ from typing import Any
 from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs, parse_claim
@@ -51,7 +51,7 @@ def open_study(
     times as many as the claim needs at least; an empty one leaves out the study's.  An engine that states its
     uncertainty is drawn by it unless ``nominal_engine``.  Raises InputError.
     """
-    mention([*controllers, *settings, *vary], Path())
+    trust_named_code([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)
     listed = [_resolve_files(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
     try:

@@ -16,7 +16,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
-from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
+from cosim.base.errors import RESOURCE_ERRNOS, FlightError, InputError
 from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS
 from cosim.campaign.study.plan import Flight, case_of, scenario_of
@@ -245,7 +245,7 @@ def _kind(study: Study, key: str) -> type[Value]:
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:
     """Return the error of the operating system behind another, if it says that the machine has no more to give."""
-    while error is not None and not (isinstance(error, OSError) and error.errno in MACHINE_TROUBLE):
+    while error is not None and not (isinstance(error, OSError) and error.errno in RESOURCE_ERRNOS):
         error = error.__cause__ or error.__context__
     return error
 

@@ -226,7 +226,7 @@ class RotorAllocator:
                 raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: this allocation has no state."""
 
     def trim(self, collective: float) -> PerJet:
         return (collective,) * len(self.signs)

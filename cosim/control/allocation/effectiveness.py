@@ -174,8 +174,6 @@ class EffectivenessAllocator:
                 "that nothing balances; hexjet aircraft check says what the engines can do"
             )
 
-    # ---- what stays between steps: the last commands, and the health of the engines
-
     def reset(self) -> None:
         """Start with all engines healthy and hinges at rest."""
         self._use([JetHealth()] * self._jets)
@@ -250,8 +248,6 @@ class EffectivenessAllocator:
             self._neutral,
         )
 
-    # ---- what a design asks
-
     def solve_hover(self, torque: Vector3) -> tuple[list[float], list[float]]:
         """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
 
@@ -296,8 +292,6 @@ class EffectivenessAllocator:
         """Return whether hover gives an angular acceleration, but for this fraction of weight and moment."""
         _, missing = self.solve_hover((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
         return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROLL, PITCH, LIFT, YAW))
-
-    # ---- a step
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """Return throttles and tilts for a lift and angular accelerations, and what the limits do not allow of them.

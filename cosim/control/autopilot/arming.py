@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import degrees
 
 from cosim.base.protocols import EngineState, Report
-from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.failsafes import FailsafeMonitor
 from cosim.control.autopilot.guidance.course import Course
-from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.manoeuvres.remote import RemoteControl
 from cosim.control.autopilot.modes import DIRECT, LandedState, Mode
 from cosim.control.autopilot.parameters import NOTHING
 
@@ -20,7 +20,7 @@ class Arming:
     # rad/s: a vehicle that turns like this is being carried.
     max_rate = 0.2
 
-    def __init__(self, course: Course, remote: Remote, watch: Watch, step: float) -> None:
+    def __init__(self, course: Course, remote: RemoteControl, watch: FailsafeMonitor, step: float) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._remote = remote
         self._watch = watch

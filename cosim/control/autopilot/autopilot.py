@@ -24,8 +24,6 @@ class Autopilot(FlightState):
     # m/s: sinking faster than this is no contact.
     max_settle_sink = 1.0
 
-    # --- what there is to see --------------------------------------------------------------------------------------
-
     @property
     def engines(self) -> EngineState:
         return self.arming.engines
@@ -74,8 +72,6 @@ class Autopilot(FlightState):
             self.estimates.measured,
             self.estimates.quality,
         )
-
-    # --- one step --------------------------------------------------------------------------------------------------
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """Return the command of step ``k``; :attr:`engines` says what the engines do with it."""
@@ -279,8 +275,6 @@ class Autopilot(FlightState):
     def _idle_command(self) -> Command:
         return Command((0.0, 0.0, self.estimates.euler[2]), self.estimates.altitude, None, 0.0)
 
-    # --- what flies in each mode -----------------------------------------------------------------------------------
-
     def _command_mode(self, k: int) -> Command:
         """Return the command of the manoeuvre that the mode names; where one is complete, enter Hold."""
         mode = self.mode
@@ -315,8 +309,6 @@ class Autopilot(FlightState):
 
     def _gives_collective(self) -> bool:
         return self.remote.commands_collective(self.mode)
-
-    # --- requests --------------------------------------------------------------------------------------------------
 
     def handle(self, request: Request, k: int) -> Answer:
         """Take a request before step ``k``.  Never raises for what a ground station may send."""

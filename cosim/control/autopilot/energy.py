@@ -73,8 +73,6 @@ class Energy:
         endurance = self._parameters["HJ_ENDURANCE"]
         return self.hover_burn or (1.0 / endurance if endurance > 0.0 else 0.0)
 
-    # --- how long ways take ----------------------------------------------------------------------------------------
-
     def descent_time(self, height: float) -> float:
         """Return how long the descent from a height [m] above the ground to standing there takes."""
         p, limits = self._parameters, self._course.guide.limits
@@ -82,11 +80,11 @@ class Energy:
         end = min(p["MPC_LAND_SPEED"], fastest)
         above = height - slow
         # braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv
-        v = min(fastest, descent_rate(above, limits.braking, limits.lateness, end))
-        braking = (v - end) * limits.lateness + (v * v - end * end) / (2.0 * limits.braking)
+        v = min(fastest, descent_rate(above, limits.braking, limits.response_time, end))
+        braking = (v - end) * limits.response_time + (v * v - end * end) / (2.0 * limits.braking)
         steady = max(0.0, above - braking) / v
-        slowing = limits.lateness * log(v / end) + (v - end) / limits.braking
-        return limits.lateness + steady + slowing + max(0.0, min(height, slow)) / end + self.end_s
+        slowing = limits.response_time * log(v / end) + (v - end) / limits.braking
+        return limits.response_time + steady + slowing + max(0.0, min(height, slow)) / end + self.end_s
 
     def travel_time(self, distance: float, climb: float, speed: float | None = None) -> float:
         """Return how long the way to a position at this distance and height difference [m] takes, both together.
@@ -103,7 +101,7 @@ class Energy:
         """Return how long a take-off to a height takes, from idle on."""
         return (
             self._parameters["HJ_SPOOL_TIME"]
-            + self._course.guide.limits.lateness
+            + self._course.guide.limits.response_time
             + self.travel_time(0.0, height)
             + self.end_s
         )
@@ -114,7 +112,7 @@ class Energy:
         if near:
             return self.descent_time(altitude - self._ground)
         away = hypot(target[0] - position[0], target[1] - position[1])
-        climb = self.travel_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.lateness
+        climb = self.travel_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.response_time
         level = self.travel_time(away, 0.0, self._parameters["MPC_XY_VEL_MAX"])
         return climb + level + self.descent_time(max(height, altitude) - self._ground)
 
@@ -123,8 +121,6 @@ class Energy:
         """The lowest that the ground may be, m."""
         landmarks = self._landmarks
         return min(landmarks.home_altitude, landmarks.ground)
-
-    # --- what they take of the tank --------------------------------------------------------------------------------
 
     def needed_fractions(self) -> tuple[float, float]:
         """Return the fractions that the way home and down, and the way down alone, take from here, without a margin.

@@ -1,4 +1,4 @@
-"""Monitoring of a flight: fence, link, fuel, engines, sensors, wind, lean.  Each event is reported once."""
+"""Failsafes of a flight: fence, link, fuel, engines, sensors, wind, lean.  Each event is reported once."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _LAND_AT_ONCE_ON = ("attitude lost", "gyro lost")
 _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
 
 
-class Watch:
-    """Monitors every step; calls ``act`` with a parameter's action and the reason when an event begins."""
+class FailsafeMonitor:
+    """Checks fence, link, fuel, engines and sensors each step; calls ``act`` with action and reason of a new event."""
 
     # s of a lean that counts as lost control, and of a wind that is told of: longer than a gust or a manoeuvre.
     lost_control_s, wind_s = 0.5, 2.0
@@ -37,7 +37,7 @@ class Watch:
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
         self._parameters = parameters
         self.energy = energy
-        self._tank = TankWatch(parameters, energy, step, act)
+        self._tank = FuelFailsafe(parameters, energy, step, act)
         self._step = step
         self._act = act
         self.zones: tuple[FenceZone, ...] = ()  # of a ground station; flights keep them
@@ -152,8 +152,8 @@ class Watch:
             self._act(int(self._parameters["HJ_FENCE_ACT"]), f"{OUTSIDE}: {why}")
 
 
-class TankWatch:
-    """Acts at three levels: return, land, and land again where a landing was taken over, which it warns of.
+class FuelFailsafe:
+    """Acts on low fuel at three levels: return, land, and land again after a pilot has taken over the landing.
 
     Each level is what the way takes, as :class:`Energy` estimates it, with its part of ``HJ_FUEL_MARGIN``; the
     parameters in per cent are the least.

@@ -12,7 +12,7 @@ from cosim.base.signals import Measured
 from cosim.control.autopilot.arming import Arming
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.estimation.estimator import Estimator
-from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.failsafes import FailsafeMonitor
 from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
@@ -23,7 +23,7 @@ from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
-from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.manoeuvres.remote import RemoteControl
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
@@ -45,7 +45,7 @@ class Thrust(NamedTuple):
 
 
 class FaultCommands(NamedTuple):
-    """What is called for faults by command, and may raise InputError; None: such commands are not supported."""
+    """Functions that inject and clear faults by command; may raise InputError.  None: commands are not supported."""
 
     inject: Callable[[InjectFault], None] | None = None
     clear: Callable[[], None] | None = None
@@ -58,8 +58,7 @@ class FlightState:
     noise, which distinguishes a receiver that has stopped from one that stands still.
     """
 
-    # s for which hinges that turn engines push the vehicle aside when one is lost: by then throttles have followed.
-    # Taken for wind, the push made it lean when it was over.
+    # Ignore sideways acceleration so many s after an engine loss: it comes from the hinges, not from wind.
     pushed_s = 3.0
     # s of GNSS before its position may become home.
     home_delay_s = 1.0
@@ -91,8 +90,8 @@ class FlightState:
         guide = Guide(tracker, position, parameters, self.envelope.height_limits(), step)
         self.course = course = Course(parameters, estimates, landmarks, guide)
         self.energy = Energy(course, GroundSpeed(course, vehicle, gains.catch_up_m_s, step), hover, step)
-        self.watch = watch = Watch(parameters, self.energy, step, self.activate_failsafe)
-        self.remote = Remote(course, limits, hover, step)
+        self.watch = watch = FailsafeMonitor(parameters, self.energy, step, self.activate_failsafe)
+        self.remote = RemoteControl(course, limits, hover, step)
         self.arming = Arming(course, self.remote, watch, step)
         self.take_off = TakeOff(course, hover, least_throttle, step)
         touchdown = Touchdown(hover, step, idle, settings.spool_s)

@@ -26,7 +26,7 @@ class Status(NamedTuple):
     home: Home | None
     fix: Fix
     target: Home | None  # where it flies to or stays
-    track: Pair | None  # the set-point of position on the way there, m
+    track: Pair | None  # set-point on the way there, m
     altitude: float  # m, set-point or the last one
     yaw: float  # set-point, rad
     mission_count: int

@@ -79,7 +79,7 @@ STREAMS = (
     Stream("CURRENT_MODE", 0.5, telemetry.current_mode),
 )
 
-MIN_INTERVAL_S = 0.004  # s: one control step; nothing changes more often
+MIN_INTERVAL_S = 0.004  # one control step
 BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
 DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
 

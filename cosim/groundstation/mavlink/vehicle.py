@@ -89,8 +89,6 @@ class MavlinkVehicle:
         self._pending: set[tuple[Any, ...]] = set()
         port.wake = link.wake
 
-    # --- for the services ----------------------------------------------------------------------------------------
-
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
         """Send messages to one station, or (None) to all; telemetry never displaces them."""
         for message in messages:
@@ -107,8 +105,6 @@ class MavlinkVehicle:
         """Send a line for the people on the ground."""
         self._text_count += 1
         self.send(peer, statustext(severity, text, self._text_count))
-
-    # --- the link's thread -------------------------------------------------------------------------------------
 
     def receive(self, frame: Frame, peer: Peer, now: float) -> None:
         """Dispatch a frame to the handler or the service of its message."""
@@ -226,8 +222,6 @@ class MavlinkVehicle:
                 self._is_lost = not is_lost  # repeated at the next poll
 
         self.port.ask(LinkLost() if is_lost else LinkBack(), reply, "link")
-
-    # --- messages ----------------------------------------------------------------------------------------------
 
     def _heartbeat(self, message: Message, client: Client) -> None:
         if message.type == mav.MAV_TYPE_GCS:

@@ -128,8 +128,6 @@ class WebServer:
         """Number of pages that are connected and have shown the token."""
         return len(self._pages)
 
-    # --- the thread ----------------------------------------------------------------------------------------------
-
     def start(self) -> None:
         """Serve from now on."""
         try:
@@ -192,8 +190,6 @@ class WebServer:
             frames.cancel()
             self._frame()  # shows pages the end
 
-    # --- files ---------------------------------------------------------------------------------------------------
-
     def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
         host = request.headers.get_all("Host")
@@ -221,8 +217,6 @@ class WebServer:
     def _refuse(self, status: HTTPStatus, text: str) -> Response:
         self.refused += 1
         return make_response(status, f"{text}\n".encode())
-
-    # --- one page ------------------------------------------------------------------------------------------------
 
     async def _serve_page(self, connection: ServerConnection) -> None:
         """Serve one WebSocket from its first message to its end."""
@@ -294,8 +288,6 @@ class WebServer:
         """Schedule a call in the server's thread, if that still runs."""
         with suppress(RuntimeError):  # the loop no longer runs
             self._loop.call_soon_threadsafe(callback)
-
-    # --- sending -----------------------------------------------------------------------------------------------------
 
     def _on_publish(self) -> None:
         """Keep the newest sample for the strip chart; called in the flight's thread."""

@@ -69,7 +69,7 @@ class PilotRecord:
         self.look(sample.k)
 
     def look(self, k: int) -> None:
-        """Write what is new."""
+        """Write all changes since the last call."""
         pilot = self._pilot
         self._messages()
         self._parameters(k)

@@ -21,7 +21,7 @@ _ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # not the request's
 
 
 class Entry(NamedTuple):
-    """One line."""
+    """One request, its sender and its answer."""
 
     step: int
     sender: str
@@ -84,7 +84,7 @@ def _entry(line: str, where: str) -> Entry:
 
 
 class Replay:
-    """Asks a pilot what it was asked before: call it before every step."""
+    """Repeats recorded requests to an autopilot: call it before every step."""
 
     def __init__(self, pilot: Autopilot, entries: Sequence[Entry]) -> None:
         self.pilot = pilot

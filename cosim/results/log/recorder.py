@@ -35,7 +35,7 @@ class Sink(Protocol):
 
 
 class KeepingSink(Sink, Protocol):
-    """Keeps the blocks, or something of them, in memory."""
+    """A sink that keeps all or some columns in memory."""
 
     def begin(self, columns: Sequence[Column]) -> None:
         """Take the log's columns, before the first block; COLUMNS where nobody says so.  Raises InputError."""
@@ -138,7 +138,7 @@ class MemorySink:
 
 
 class OneRow:
-    """What the log has of one sample, for those who watch a flight; ``columns``: as a :class:`Recorder`'s."""
+    """The row of the log for one sample, for programs that step a flight; ``columns``: as a :class:`Recorder`'s."""
 
     def __init__(self, columns: Sequence[Column] = COLUMNS) -> None:
         self._recorder = Recorder(1.0, self, columns)  # of a row a second a block has one row

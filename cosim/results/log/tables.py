@@ -1,4 +1,4 @@
-"""What a log is beside its columns: a mapping of them, a table of pandas, and what a notebook shows of it."""
+"""Views of a log: a mapping of its columns, a pandas table, and its display in a notebook."""
 
 from __future__ import annotations
 

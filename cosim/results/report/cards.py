@@ -99,9 +99,6 @@ class Page:
         render(TEMPLATES / "page.html", path, dict(self.figures), self.flights, page=self, two=several)
 
 
-# ---- HTML within texts
-
-
 def code(text: str) -> Markup:
     """Return a text in the letters of a program."""
     return Markup("<code>{}</code>").format(text)

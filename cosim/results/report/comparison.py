@@ -179,9 +179,6 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
     return run_data(described._replace(log=flight.log))
 
 
-# ---- words and tables
-
-
 def describe_pair(pair: LogComparison) -> list[str]:
     """Describe on which steps two flights were compared, and what is the same."""
     if not pair.steps:

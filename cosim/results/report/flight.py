@@ -108,9 +108,6 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
     )
 
 
-# ---- words and tables
-
-
 def verdict_badge(summary: Summary) -> tuple[str, str]:
     """Return the class and the text of the badge with the verdict; a flight without one shows its outcome."""
     if summary.verdict is None or summary.verdict == Verdict.NOT_COMPLETED:

@@ -117,9 +117,6 @@ def _cost(numbers: NDArray[np.int64]) -> float:
     return float(np.log2(np.abs(numbers[2:]) + 1.0).sum())
 
 
-# ---- a run
-
-
 class FlightData(NamedTuple):
     """A flight as a page draws it."""
 

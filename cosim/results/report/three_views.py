@@ -170,9 +170,6 @@ def _ruler(root: ET.Element, scale: float, reach: float) -> None:
     text(root, 18 + length * scale, y + 4, f"{length:g} m", "dim")
 
 
-# ---- what any drawing begins with, is lettered with and ends as
-
-
 def begin_drawing(name: str, width: float, height: float, style: str) -> ET.Element:
     """Return the root of a drawing [px] with its title and its style sheet."""
     root = ET.Element("svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {width:g} {height:g}", role="img")

@@ -54,9 +54,6 @@ class Deciding(NamedTuple):
     sign: float
 
 
-# ---- quantities: a number a row, in a unit
-
-
 class Quantity:
     """A number a row, in ``unit``; None: a bare number, in the unit of what it is compared with."""
 
@@ -158,9 +155,6 @@ class Sum(Quantity):
             total = values if total is None else total + values
         assert total is not None
         return total
-
-
-# ---- formulas: a margin a row, positive kept, negative broken
 
 
 class Formula:
@@ -399,9 +393,6 @@ class AfterEvent(Formula):
 
     def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
         return self.of.latest_s(times_s.get(self.event, []), times_s)
-
-
-# ---- arithmetic of margins with unknown ones
 
 
 def _least(margins: Sequence[Array]) -> Array:

@@ -137,8 +137,6 @@ class _Parser:
             self._refuse("and, or, implies, a comparison or the end")
         return formula
 
-    # ---- tokens
-
     def _next(self) -> _Token:
         match = _TOKEN.match(self._text, self._end)
         if match is None:
@@ -168,8 +166,6 @@ class _Parser:
     def _refuse_at(self, start: int, why: str) -> NoReturn:
         text = self._text[start : self._token.start].strip()
         raise InputError(f"{text[:40]!r} at character {start + 1}: {why}")
-
-    # ---- formulas, the loosest first
 
     def _implication(self) -> Formula | Quantity:
         start = self._token.start
@@ -227,8 +223,6 @@ class _Parser:
             raise InputError(f"{text!r} at character {start + 1}: {error}") from None
         less, greater = (left, right) if sign in ("<", "<=") else (right, left)
         return Comparison(less, greater, unit, " ".join(text.split()))
-
-    # ---- quantities
 
     def _sum(self) -> Formula | Quantity:
         start = self._token.start
@@ -313,8 +307,6 @@ class _Parser:
             raise InputError(f"unknown unit {unit!r} at character {self._token.start + 1}; {nearest(unit, UNITS)}")
         return Number(value, match["unit"] if match else None)
 
-    # ---- words with brackets
-
     def _call(self, word: _Token) -> Formula | Quantity:
         self._enter()
         if word.text == "abs":
@@ -366,8 +358,6 @@ class _Parser:
     def _operand(self) -> Formula:
         start = self._token.start
         return self._formula(self._implication(), start)
-
-    # ---- kinds
 
     def _formula(self, of: Formula | Quantity, start: int) -> Formula:
         if isinstance(of, Quantity):

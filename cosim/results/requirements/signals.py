@@ -152,9 +152,6 @@ def needed_columns(names: Iterable[str], events: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(columns))
 
 
-# ---- events
-
-
 def event_times(scenario: Scenario) -> dict[str, list[float]]:
     """Return when each event happens that a scenario states: ``doublet begins``, ``gust ends``, ``flame out begins``.
 

@@ -93,12 +93,12 @@ def _by_effectiveness(
         effectors,
         limits.horizontal,
     )
-    lateness = _engine_lateness(scenario, vehicle, stations)
-    return EffectivenessAllocator(model) if lateness is None else HingedRecovery(model, lateness)
+    lag = _catch_lag(scenario, vehicle, stations)
+    return EffectivenessAllocator(model) if lag is None else HingedRecovery(model, lag)
 
 
-def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
-    """Return the lateness of the engines, where the vehicle is to be caught without one of them.
+def _catch_lag(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
+    """Return the lag of the engines, where the vehicle is to be caught without one of them.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
     """

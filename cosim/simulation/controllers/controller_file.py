@@ -1,4 +1,4 @@
-"""The controller file: what a design came to, as ``hexjet fly --controller FILE.toml`` reads it."""
+"""The controller file: the result of a design, as ``hexjet fly --controller FILE.toml`` reads it."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def read_purpose(path: Path) -> Purpose:
 
 
 def describe_proof(purpose: Purpose) -> str:
-    """Return what the proof of a design came to, and what is worse with it than with the gains that ship."""
+    """Describe the proof of a design, and what is worse with it than with the shipped gains."""
     proof = purpose.proof
     if proof is None:
         return NO_PROOF

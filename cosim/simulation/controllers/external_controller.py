@@ -1,4 +1,4 @@
-"""A controller from outside, made and told what it may believe, in the place of its level."""
+"""A user's controller in place of the built-in one of its level, with the nominal model that it is given."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 from cosim.spec.file_kind import SCENARIO, check_kind
 from cosim.spec.scenario.changes import Changes
 from cosim.spec.scenario.commands import CommandEntry
@@ -407,7 +407,7 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
-        mention(_code_names(changes), self.folder)
+        trust_named_code(_code_names(changes), self.folder)
         data = self.stated()
         if changes.get("controller", self.controller) != self.controller:  # these keys belong to the old controller
             data = {

@@ -24,7 +24,7 @@ _POSITIVE = Annotated[float, Field(gt=0.0)]
 
 
 class StepErrors(Model):
-    """What was measured of one vehicle: the greatest differences of its shipped flights by ``runs`` a step.
+    """Largest measured errors of one vehicle's shipped flights, by JSBSim ``runs`` in a control step.
 
     ``scenarios``: these flights by name; ``settings``: what was set over them, where they are another vehicle's.
     ``engines`` and ``controllers`` are those that flew.

@@ -118,7 +118,7 @@ class AllocationLimits(Model):
 
 
 class PredictorTuning(Model):
-    """What a predictor needs beside the identified model; each predictor reads its own."""
+    """Tuning of the predictors besides the identified model; each reads its own keys."""
 
     filter_s: NotNegative  # filtered Smith: lag of the filter
     observer_rad_s: Positive  # state: both observer poles at minus this

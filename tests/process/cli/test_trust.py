@@ -64,7 +64,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user who has flown nothing so far, and says nothing in the environment."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(trust.ENV_VAR, raising=False)
     monkeypatch.setattr(trust, "_decision", trust.Decision())
 
 
@@ -376,9 +376,9 @@ def test_a_program_names_its_own_code_and_not_that_of_files(theirs: Path, mark: 
 
 
 def test_the_environment_trusts(theirs: Path, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(trust.ENVIRONMENT, "0")
+    monkeypatch.setenv(trust.ENV_VAR, "0")
     assert hexjet("fly", str(theirs / "scenario.toml")).status == 2
-    monkeypatch.setenv(trust.ENVIRONMENT, "1")
+    monkeypatch.setenv(trust.ENV_VAR, "1")
     assert hexjet("fly", str(theirs / "scenario.toml")).status == 0
 
 

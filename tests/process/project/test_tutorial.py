@@ -28,7 +28,7 @@ def run(line: str, folder: Path) -> str:
     here = Path(sys.executable).parent
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
     environment |= {"XDG_CONFIG_HOME": str(folder / "settings")}
-    environment.pop(trust.ENVIRONMENT, None)
+    environment.pop(trust.ENV_VAR, None)
     done = subprocess.run(
         line, shell=True, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True
     )

@@ -30,7 +30,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A user who has flown nothing so far; Python looks for modules in the current folder first, as in a notebook."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(trust.ENV_VAR, raising=False)
     monkeypatch.setattr(trust, "_decision", trust.Decision(by_program=False))
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
@@ -153,7 +153,7 @@ def test_installed_modules_run_and_so_do_named_ones(mark: Path) -> None:
         assert import_installed(name, "test")[0].__name__ == name
     assert not settings_folder().exists()
     law = write("law/__init__.py", mark)
-    with trust.at_a_command(None, ["fly", "hover", "--controller", "law:Mine"]):
+    with trust.command_trust_scope(None, ["fly", "hover", "--controller", "law:Mine"]):
         import_installed("law", "test")
     assert mark.exists()
     assert not Path("law/__pycache__").exists()

@@ -19,7 +19,7 @@ REFUSED = "has code that has not been run before"
 def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user who has flown nothing so far, in an empty folder."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / ".settings"))
-    monkeypatch.delenv(trust.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(trust.ENV_VAR, raising=False)
     monkeypatch.setattr(trust, "_decision", trust.Decision())
     monkeypatch.chdir(tmp_path)
 
@@ -35,7 +35,7 @@ def runs(code: Code, *arguments: str, forget: bool = True) -> bool:
     """Whether a command with these arguments runs it, by a user who never has."""
     if forget:
         (settings_folder() / trust.REMEMBERED).unlink(missing_ok=True)
-    with trust.at_a_command(None, arguments):
+    with trust.command_trust_scope(None, arguments):
         try:
             trust.need_trust([code], "test")
         except trust.CodeRefusedError:
@@ -66,7 +66,7 @@ def test_a_mapping_file_names_its_fmu_where_it_is_an_engine(file: Path) -> None:
 
 
 def test_what_a_program_names_is_a_text_or_a_path(file: Path) -> None:
-    trust.mention([None, "", "other.fmu", Path("mine.py")], file.parent)
+    trust.trust_named_code([None, "", "other.fmu", Path("mine.py")], file.parent)
     trust.need_trust([Code(file)], "test")
 
 
@@ -175,10 +175,10 @@ def test_a_question_or_a_refusal_is_one_line_that_no_terminal_obeys(tmp_path: Pa
     for number in range(6):
         (tmp_path / f"{number}.py").write_text("text")
     code = [Code(tmp_path / f"{number}.py") for number in range(6)]
-    with trust.at_a_command(None, []), pytest.raises(trust.CodeRefusedError) as refused:
+    with trust.command_trust_scope(None, []), pytest.raises(trust.CodeRefusedError) as refused:
         trust.need_trust([*code, program_code(tmp_path / "x\n\x1b[2K", " -c 'rm *'")], "test")
     assert f"test: {tmp_path} (0.py, 1.py, 2.py, 3.py and 3 more): {REFUSED}" in str(refused.value)
-    with trust.at_a_command(None, []), pytest.raises(trust.CodeRefusedError) as refused:
+    with trust.command_trust_scope(None, []), pytest.raises(trust.CodeRefusedError) as refused:
         trust.need_trust([program_code(tmp_path / "x\n\x1b[2K", " -c 'rm *'")], "test")
     assert rf"test: {tmp_path} (x\n\x1b[2K -c 'rm *'): {REFUSED}" in str(refused.value)
 
@@ -212,7 +212,7 @@ def test_without_a_home_nothing_is_remembered(file: Path, monkeypatch: pytest.Mo
 
     monkeypatch.delenv("XDG_CONFIG_HOME")
     monkeypatch.setattr(Path, "home", homeless)
-    with trust.at_a_command(None, ["mine.py"]):
+    with trust.command_trust_scope(None, ["mine.py"]):
         trust.need_trust([Code(file)], "test")
     with pytest.raises(trust.CodeRefusedError):
         trust.need_trust([Code(file)], "test")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cosim.api.call import FolderResult, Limits, Table, checked
 from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 from cosim.identify.page import WITH_BOUNDS
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def identify_bench(
         found = identify(records, choices)
     else:
         texts = as_settings(settings)
-        mention([*texts, engine], Path())
+        trust_named_code([*texts, engine], Path())
         numbers = parse_numbers(tuple(texts), "settings")
         found = fit_engine(records, EngineChoices(str(engine), tuple(fit), numbers), choices)
     result = BenchIdentifyResult(found)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Table, WholeLine, checked
 from cosim.api.studies import SweepResult
-from cosim.base.trust import mention
+from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from cosim.studies import Campaign
@@ -108,7 +108,7 @@ def faults(
     from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
-    mention([*controllers, engine], Path())
+    trust_named_code([*controllers, engine], Path())
     named = [seen_from(controller, Path()) for controller in controllers]
     plan = plan_faults(str(aircraft), None if engine is None else str(engine), named, kinds, limits, nominal_engine)
     campaign = fly_study(plan.study, out, workers, hears)
@@ -181,7 +181,7 @@ def failsafes(
     from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
-    mention([engine, controller], Path())
+    trust_named_code([engine, controller], Path())
     wind_speeds = tuple(winds) or WINDS_M_S
     conditions = Conditions(tuple(heights), wind_speeds, moving, flights, airborne, seed, nominal_engine)
     plan = plan_failsafes(str(aircraft), None if engine is None else str(engine), controller, kinds, conditions)

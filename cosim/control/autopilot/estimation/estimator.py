@@ -176,8 +176,6 @@ class Estimator:
         self.fix = self._position.update(k, measured, is_grounded, lean_deviation, is_pushed)
         return measured
 
-    # --- what there is to see --------------------------------------------------------------------------------------
-
     @property
     def now(self) -> Measured:
         """The measurements, sensed or estimated, that the loops fly with."""
@@ -271,8 +269,6 @@ class Estimator:
             lean,
         )
 
-    # --- attitude and rates ----------------------------------------------------------------------------------------
-
     def _update_attitude(self, measured: Measured, still: bool) -> tuple[Quaternion, Vector3]:
         """Return attitude and body rates at this sample; while the vehicle stands, sensors may repeat themselves."""
         new_rate, new_attitude = measured.rate != self._last_rate, measured.attitude != self._last_attitude
@@ -346,8 +342,6 @@ class Estimator:
         if self._quiet_s == 0.0 and _largest(self._mean) > bound:
             self._angle.uu = max(self._angle.uu, _GYRO_BIAS_UNKNOWN**2)
             self._quiet_s = _BETWEEN_S
-
-    # --- height and climb rate -------------------------------------------------------------------------------------
 
     def _update_height(self, k: int, measured: Measured, attitude: Quaternion, still: bool, has_contact: bool) -> None:
         is_new = self._check_repeats(measured, still)

@@ -1,4 +1,4 @@
-"""The wind that explains what pushes a hovering vehicle aside."""
+"""The wind that explains the lateral acceleration of a hovering vehicle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cosim.spec.vehicle import Vehicle
 def estimate_wind(
     vehicle: Vehicle, push: Pair, velocity: Pair, euler: Vector3, thrust: Sequence[float], density: float
 ) -> Pair | None:
-    """Return the wind [m/s], north and east, that would push the vehicle like this; None where nothing can be told.
+    """Return the wind [m/s], north and east, that would push the vehicle like this; None if it cannot be estimated.
 
     Level in hover, the body's drag and the air that the jets swallow hold the vehicle back with
     ``m b = (rho A |V| / 2 + M) V`` along each of its axes, ``A`` the drag area of the axis and ``M`` the mass flow of

@@ -165,4 +165,4 @@ class Course:
         """Return the highest rate of descent [m/s] at the estimated height, where the height is controlled."""
         p, limits, estimates = self.parameters, self.guide.limits, self.estimates
         above = estimates.altitude - 2.0 * estimates.altitude_deviation - self.landmarks.high_ground
-        return descent_rate(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.lateness, p["MPC_LAND_SPEED"])
+        return descent_rate(above - p["HJ_LAND_SLOW_H"], limits.braking, limits.response_time, p["MPC_LAND_SPEED"])

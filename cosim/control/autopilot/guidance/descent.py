@@ -1,4 +1,4 @@
-"""How fast the vehicle may sink at a height: what its thrust and its engines' lateness allow to stop before the ground.
+"""The rate of descent allowed at a height: from it thrust and response time can stop the vehicle above the ground.
 
 Two uses.  Where the height is controlled the set-point of height keeps within it.  Where the collective comes by stick
 or set-point a floor under the collective keeps the vehicle within it: a pilot may fall from any height, and is caught.
@@ -16,12 +16,12 @@ from cosim.control.autopilot.guidance.shaper import BUILD_UP, ROOM_FRACTION
 
 
 class HeightLimits(NamedTuple):
-    """Bounds of the height set-point: m/s^2, m/s^3; and the braking and lateness of a descent: m/s^2, s."""
+    """Bounds of the height set-point: m/s^2, m/s^3; and the braking and response time of a descent: m/s^2, s."""
 
     acceleration: float
     jerk: float
     braking: float
-    lateness: float
+    response_time: float
 
 
 def height_limits(height: float, gain: float, speed: float, up: float, down: float) -> HeightLimits:
@@ -44,13 +44,13 @@ def thrust_margins(hover: float, idle: float, throttle_min: float, throttle_max:
     return GRAVITY * (throttle_max - hover) / weight, GRAVITY * (hover - throttle_min) / weight
 
 
-def descent_rate(height: float, braking: float, lateness: float, end: float = 0.0) -> float:
+def descent_rate(height: float, braking: float, response_time: float, end: float = 0.0) -> float:
     """Return the rate of descent [m/s] from which the vehicle slows down to ``end`` [m/s] within ``height`` [m].
 
-    It sinks on for ``lateness`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
+    It sinks on for ``response_time`` [s] before the thrust answers and then brakes with ``braking`` [m/s^2]:
     ``h = (v - v_e) t + (v^2 - v_e^2) / (2 a)``, so ``v = sqrt((a t + v_e)^2 + 2 a h) - a t``.
     """
-    at = braking * lateness
+    at = braking * response_time
     return sqrt((at + end) ** 2 + 2.0 * braking * max(0.0, height)) - at
 
 

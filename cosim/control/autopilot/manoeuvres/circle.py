@@ -6,7 +6,7 @@ from math import atan2, cos, hypot, pi, sin
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Command
-from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.failsafes import FailsafeMonitor
 from cosim.control.autopilot.geometry import Pair, wrap
 from cosim.control.autopilot.guidance.course import MIN_HEIGHT_M, Course
 from cosim.control.autopilot.requests import Orbit, OrbitYaw
@@ -15,7 +15,7 @@ from cosim.control.autopilot.requests import Orbit, OrbitYaw
 class Circle:
     """The course round a centre, with a count of its turns."""
 
-    def __init__(self, course: Course, watch: Watch) -> None:
+    def __init__(self, course: Course, watch: FailsafeMonitor) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._course = course
         self._watch = watch

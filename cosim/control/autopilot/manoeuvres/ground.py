@@ -5,7 +5,7 @@ from __future__ import annotations
 from cosim.base.errors import InputError
 from cosim.base.protocols import Report
 from cosim.base.signals import Command
-from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.failsafes import FailsafeMonitor
 from cosim.control.autopilot.guidance.course import AT_HEIGHT_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
@@ -34,7 +34,7 @@ class TakeOff:
         """Forget the last take-off."""
         self.height: float | None = None  # above home
 
-    def check_height(self, height: float | None, watch: Watch) -> float:
+    def check_height(self, height: float | None, watch: FailsafeMonitor) -> float:
         """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if it may not."""
         estimates, landmarks = self._estimates, self._landmarks
         height = height if height is not None else self._parameters["MIS_TAKEOFF_ALT"]

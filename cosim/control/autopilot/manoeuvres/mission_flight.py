@@ -7,7 +7,7 @@ from math import hypot, pi
 from cosim.base.errors import InputError
 from cosim.base.signals import Command
 from cosim.control.autopilot.energy import Energy
-from cosim.control.autopilot.failsafes import Watch
+from cosim.control.autopilot.failsafes import FailsafeMonitor
 from cosim.control.autopilot.guidance.course import ARRIVED_M, AT_HEIGHT_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
@@ -36,7 +36,7 @@ class MissionFlight:
         """End the present item."""
         self._is_in_position = False  # where the item climbs or lands
 
-    def load(self, request: MissionUpload, watch: Watch) -> str:
+    def load(self, request: MissionUpload, watch: FailsafeMonitor) -> str:
         """Take another mission and return a warning of items at the ground; empty: there are none.
 
         Raises InputError where an item is outside the fence or jumps on the spot for ever.

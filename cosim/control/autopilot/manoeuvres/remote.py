@@ -18,8 +18,8 @@ _NEVER = -(10**9)  # a step long before the first
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 
 
-class Remote:
-    """The last sticks and the last set-point, their age, and the commands that follow from them.
+class RemoteControl:
+    """Flight by the last sticks or the last set-point of a ground station, with their age.
 
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """

@@ -76,9 +76,6 @@ def _whole(value: float | None) -> int:
     return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
 
 
-# --- flight ----------------------------------------------------------------------------------------------------
-
-
 def _arm(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
     arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
@@ -250,9 +247,6 @@ def _altitude(command: MavCommand, value: float, context: Context) -> float:
     return value - context.vehicle.geodesy.ground
 
 
-# --- failures --------------------------------------------------------------------------------------------------
-
-
 def _fail(command: MavCommand, context: Context) -> Plan:
     unit, kind = _whole(command.params[0]), _whole(command.params[1])
     which = 0 if command.params[2] is None else _whole(command.params[2])
@@ -285,9 +279,6 @@ def _sensor_fault(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
     if sensor == "barometer":
         return (rq.InjectFault("sensor_bias", sensor=sensor, amount=_BAROMETER_BIAS),)
     return (rq.InjectFault("sensor_bias", sensor=sensor, vector=_GYRO_BIAS if sensor == "gyro" else _GNSS_BIAS),)
-
-
-# --- commands that do not concern the pilot ---------------------------------------------------------------------
 
 
 def _request_message(command: MavCommand, context: Context) -> Plan:

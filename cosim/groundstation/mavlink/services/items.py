@@ -277,9 +277,6 @@ def _find_code(text: str) -> int:
     return _FIELDS.get(name, int(INVALID))
 
 
-# ---- fence and rally points
-
-
 _POLYGONS = {
     wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ZoneKind.STAY_IN_POLYGON,
     wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ZoneKind.STAY_OUT_OF_POLYGON,

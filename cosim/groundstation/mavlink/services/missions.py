@@ -165,8 +165,6 @@ class MissionService(Service):
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
-    # ---- download
-
     def _list(self, mission_type: int) -> list[Item]:
         """Return the present mission, fence or rally points as items."""
         if mission_type == MISSION:
@@ -202,8 +200,6 @@ class MissionService(Service):
             return self._sent_items
         self._mission, self._sent_items = mission, [to_item(item, self._geodesy) for item in mission]
         return self._sent_items
-
-    # ---- upload
 
     def _begin_upload(self, count: int, client: Client, mission_type: int) -> list[Message]:
         upload = self._upload
@@ -291,8 +287,6 @@ class MissionService(Service):
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
-
-    # ---- clearing, the current item, progress
 
     def _clear(self, client: Client, mission_type: int) -> list[Message]:
         """Request to clear one type or all, with one acknowledgement when every request is answered."""

@@ -112,8 +112,6 @@ class Link(Hub):
         if self.log is not None:
             self.log.write_sent(packed)
 
-    # --- the thread --------------------------------------------------------------------------------------------
-
     def _run(self, flush_s: float = 1.0) -> None:
         flushed = self.now()
         until = flushed

@@ -98,8 +98,6 @@ class Peer:
         """Return the seconds since it was last heard, or was first there."""
         return now - max(self.last_heard, self.created)
 
-    # --- sending -----------------------------------------------------------------------------------------------------
-
     def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""
         if self._waiting > LIMITS.max_bytes:
