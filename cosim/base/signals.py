@@ -67,8 +67,7 @@ class State(NamedTuple):
     mass: float  # kg
     on_ground: bool  # a leg touches
     hull_contact: bool  # anything but a leg touches
-    # rad/s, body: turbulence turns the air at this, and aerodynamic damping acts on the difference.
-    air_rate: Vector3 = ZERO3
+    air_rate: Vector3 = ZERO3  # rad/s, body: rotation of the air
 
 
 class Measured(NamedTuple):
