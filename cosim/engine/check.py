@@ -188,9 +188,7 @@ class _Check:
         rest = archive.starting.rest_n
         report.notes += note_flat_ends(measured.curve, measured.ripple, rest)
         if measured.ripple > NO_CHANGE:
-            report.notes.append(
-                f"its thrust trembles at rest; it is taken to stand still to {measured.ripple:g} of itself"
-            )
+            report.notes.append(f"its thrust ripples at rest; it counts as steady within {measured.ripple:g} of itself")
         for problem in find_curve_problems(measured.curve, measured.ripple, rest):
             self._fail("responds", problem)
         self._spec = load_unchecked(self._source, self._parameters, self._step, lambda *_: measured)

@@ -199,8 +199,8 @@ def find_verdicts(log: Log, step: float) -> Iterator[Event]:
 
 def _health_text(health: float) -> str:
     if health >= 1.0:
-        return "taken for healthy again"
-    return "given up" if health <= 0.0 else f"taken for weak: {100.0 * health:.0f} % of what it is told"
+        return "reported healthy again"
+    return "reported failed" if health <= 0.0 else f"reported weak: {100.0 * health:.0f} % of its command"
 
 
 def find_contacts(log: Log, step: float) -> Iterator[Event]:

@@ -250,7 +250,7 @@ class Betaflight(Autopilot):
         self._count_answer(timer)
         motors, *raw = _RAW.unpack(packet)
         if motors != self._motors:
-            raise FlightError(f"betaflight drives {motors} motors, and was told of {self._motors}")
+            raise FlightError(f"betaflight drives {motors} motors, and was configured for {self._motors}")
         outputs = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
         throttle = tuple([clip(value, 0.0, 1.0) for value in outputs[: self._jets]])
         armed = min(throttle) > 0.5 * self.idle

@@ -178,7 +178,7 @@ class Px4(Autopilot):
             has_waited, answer = True, None
             for values in self._controls(left if booting else None):
                 if values[0] > now:
-                    raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
+                    raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s, asked for {now / 1e6:.3f} s")
                 if values[0] < now or answer is not None:
                     counts.repeated += 1  # late or repeated
                 else:

@@ -201,7 +201,7 @@ class AutopilotResult(FlightResult):
         """Return the lines of the flight, and the counts."""
         counts = self.flown.counts
         lockstep = (
-            f"lockstep with {self.flown.autopilot}: {counts.frames} states told, {counts.boot} before its first "
+            f"lockstep with {self.flown.autopilot}: {counts.frames} states sent, {counts.boot} before its first "
             f"answer, {counts.answers} answers, {counts.missing} missing, {counts.repeated} repeated, "
             f"{counts.foreign} foreign packets; longest wait {1e3 * counts.longest_s:.1f} ms"
         )

@@ -155,7 +155,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             + ("tilts the thrust forward" if banks else "turns right-handed about its axis"),
             "tilt.{n}",
         ),
-        *_cols(servos, "tilt_{}_command_rad", "rad", "body", "where the {} servo is told to go", "actuation.tilt.{n}"),
+        *_cols(servos, "tilt_{}_command_rad", "rad", "body", "commanded angle of the {} servo", "actuation.tilt.{n}"),
         *_cols(
             vehicle.surfaces,
             "deflection_{}",
@@ -170,7 +170,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "deflection_{}_command",
             "1",
             "",
-            "where the surface {} is told to go",
+            "commanded position of the surface {}",
             "actuation.tilt.{n}",
             first=len(servos),
         ),

@@ -253,7 +253,7 @@ def ardupilot_of(program: Path, folder: Path) -> ArduPilot:
     [
         ({"hang": 20}, r"px4 did not answer within 0\.3 s"),
         ({"gone": 20}, "px4 closed its connection"),
-        ({"ahead": 20}, r"px4 answered for 1\.080 s and was told of 0\.080 s"),
+        ({"ahead": 20}, r"px4 answered for 1\.080 s, asked for 0\.080 s"),
     ],
 )
 def test_what_px4_does_wrong_is_named(faults: dict[str, Any], said: str, tmp_path: Path) -> None:

@@ -259,7 +259,7 @@ def test_an_engine_may_tremble_at_rest(kit: Kit, sound: Path) -> None:
     sound.write_bytes(packed(kit.contents("trembling")))
     report = check_fmu(str(sound))
     assert report.problems == []
-    assert report.notes == [NO_FLOW, "its thrust trembles at rest; it is taken to stand still to 1e-06 of itself"]
+    assert report.notes == [NO_FLOW, "its thrust ripples at rest; it counts as steady within 1e-06 of itself"]
     assert report.delay_samples_up == report.delay_samples_down == 100
     assert report.thrust == pytest.approx([float(k) for k in range(21)], abs=1e-4)
     spec = load_engine(str(sound), {}, STEP)

@@ -59,7 +59,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
     assert found == [
         ("disturbance", "wind of 3 m/s"),
         ("fault", "jet 6: flame-out"),
-        ("monitor", "jet 6 given up"),
+        ("monitor", "jet 6 reported failed"),
         ("disturbance", "gust of 5 m/s"),
         ("fault", "left servo: jammed"),
     ]
@@ -68,7 +68,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
     assert (by_text["gust of 5 m/s"].time_s, by_text["gust of 5 m/s"].end_s) == (2.5, 3.0)
     assert by_text["left servo: jammed"].end_s is None
     given_up = run.log["health_6"] < 1.0
-    assert by_text["jet 6 given up"].time_s == pytest.approx(STEP * np.flatnonzero(given_up)[0])
+    assert by_text["jet 6 reported failed"].time_s == pytest.approx(STEP * np.flatnonzero(given_up)[0])
 
 
 def test_the_log_alone_tells_of_faults(run: Run) -> None:
@@ -121,9 +121,9 @@ def test_what_the_monitor_believes_in_words() -> None:
     health = np.array([1.0, 1.0, 0.5, 0.5, 1.0, 0.0])
     log = MemoryLog([health[None, :]], ("health_2",))
     assert [(each.time_s, each.text) for each in find_verdicts(log, 1.0)] == [
-        (2.0, "jet 2 taken for weak: 50 % of what it is told"),
-        (4.0, "jet 2 taken for healthy again"),
-        (5.0, "jet 2 given up"),
+        (2.0, "jet 2 reported weak: 50 % of its command"),
+        (4.0, "jet 2 reported healthy again"),
+        (5.0, "jet 2 reported failed"),
     ]
 
 
