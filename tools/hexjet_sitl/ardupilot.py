@@ -64,10 +64,6 @@ _STATE = (
     b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
 )
-# A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
-# would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
-_REPEAT_S = 0.5
-_MAX_STEP_S = 0.1  # longer ones do not advance its clock
 
 
 Release = tuple[int, int]
@@ -124,10 +120,12 @@ class ArduPilot(Autopilot):
     def __init__(
         self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, setup: Setup
     ) -> None:
-        if step >= _MAX_STEP_S:
-            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_MAX_STEP_S:g} s")
+        if step >= 0.1:
+            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below 0.1 s")
         super().__init__(program, folder, vehicle, step, setup)
-        self.repeat_delay = _REPEAT_S
+        # A packet that comes again this soon after it was answered was sent before that.  It is not answered again:
+        # ArduPilot would take the second answer for that to its next packet, and be a step late from there on.
+        self.repeat_delay = 0.5
         self._place = place
         self._port = PORT + PORT_SPACING * setup.instance
         self.endpoint = f"UDP port {self._port}"

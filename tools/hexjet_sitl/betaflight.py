@@ -53,10 +53,8 @@ _STATE = struct.Struct("<18d")
 _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
-# s until its console answers on a busy machine, and attempts: its console's threads share buffers without a lock and
-# may hang; chosen by us.
+# s until its console answers on a busy machine; chosen by us.
 _CONSOLE_S = 20.0
-_CONFIGURE_TRIES = 3
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
 # loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
@@ -82,8 +80,6 @@ _FULL_SUM = 500.0  # pidsum_limit: the range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
-# src/main/flight/pid_init.c: its integral of yaw's error counts more by this.
-YAW_I = 2.5
 
 
 def find_installed() -> Path | None:
@@ -194,19 +190,22 @@ class Betaflight(Autopilot):
         self._in: socket.socket | None = None
         self._out = self._open_sender()
 
-    def start(self) -> None:
-        """Configure it through its console in a first life, and start the second under the flight's clock."""
+    def start(self, tries: int = 3) -> None:
+        """Configure it through its console in a first life, and start the second under the flight's clock.
+
+        Its console's threads share buffers without a lock and may hang: it has so many ``tries``.
+        """
         self._in = self._begin(socket.SOCK_DGRAM, self.port)
         shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self.port)}
         log = self._folder / "betaflight.log"
-        for life in range(_CONFIGURE_TRIES):
+        for life in range(tries):
             first = Program([str(self.program)], self._folder, log, ports)
             try:
                 configure(first, self.port + CONSOLE, self.settings, self._folder / "console.txt")
                 break
             except UnansweredError:
-                if first.end_description or life == _CONFIGURE_TRIES - 1:
+                if first.end_description or life == tries - 1:
                     raise
             finally:
                 first.close()
@@ -375,8 +374,9 @@ def compute_torque_scale(vehicle: Vehicle) -> Vector3:
 
 def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer."""
+    # The integral of yaw's error counts 2.5 times as much: src/main/flight/pid_init.c.
     return {
-        axis: (0.1, unit * P_SCALE, unit * I_SCALE * (YAW_I if axis == "yaw" else 1.0), unit * D_SCALE)
+        axis: (0.1, unit * P_SCALE, unit * I_SCALE * (2.5 if axis == "yaw" else 1.0), unit * D_SCALE)
         for axis, unit in zip(AXES, (degrees(scale) for scale in compute_torque_scale(vehicle)), strict=True)
     }
 

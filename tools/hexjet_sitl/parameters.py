@@ -28,9 +28,6 @@ from hexjet_sitl.lockstep import PARAMETER_NAME
 # and its loop holds the turn back: a yaw designed for 1 % of overshoot had 6.  200 is the most that it takes.  How late
 # GNSS is: until 1.17, and after it.
 PX4_OF_SOME_RELEASES = ("MC_YAW_TQ_CUTOFF", "MC_REF_W_N", "EKF2_GPS_DELAY", "SENS_GPS0_DELAY")
-# SDLOG_PROFILE: what PX4 logs by itself, and torques and rates at every sample.  It thins them out to 50 Hz else, and a
-# command that is read held for 20 ms seems to act 8 ms sooner than it does.
-_EVERY_SAMPLE = 1 + 8 + 16
 _HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
 _MIN_IMU_HZ, _MAX_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 
@@ -211,7 +208,8 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     parameters["IMU_GYRO_CUTOFF"] = 0.0
     late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; a fraction to the older name
     parameters |= px4_link(step) | {"EKF2_GPS_DELAY": float(late), "SENS_GPS0_DELAY": late}
-    return parameters | ({"SDLOG_PROFILE": _EVERY_SAMPLE} if target == "sitl" else {})
+    # PX4's own log, and torques and rates at every sample: at 50 Hz a command would seem to act 8 ms sooner.
+    return parameters | ({"SDLOG_PROFILE": 1 + 8 + 16} if target == "sitl" else {})
 
 
 def leave_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
@@ -262,9 +260,6 @@ def _name_as_of(release: Release, parameters: Mapping[str, float]) -> dict[str, 
 def ardupilot_sticks(release: Release = NEWEST) -> dict[str, float]:
     """Return ArduPilot's parameters for the sticks and switches of :class:`hexjet_sitl.ardupilot.Transmitter`."""
     return _name_as_of(release, _ARDUPILOT_STICKS)
-
-
-_ARDUPILOT_HOVER_RANGE = 0.125, 0.6875  # of MOT_THST_HOVER
 
 
 def ardupilot_torque_scale(vehicle: Vehicle) -> Vector3:
@@ -394,7 +389,7 @@ def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
 
     ``throttle``: of hover, from which its control of the height starts; ``least``: MOT_SPIN_MIN.
     """
-    return {"FLTMODE6": 5, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), *_ARDUPILOT_HOVER_RANGE)}
+    return {"FLTMODE6": 5, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), 0.125, 0.6875)}
 
 
 def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:

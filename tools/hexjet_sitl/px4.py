@@ -57,11 +57,9 @@ START_TIMING = StartTiming(
 )
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
-_ARMED = 128  # flag in the mode field
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release
-_BOOT_TIMEOUT = 0.02  # s, before its first answer
 
 
 def invert_yaw_curve(turn: float) -> float:
@@ -165,7 +163,7 @@ class Px4(Autopilot):
         self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
-        timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
+        timer = AnswerTimer(self.name, 0.02 if booting else self.limit, self._program)
         has_waited = booting  # most frames are answered by then
         while True:
             try:
@@ -205,7 +203,7 @@ class Px4(Autopilot):
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
     def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
-        controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
+        controls, armed = values[2:18], bool(int(values[18]) & 128)  # flag in the mode field
         throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
             return ActuatorOutputs(throttle, (0.0, 0.0), armed)

@@ -31,8 +31,6 @@ FORMAT = (
     f"Iif{CONTROLS}f"  # time, warp, visibility, controls
 )
 SIZE = 408  # bytes
-FEET = 1.0 / 0.3048  # in a metre, by definition
-KNOT = 1852.0 / 3600.0  # m/s, by definition
 # Packets a second of flight: what FlightGear draws.
 RATE_1_S = 60.0
 VISIBILITY_M = 25_000.0  # chosen by us: clear air
@@ -85,6 +83,7 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
     roll, pitch, yaw = state.euler
     p, q, r = state.rate
     turn = q * sin(roll) + r * cos(roll)
+    feet, knot = 1.0 / 0.3048, 1852.0 / 3600.0  # in a metre; m/s
     level = max(-1.5, min(1.5, pitch))  # finite Euler rates
     (north, east, down), wind, to_body = state.velocity, state.wind, conjugate(state.attitude)
     air = rotate(to_body, (north - wind[0], east - wind[1], down - wind[2]))
@@ -100,9 +99,9 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
         *(VERSION, 0, radians(longitude), radians(latitude), height),
         *(state.altitude, roll, pitch, yaw, flow, slip),
         *(p + turn * tan(level), q * cos(roll) - r * sin(roll), turn / cos(level)),
-        *(speed / KNOT, -down * FEET),
-        *(length * FEET for length in (north, east, down, u, v, w)),
-        *(component * FEET for component in state.specific_force),
+        *(speed / knot, -down * feet),
+        *(length * feet for length in (north, east, down, u, v, w)),
+        *(component * feet for component in state.specific_force),
         *(0.0, slip * 180.0 / pi),
         min(len(sample.engines.thrust), ENGINES),
         *(RUNNING if force > 0.0 else OFF for force in thrust),

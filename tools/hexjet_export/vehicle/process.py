@@ -15,7 +15,6 @@ from typing import Any, NoReturn
 
 from cosim.base.storage.files import write_all
 
-START = 0.0  # the request to start; 1.0 is one to step
 MANIFEST = "vehicle.json"  # description in the archive
 FLIGHT = "flight"  # folder of the scenario and its files
 ANY_VERSION = "HEXJET_ANY_VERSION"
@@ -119,7 +118,7 @@ class _Server:
         self._answer_due = True
         self._flight.input_values.update(zip(self._inputs, input_values, strict=True))
         self._steps_left = round(count)
-        if request == START:
+        if not request:  # 0.0 starts, 1.0 steps
             self._requested_seed, self._steps_left = round(seed), 0
             raise _RestartError
 
