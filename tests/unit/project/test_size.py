@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import re
+import tokenize
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,6 +33,17 @@ MAX_CONSTANTS = 560
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
 MAX_PAGE_WORDS = 55_119
 MAX_TABLE_WORDS = 19_959
+# Comments behind code of more than 40 characters, which are to be sentences above the line; other folders have none.
+MAX_LONG_COMMENTS = {
+    "cosim/api": 8,
+    "cosim/campaign": 102,
+    "cosim/cli": 11,
+    "cosim/identify": 22,
+    "tools/hexjet_batch": 3,
+    "tools/hexjet_design": 163,
+    "tools/hexjet_identify": 179,
+    "tools/hexjet_prove": 117,
+}
 
 _CONSTANT = re.compile(r"^[_A-Z][A-Z0-9_]* *(: *[^=]+)?= *-?[0-9.]")
 _GENERATED = {"_messages.py"}
@@ -68,3 +82,18 @@ def test_pages_and_tables_keep_their_limits_of_words() -> None:
 
     assert count([ROOT / "README.md", *(ROOT / "docs").glob("*.md")]) <= MAX_PAGE_WORDS
     assert count([*(ROOT / "docs" / "tables").glob("*.md")]) <= MAX_TABLE_WORDS
+
+
+def test_comments_behind_code_are_short() -> None:
+    found = defaultdict(list)
+    for path in (*sources("cosim"), *sources("tools")):
+        name = path.relative_to(ROOT)
+        for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
+            long = token.type == tokenize.COMMENT and len(token.string) > len("# ") + 40
+            if (
+                long
+                and token.line[: token.start[1]].strip()
+                and not re.match("# (noqa|type: ignore|fmt:)", token.string)
+            ):
+                found["/".join(name.parts[:2])].append(f"{name}:{token.start[0]}")
+    assert {folder: lines for folder, lines in found.items() if len(lines) > MAX_LONG_COMMENTS.get(folder, 0)} == {}
