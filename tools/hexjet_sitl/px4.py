@@ -57,6 +57,7 @@ START_TIMING = StartTiming(
 )
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
+_START_S = 60.0  # until it connects, on a busy machine
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release
@@ -143,7 +144,7 @@ class Px4(Autopilot):
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
-        timer = AnswerTimer(self.name, 60.0, self._program, f"did not connect to port {port}")
+        timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             try:
                 server.settimeout(timer.remaining())
