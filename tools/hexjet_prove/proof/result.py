@@ -66,7 +66,7 @@ class Proof:
     rare: Part  # the probability of failure by a method for rare ones
     limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
     axis: str  # whose limit the sentence states
-    not_varied: Sequence[str]  # kinds of numbers, as the files state them in every flight
+    not_varied: Sequence[str]  # kinds of numbers, fixed in every flight
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions
