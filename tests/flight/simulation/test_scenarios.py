@@ -15,13 +15,19 @@ from cosim.spec.scenario import Initial, Scenario, scenario_names
 
 SHIPPED = {"hover", "roll-doublet", "pitch-doublet", "yaw-doublet", "manual", "payload-drop", "gust", "climb-and-land"}
 EXPECTED = [(name, entry.controller, entry.engine) for name in scenario_names() for entry in Scenario.load(name).expect]
-# Of the vehicles with other layouts make test flies some scenarios each, of the jetwing, whose flights are longest, none.
+# Of the vehicles with other layouts make test flies some scenarios each, of the jetwing, whose flights are longest, none;
+# of the p220's second model two.
 LONG = (
     *(f"octojet-{name}" for name in ("flame-out-inner", "flame-out-in-wind", "roll-doublet", "pitch-doublet", "waypoints", "climb-and-land")),
     *(f"quadjet-{name}" for name in ("pitch-doublet", "yaw-doublet", "hover-in-wind", "waypoints", "gust", "velocity")),
     *(f"trijet-{name}" for name in ("roll-doublet", "yaw-doublet", "climb-and-land", "hover-in-wind", "waypoints", "gust")),
     *(name for name in scenario_names() if name.startswith("jetwing-")),
+    "full-scale-hover-in-wind",
 )  # fmt: skip
+
+
+def is_long(name: str, controller: str, engine: str) -> bool:
+    return name in LONG or (engine == "p220-2025" and name not in ("full-scale-roll-doublet", "full-scale-gust"))
 
 
 def test_the_scenarios_are_there_and_say_what_they_are() -> None:
@@ -40,7 +46,7 @@ def test_the_scenarios_are_there_and_say_what_they_are() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "controller", "engine"), [long_case(case) if case[0] in LONG else case for case in EXPECTED]
+    ("name", "controller", "engine"), [long_case(case) if is_long(*case) else case for case in EXPECTED]
 )
 def test_scenario_comes_to_what_it_expects(name: str, controller: str, engine: str) -> None:
     """And keeps its limits, flown as it is."""

@@ -265,7 +265,7 @@ def test_a_scenario_that_cannot_fly_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
 
 
-@pytest.mark.parametrize("place", ["journal", "part"])
+@pytest.mark.parametrize("place", long_after(1, ["journal", "part"]))
 def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """In a process of its own no file may grow past a limit, as on a disk that fills."""
     folder = tmp_path / "c"
