@@ -46,6 +46,7 @@ EXTRAS = {
     "export": "hexjet export --to mcap",
     "gym": "the Gymnasium environment",
     "logs": "hexjet identify log FILE.ulg",
+    "jax": "hexjet_batch.with_jax",
     "limit": "hexjet design --limit, hexjet margins --limit",
     "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas, a plot of it by Plotly",

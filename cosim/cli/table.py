@@ -38,6 +38,7 @@ GROUPS = {
     },
     "Prove": {
         "sweep": "fly a scenario many times with what varies drawn",
+        "batch": "fly many at once on arrays, beside JSBSim",
         "search": "find the smallest change that breaks a controller",
         "rare": "find the probability of a rare failure",
         "prove": "show or refute a claim, on one page",

@@ -69,17 +69,14 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
     heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
     script, rows = Script(scenarios, heights), scenarios[0].steps
     log = BatchLog(scenarios, rows + 1, n.jets.channels, further)
-    noise = None
-    if scenarios[0].sensor_noise:
-        has_ahrs = not is_absent(n.sensors.attitude.ahrs_time_constant_s)
-        noise = Noise([scenario.seed for scenario in scenarios], has_ahrs)
+    noise = make_noise(n, scenarios)
     limits = vehicles[0].limits
     # Nothing but the air may act: contacts are this far from the ground whatever the attitude.
     lowest = 0.5 + np.array([max(hypot(*contact.position_m) for contact in v.contacts) for v in vehicles])
     flies = np.ones(len(group), dtype=np.bool_)
     endings: dict[int, tuple[int, Ending | None, Any]] = {}
     with np.errstate(all="ignore"):  # a flight that is lost goes on to infinity unseen
-        state = start(n, _start_motion(scenarios, heights), np.array(heights), script.at(0)[1])
+        state = start(n, start_motion(scenarios, heights), np.array(heights), script.at(0)[1])
         for k in range(rows):
             command, inputs = script.at(k)
             if noise is not None:
@@ -106,6 +103,13 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
             yield BatchFlight(number, ending, log.of(i, end, said))
 
 
+def make_noise(n: Numbers, scenarios: Sequence[Scenario]) -> Noise | None:
+    """Return the noise of flights that all have it, None of flights without."""
+    if not scenarios[0].sensor_noise:
+        return None
+    return Noise([scenario.seed for scenario in scenarios], not is_absent(n.sensors.attitude.ahrs_time_constant_s))
+
+
 def _is_within(limits: Limits, motion: Motion) -> Flags:
     """Return which flights neither lean nor turn beyond the limits, nor are lost: comparisons with NaN are false."""
     _, x, y, _ = motion.attitude
@@ -114,7 +118,7 @@ def _is_within(limits: Limits, motion: Motion) -> Flags:
     return np.asarray(upright & (most < radians(limits.rate_deg_s)))
 
 
-def _start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
+def start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
     """Return the motion of the flights at their start."""
     initial = [scenario.initial for scenario in scenarios]
 

@@ -134,9 +134,10 @@ class BatchLog:
             **_named("disturbance_torque_{}", AXES, add(inputs.torque_command, inputs.torque_output)),
             **{name: 0.0 for name in self._names if name.startswith("fault_")},
         }
-        if o.fuel is None and np.ndim(o.report.fuel):
-            values |= {f"fuel_flow_{jet}_kg_s": o.report.fuel[min(jet, len(o.report.fuel)) - 1] for jet in jets}
-        return values | _named("tilt_{}_command_rad", self._vehicle.servos, o.tilt_command or ())
+        if np.ndim(o.report.fuel):
+            rows = range(len(jets)) if len(o.report.fuel) == len(jets) else self._channels
+            values |= _named("fuel_flow_{}_kg_s", jets, [o.report.fuel[row] for row in rows])
+        return values | _named("tilt_{}_command_rad", self._vehicle.servos, o.tilt_command or (0.0, 0.0))
 
 
 def state_values(motion: Any, altitude: Any) -> dict[str, Any]:
@@ -150,5 +151,5 @@ def state_values(motion: Any, altitude: Any) -> dict[str, Any]:
     }
 
 
-def _named(name: str, parts: Sequence[str], values: Any) -> dict[str, Any]:
+def _named(name: str, parts: Sequence[Any], values: Any) -> dict[str, Any]:
     return {name.format(part): value for part, value in zip(parts, values, strict=False)}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from cosim import InputError, Scenario, fly
 from hexjet_batch import fly_batch
+from hexjet_batch.check import check
 
 # of attitude [rad], rates [rad/s] and place [m]
 TOLERANCES = {"{}_rad": 3.5e-5, "rate_{}_rad_s": 1.7e-4, "{}_m": 0.05}
@@ -61,3 +64,31 @@ def test_flights_are_the_same_alone_and_together() -> None:
 def test_what_is_not_covered_is_refused_by_name(name: str, said: str) -> None:
     with pytest.raises(InputError, match=f"{said}.*; fly it without batch"):
         list(fly_batch([Scenario.load(name)]))
+
+
+def test_a_check_says_what_is_within_and_what_is_not(tmp_path: Path) -> None:
+    short = Scenario.load("full-scale-hover").replace(duration_s=0.4)
+    result = check(short, tmp_path)
+    assert result.lines() == ["the same flight as by JSBSim at 16 runs a step, completed"]
+    assert json.loads((tmp_path / "check.json").read_text())["same"] is result.is_same is True
+    assert "the same flight as by JSBSim" in (tmp_path / "report.html").read_text()
+    result.samples[0] = result.samples[0]._replace(apart=0.1)
+    assert result.lines() == ["not as JSBSim at 16 runs a step: roll by 0.1 deg"]
+
+
+def test_jax_flies_the_same_and_is_differentiated() -> None:
+    pytest.importorskip("jax", reason="the extra jax is not installed")
+    from hexjet_batch.with_jax import jax, make_flight
+
+    scenario = Scenario.load("roll-doublet").replace(duration_s=1.6, controller="state-disturbance")
+    numbers, fly_with_jax = make_flight([scenario])
+    (flight,) = fly_batch([scenario])
+
+    def rates(factor: Any) -> Any:
+        roll = numbers.rate[0].replace(p=factor * numbers.rate[0].p)
+        return fly_with_jax(numbers.replace(rate=(roll, *numbers.rate[1:]))).motion.rate[0][:, 0]
+
+    own, slope = jax.jit(lambda factor: jax.jvp(rates, (factor,), (1.0,)))(1.0)
+    assert np.abs(np.asarray(own) - flight.log["rate_p_rad_s"]).max() < 1e-12
+    apart = (rates(1.0 + 1e-6) - rates(1.0 - 1e-6)) / 2e-6
+    assert np.abs(np.asarray(slope - apart)).max() < 1e-5 * np.abs(np.asarray(slope)).max()

@@ -42,6 +42,7 @@ HOMES = {
     "pandas": ["results/log/tables.py"],
     "pyulog": ["tools/hexjet_identify/logs/ulog.py"],
     "nptdms": ["tools/hexjet_identify/logs/tdms.py"],
+    "jax": ["tools/hexjet_batch/with_jax.py"],
     "mcap": ["tools/hexjet_identify/logs/table_columns.py", "tools/hexjet_export/logs/mcap_file.py"],
     "mcap_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],
     "foxglove_schemas_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],

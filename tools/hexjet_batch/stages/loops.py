@@ -113,11 +113,11 @@ class ScheduleNumbers(NamedTuple):
 
     def at(self, level: Any, xp: Any) -> Any:
         """Return the columns at these levels, a row each."""
-        last = self.table.shape[0] - 1
+        table, last = xp.asarray(self.table), len(self.table) - 1
         place = (level - self.low) / (self.high - self.low) * last
         row = xp.clip(xp.floor(place), 0, last - 1).astype(np.int64)
         weight = (place - row)[:, None]
-        return (self.table[row] + weight * (self.table[row + 1] - self.table[row])).T
+        return (table[row] + weight * (table[row + 1] - table[row])).T
 
     def update(self, state: tuple[Any, Any, Any], share: Any, xp: Any) -> tuple[Any, Any, Any]:
         """Return level, the level of the gains and the gains of the next step, after one of this share of thrust."""

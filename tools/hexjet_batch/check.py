@@ -1,0 +1,235 @@
+"""One flight on arrays beside the same one by JSBSim: what ``hexjet batch check`` calls."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from math import degrees
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call.choices import choose
+from cosim.api.flights import fly
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.storage.files import write_files
+from cosim.commands import Command
+from cosim.pages import BLUE, ORANGE, Card, Page, beneath, panels, trace
+from cosim.results.metrics import flatten, flight_metrics
+from cosim.results.wording import AXIS_ROWS, WHOLE_ROWS, metric
+from cosim.spec.scenario import Scenario
+from hexjet_batch.fly import fly_batch
+
+PLACE = ("north_m", "east_m", "altitude_m")
+# Of every sample: the columns of a quantity, its unit and what the two may differ by.
+QUANTITIES = (
+    (("roll_rad", "pitch_rad", "yaw_rad"), "deg", 2e-3),
+    (("rate_p_rad_s", "rate_q_rad_s", "rate_r_rad_s"), "deg/s", 1e-2),
+    (PLACE, "m", 0.05),
+)
+DIGITS = {f"{axis}.{row.key}": row.digits for axis in ("roll", "pitch", "yaw") for row in AXIS_ROWS} | dict(WHOLE_ROWS)
+
+
+class Difference(NamedTuple):
+    """How far the batch is from JSBSim in a quantity or a metric, in its unit, and how far it may be."""
+
+    label: str
+    unit: str
+    batch: float | None
+    jsbsim: float | None
+    apart: float
+    allowed: float
+
+    @property
+    def is_within(self) -> bool:
+        """Whether they may be called the same."""
+        return self.apart <= self.allowed
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """What a table shows of it."""
+        values = ["" if value is None else f"{value:.6g}" for value in (self.batch, self.jsbsim)]
+        return (self.label, self.unit, *values, f"{self.apart:.2g}", f"{self.allowed:.2g}")
+
+
+COLUMNS = ("", "unit", "batch", "JSBSim", "apart", "allowed")
+
+
+class CheckResult(Result):
+    """A flight of a batch beside JSBSim's.
+
+    Attributes
+    ----------
+    samples : list of Difference
+        The largest difference of each quantity over all samples.
+    metrics : list of Difference
+        That of each metric.
+    """
+
+    def __init__(self, scenario: Scenario, endings: tuple[str, str], logs: tuple[Any, Any], runs: int) -> None:
+        self.scenario, self.endings, self.runs, self._logs = scenario, endings, runs, logs
+        self.samples: list[Difference] = []
+        self.metrics: list[Difference] = []
+        self.files = {}
+
+    @property
+    def is_same(self) -> bool:
+        """Whether outcome, samples and metrics are those of JSBSim."""
+        return self.endings[0] == self.endings[1] and all(one.is_within for one in (*self.samples, *self.metrics))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet batch check --json`` prints."""
+        return {
+            "scenario": self.scenario.name,
+            "same": self.is_same,
+            "outcomes": self.endings,
+            "jsbsim_runs": self.runs,
+            "samples": [one._asdict() for one in self.samples],
+            "metrics": [one._asdict() for one in self.metrics],
+        }
+
+    def lines(self) -> list[str]:
+        """Return whether they are the same, and what is not."""
+        outcome, other = self.endings
+        if outcome != other:
+            return [f"not the same flight: {outcome} by the batch, {other} by JSBSim"]
+        off = [
+            f"{one.label} by {one.apart:.2g} {one.unit}" for one in (*self.samples, *self.metrics) if not one.is_within
+        ]
+        by = f"JSBSim at {self.runs} runs a step"
+        return [f"not as {by}: {', '.join(off)}" if off else f"the same flight as by {by}, {outcome}"]
+
+    def tables(self) -> list[Table]:
+        """Return the largest differences of the samples, and those of the metrics."""
+        return [
+            Table("Samples", COLUMNS, [one.cells for one in self.samples]),
+            Table("Metrics", COLUMNS, [one.cells for one in self.metrics]),
+        ]
+
+    def _figures(self) -> Mapping[str, Any]:
+        here, there = self._logs
+        shown, time = ("roll_rad", "pitch_rad", "altitude_m"), np.arange(len(there["roll_rad"])) * self.scenario.step_s
+        curves = []
+        for panel, name in enumerate(shown):
+            factor = degrees(1.0) if name.endswith("_rad") else 1.0
+            curves += [
+                trace("JSBSim", ORANGE, time, factor * np.asarray(there[name]), panel, **beneath(ORANGE)),
+                trace("batch", BLUE, time[: len(here[name])], factor * here[name], panel),
+            ]
+        titles = ["roll [deg]", "pitch [deg]", "height [m]"]
+        return {"flight": {"data": curves, "layout": panels(560, "t [s]", titles, log=False)}}
+
+    def write(self, folder: Path) -> None:
+        """Write the page and its numbers.  Raises FlightError if a file cannot be written."""
+        self.files = {"report": folder / "report.html", "json": folder / "check.json"}
+        write_files({self.files["json"]: json.dumps(self.to_dict(), indent=2) + "\n"})
+        cards = [Card("Both flights", figure="flight")]
+        cards += [Card(table.title, table.columns, table.rows, is_half=True) for table in self.tables()]
+        s = self.scenario
+        verdict, badge = ("the same", "met") if self.is_same else ("not the same", "unmet")
+        heading = f"{s.name}: {s.controller} on {s.aircraft}, engine {s.engine}"
+        Page("a batch beside JSBSim", heading, cards, self._figures(), verdict, badge, self.lines()).write(
+            self.files["report"]
+        )
+
+
+@checked()
+def check(
+    scenario: Scenario | str | Path,
+    out: str | Path | None = None,
+    *,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    runs: int = 16,
+    progress: Progress | None = None,
+) -> CheckResult:
+    """Fly a scenario on arrays and by JSBSim, and say where the two differ.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        What is flown, with aircraft, engine and controller where they are not given.
+    out : str or Path or None
+        Folder of the page; None: none is written.
+    controller : str or Path or None
+        In place of the scenario's.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    runs : int
+        Runs of JSBSim in a control step.
+    progress : Progress or None
+        Hears notes.
+
+    Returns
+    -------
+    CheckResult
+        Both flights, and the largest differences.
+
+    Raises
+    ------
+    InputError
+        For what a batch does not cover.
+    """
+    flown = choose(scenario, controller, aircraft, engine, settings, note=(progress or Progress()).note)
+    flown = flown.model_copy(update={"substeps": runs, "expect": [], "require": []})
+    (flight,) = fly_batch([flown])
+    if flight.ending is None:
+        raise InputError(f"scenario {flown.name}: {flight.reason}: not flown in a batch; fly it without batch")
+    run = fly(flown, report=False)
+    there = {name: np.asarray(run.log[name]) for name in flight.log.columns}
+    result = CheckResult(flown, (flight.ending.outcome, run.outcome), (flight.log, there), runs)
+    result.samples = compare_samples(flight.log, there)
+    numbers = flatten(flight_metrics(flight.log, flown.step_s, run.summary.reach))
+    result.metrics = compare_metrics(numbers, run.summary.flat_metrics)
+    if out is not None:
+        result.write(Path(out))
+    return result
+
+
+def compare_samples(here: Mapping[str, Array], there: Mapping[str, Array]) -> list[Difference]:
+    """Return the largest difference of each quantity; of a place 0.5 % of the way flown is allowed too."""
+    moves = [np.diff(there[name]) for name in PLACE]
+    way = float(np.sum(np.sqrt(sum(move * move for move in moves))))
+    found = []
+    for names, unit, allowed in QUANTITIES:
+        factor, allowed = (1.0, max(allowed, 0.005 * way)) if unit == "m" else (degrees(1.0), allowed)
+        for name in names:
+            rows = min(len(here[name]), len(there[name]))
+            apart = factor * np.abs(here[name][:rows] - there[name][:rows])
+            at = int(np.argmax(apart))
+            ends = [float(factor * log[name][at]) for log in (here, there)]
+            found.append(Difference(metric(name).label, unit, ends[0], ends[1], float(apart[at]), allowed))
+    return found
+
+
+def compare_metrics(here: Mapping[str, float | None], there: Mapping[str, float | None]) -> list[Difference]:
+    """Return the difference of each metric that either has; 0.5 % is allowed, or one of its last printed digit."""
+    found = []
+    for name, value in there.items():
+        said, own = metric(name), here[name]
+        if value is None and own is None:
+            continue
+        ends = [None if number is None else said.factor * number for number in (own, value)]
+        apart = np.inf if ends[0] is None or ends[1] is None else abs(ends[0] - ends[1])
+        allowed = max(0.005 * abs(ends[1] or 0.0), 10.0 ** -DIGITS[name])
+        found.append(Difference(said.label, said.unit, ends[0], ends[1], apart, allowed))
+    return found
+
+
+command = Command(
+    "batch check",
+    "hexjet_batch.check:check",
+    "roll-doublet --controller baseline",
+    metavars={"engine": "[N=]NAME|FILE", "runs": "N"},
+    succeeded=lambda result: result.is_same,
+    ends="Status 1: they differ by more than is allowed.",
+)
