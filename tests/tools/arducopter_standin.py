@@ -1,7 +1,7 @@
 """A stand-in for ArduCopter's SITL over JSON, as a program: as unkind as that is, and nothing in it is of the project.
 
-Written from the sources of ArduCopter 4.6 and 4.8 and measured beside those that flew, in the standard
-library alone.  It is of the release that TITLE states, with the names, units and shaping of that.  When it is armed it begins a log with all its parameters.  It waits for a ground station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
+Written from the sources of ArduCopter 4.8 and measured beside one that flew, in the standard
+library alone.  When it is armed it begins a log with all its parameters.  It waits for a ground station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
 is told otherwise; its frame rate begins at 1200 and slides; it refuses to be armed early, holds its motors for 2 s after
 that, and lets them go slowly; its sticks have ranges and dead zones and the throttle's is bent; its mixer has the signs
 of its frames, or of the script that it finds, whose outputs it sends a loop late.  It lets what is asked follow the
@@ -24,7 +24,6 @@ import time
 from pathlib import Path
 
 TITLE = "ArduCopter V4.8.0-dev"
-OLD = float(TITLE.split("V")[1][:3]) < 4.7
 # By its own names, as it ships.
 DEFAULTS: dict[str, float] = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 1, "SCHED_LOOP_RATE": 400, "SIM_RATE_HZ": 1200, "SIM_SPEEDUP": 1, "ARMING_SKIPCHK": 0,
@@ -46,14 +45,6 @@ DEFAULTS: dict[str, float] = {
     "ATC_ACC_Y_MAX": 270, "SCR_ENABLE": 0, "MOT_YAW_HEADROOM": 200,
     **{f"FLTMODE{n}": 0 for n in range(1, 7)},
 }  # fmt: skip
-# Until 4.6: the name, and how many of its units are one of today's.
-UNTIL_4_6 = {"ATC_ANGLE_MAX": ("ANGLE_MAX", 100), "SIM_GPS1_LAG_MS": ("SIM_GPS_LAG_MS", 1),
-             **{f"ATC_ACC_{axis}_MAX": (f"ATC_ACCEL_{axis}_MAX", 100) for axis in "RPY"}}  # fmt: skip
-if OLD:
-    for new, (old, unit) in UNTIL_4_6.items():
-        DEFAULTS[old] = unit * DEFAULTS.pop(new)
-    del DEFAULTS["ARMING_SKIPCHK"]
-    DEFAULTS["ARMING_CHECK"] = 1
 # FRAME_TYPE of four motors: of every motor where it is, degrees to the right of the nose, and 1 for counter-clockwise.
 _X = ((45, 1), (-135, 1), (-45, -1), (135, -1))
 _PLUS = ((90, 1), (-90, 1), (0, -1), (180, -1))
@@ -414,7 +405,7 @@ class Copter:
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(limit(2.0 * (w * y - z * x), -1.0, 1.0))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        full = math.radians(self._today("ATC_ANGLE_MAX"))
+        full = math.radians(self.parameters["ATC_ANGLE_MAX"])
         wanted = [full * self.radio.angle(1), full * self.radio.angle(2)]
         if getattr(self.motors, "flies_level", False):
             wanted = [0.0, 0.0]  # it would push sideways and stay level
@@ -426,7 +417,7 @@ class Copter:
         off = (self._goal[2] - yaw + math.pi) % (2.0 * math.pi) - math.pi
         errors = (self._goal[0] - roll, self._goal[1] - pitch, off)
         for k, (axis, error) in enumerate(zip(AXES, errors, strict=True)):
-            most = self._today(f"ATC_ACC_{axis[0]}_MAX")
+            most = self.parameters[f"ATC_ACC_{axis[0]}_MAX"]
             most = math.radians(limit(most / 2.0, LEAST_ACCEL[k], MOST_ACCEL[k])) if most > 0.0 else 0.0
             self._asked[k] = root(error, self.parameters[f"ATC_ANG_{axis}_P"], most, dt) + self._goal_rate[k]
         if self._mode != LOITER:
@@ -436,15 +427,10 @@ class Copter:
         if self.motors.state in ("SHUT_DOWN", "GROUND_IDLE"):
             self._throttle = 0.0 if self._closed_since is not None else self._throttle
 
-    def _today(self, name: str) -> float:
-        """A parameter in today's unit, whatever its release calls it."""
-        old, unit = UNTIL_4_6[name]
-        return self.parameters[old] / unit if OLD else self.parameters[name]
-
     def _shape(self, wanted: list[float], turn: float, yaw: float, dt: float) -> None:
         """Let the goal follow the sticks, of roll and pitch by ATC_INPUT_TC; its rate is fed forward.
 
-        Until 4.7 by a first order; now it has a limit of jerk too, by an acceleration of 1800 deg/s^2 where none is set.
+        With a limit of jerk too, by an acceleration of 1800 deg/s^2 where none is set.
         """
         feeds = self.parameters["ATC_RATE_FF_ENAB"] != 0.0
         self._goal = [goal + rate * dt for goal, rate in zip(self._goal, self._goal_rate, strict=True)]
@@ -452,18 +438,14 @@ class Copter:
             self._goal[2], self._goal_rate[2] = yaw, 0.0
         self._heading = yaw
         for k, axis in enumerate(AXES):
-            most = math.radians(self._today(f"ATC_ACC_{axis[0]}_MAX"))
+            most = math.radians(self.parameters[f"ATC_ACC_{axis[0]}_MAX"])
             late = max(self.parameters["ATC_INPUT_TC"], 0.01)
-            if not OLD:
-                most, late = most or math.radians(1800.0), 10.0 * dt if k == 2 else late
-            asked = turn if k == 2 else root(wanted[k] - self._goal[k], (1.0 if OLD else 0.5) / late, most, dt)
-            if not OLD:
-                jerk = most / late * dt
-                self._goal_slope[k] += limit((asked - self._goal_rate[k]) / late - self._goal_slope[k], -jerk, jerk)
-                asked = self._goal_rate[k] + self._goal_slope[k] * dt
-            if most > 0.0:
-                asked = limit(asked, self._goal_rate[k] - most * dt, self._goal_rate[k] + most * dt)
-            self._goal_rate[k] = asked
+            most, late = most or math.radians(1800.0), 10.0 * dt if k == 2 else late
+            asked = turn if k == 2 else root(wanted[k] - self._goal[k], 0.5 / late, most, dt)
+            jerk = most / late * dt
+            self._goal_slope[k] += limit((asked - self._goal_rate[k]) / late - self._goal_slope[k], -jerk, jerk)
+            asked = self._goal_rate[k] + self._goal_slope[k] * dt
+            self._goal_rate[k] = limit(asked, self._goal_rate[k] - most * dt, self._goal_rate[k] + most * dt)
         if not feeds:
             self._goal, self._goal_rate = [*wanted, self._goal[2] + turn * dt], [0.0] * 3
 
@@ -527,11 +509,10 @@ def fly(copter: Copter, port: int, speedup: float) -> None:
             time.sleep(ahead)
 
 
-def installed(folder: Path, title: str = TITLE) -> Path:
-    """It as a program in a folder, of a release."""
+def installed(folder: Path) -> Path:
+    """It as a program in a folder."""
     program = folder / "arducopter"
-    text = Path(__file__).read_text(encoding="utf-8").replace(f'TITLE = "{TITLE}"', f'TITLE = "{title}"')
-    program.write_text(f"#!{sys.executable}\n{text}", encoding="utf-8")
+    program.write_text(f"#!{sys.executable}\n{Path(__file__).read_text(encoding='utf-8')}", encoding="utf-8")
     program.chmod(0o755)
     return program
 

@@ -150,19 +150,6 @@ def test_a_thousand_drawn_studies_are_held_by_their_intervals() -> None:
     assert 50 < shown < 950  # both ends come
 
 
-def test_looking_often_at_a_fixed_interval_would_hold_less() -> None:
-    """The reason for the rule: stop as soon as an exact 95 % bound excludes 90 %, and it is wrong far too often."""
-    random = np.random.default_rng(3)
-    wrong = 0
-    for _ in range(400):
-        failures = np.cumsum(random.random(600) < 0.1)
-        flights = np.arange(1, 601)
-        low = 1.0 - (failures + 1.92) / (flights + 3.84)  # a score interval's middle, to find candidates quickly
-        deviation = 1.645 * np.sqrt(np.maximum(failures, 0.5) * (flights - failures + 0.5)) / flights**1.5
-        wrong += bool(np.any((low - deviation > 0.9)[30:]))
-    assert wrong > 0.1 * 400
-
-
 @pytest.mark.parametrize("order", [range(40), reversed(range(40))])
 def test_flights_count_in_the_order_of_their_numbers(order: object) -> None:
     rule = StoppingRule(parse_claim("90%@95%"), ["smith"], 100)

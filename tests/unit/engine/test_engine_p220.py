@@ -78,13 +78,6 @@ def test_it_is_the_equation_integrated_by_another_method(idle_percent: float, tm
     assert np.ptp(thrust) > 150.0
 
 
-@pytest.mark.parametrize("percent", [0.0, 2.0, 10.0, 46.0, 80.0, 100.0])
-def test_the_equilibrium_is_stable_and_the_other_is_not(percent: float) -> None:
-    low, high = equilibria(percent)
-    assert max(poles(percent, high).real) < 0.0
-    assert max(poles(percent, low).real) > 0.0
-
-
 def test_the_linearised_model_is_the_answer_to_a_small_step(tmp_path: Path) -> None:
     """About 46 % throttle, where the Hex-Jet hovers: a second-order step response, written down."""
     u, step = 0.46, 1e-5

@@ -123,14 +123,6 @@ def test_it_is_the_authors_steady_thrust(
         assert engine.run(np.full(round(seconds / STEP), after / 100.0))[-1] == pytest.approx(thrust, abs=1e-3)
 
 
-@pytest.mark.parametrize("percent", np.linspace(0.0, 100.0, 11))
-def test_the_equilibrium_is_stable_and_the_other_is_out_of_reach(percent: float) -> None:
-    low, high = equilibria(percent)
-    stiffness, damping, _ = jacobian(percent, low)
-    assert stiffness < 0.0 > damping
-    assert high > 380.0
-
-
 def test_warm_air_costs_the_turbine_what_the_laboratory_found(tmp_path: Path) -> None:
     """The laboratory's correction, 0.62 % a degree at 21.3 degC, beside turbine-220, which was made without it."""
     build_engines(["turbine-220"])

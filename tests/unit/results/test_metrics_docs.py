@@ -1,4 +1,4 @@
-"""docs/metrics.md names every metric, every limit with its default, and every verdict."""
+"""docs/metrics.md names every metric, every limit and every verdict."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from places import DOCS
 
 from cosim.base.outcomes import RunVerdict
 from cosim.base.signals import AXES
-from cosim.results import limits, wording
+from cosim.results import wording
 from cosim.results.metrics import metric_names
 from cosim.spec.scenario import FlightLimits
 
@@ -25,16 +25,10 @@ def test_every_metric_is_shown() -> None:
     assert of_axes | {name for name, _ in wording.WHOLE_ROWS} == set(metric_names())
 
 
-def test_every_limit_and_its_default_are_there() -> None:
-    rows = {line.split("|")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
+def test_every_limit_is_there() -> None:
+    rows = [line.split("|")[1] for line in PAGE.splitlines() if line.startswith("| `")]
     for key in FlightLimits.model_fields:
         assert any(f"`{key}`" in cell for cell in rows), key
-    row = {key: next(line for cell, line in rows.items() if f"`{key}`" in cell) for key in FlightLimits.model_fields}
-    assert f"{limits.HEIGHT_SPANS:g} spans" in row["height_error_m"]
-    assert f"{limits.POSITION_SPANS:g} spans" in row["place_error_m"]
-    assert f"{limits.DRIFT_SPANS:g} spans" in row["drift_m"]
-    assert f"{limits.SPEEDS:g} sqrt(g span)" in row["speed_m_s"]
-    assert f"{limits.SATURATED_PERCENT:g} %" in row["saturated_percent"]
 
 
 def test_every_verdict_is_there() -> None:

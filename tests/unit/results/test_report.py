@@ -195,11 +195,6 @@ def test_the_page_of_a_campaign_shares_nothing(tmp_path: Path, monkeypatch: pyte
     assert str(refused.value) == f"shared_assets: {tmp_path} is a campaign, whose page has all in it; leave it out"
 
 
-def test_a_figure_plotly_would_not_accept_is_noticed() -> None:
-    with pytest.raises(ValueError, match="Invalid"):
-        plotly.graph_objects.Figure({"data": [{"type": "scatter", "colour": "red"}]})
-
-
 def test_angles_are_drawn_in_degrees_and_nothing_else_is_changed(run: Run) -> None:
     figures = run_figures(run.log, run.summary)
     attitude = signals(figures["attitude"])
