@@ -27,7 +27,7 @@ def main(folder: Path) -> int:
         return 0
     from playwright.sync_api import sync_playwright
 
-    shutil.copy(folder / "runs" / "check-my-vehicle" / "aircraft.svg", FOLDER / "tutorial-aircraft.svg")
+    shutil.copy(folder / "runs" / "check-my-vehicle-001" / "aircraft.svg", FOLDER / "tutorial-aircraft.svg")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=found, args=FLAGS)
         for name, (page, at) in PAGES.items():

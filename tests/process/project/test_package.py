@@ -293,7 +293,7 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
     for command in commands:
         name, *arguments = command.split()
         run(installed / name, *arguments, cwd=tmp_path)
-    assert (tmp_path / "runs" / "check-mine" / "aircraft.svg").is_file()
+    assert (tmp_path / "runs" / "check-mine-001" / "aircraft.svg").is_file()
     assert list(tmp_path.glob("runs/gcs-mine-*"))
 
 

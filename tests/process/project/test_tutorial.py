@@ -50,7 +50,7 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
         "first/report.html",
         "compared/comparison.html",
         "verdict/report.html",
-        "check-my-vehicle/aircraft.svg",
+        "check-my-vehicle-001/aircraft.svg",
     ):
         assert (tmp_path / "runs" / page).stat().st_size > 1000
     assert (tmp_path / "designed.html").exists()
