@@ -10,7 +10,7 @@ from cosim.campaign.analysis.statistics import LEVEL, proportion
 from cosim.campaign.analysis.summary import SUCCESS, rank_keys
 from cosim.campaign.analysis.table import FlightTable, describe_range, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity, write_flight
-from cosim.campaign.folder import CASES, STUDY, is_campaign
+from cosim.campaign.folder import CASES, REFEREE, STUDY, is_campaign
 from cosim.campaign.run import (
     Progress,
     choose_workers,
@@ -20,7 +20,7 @@ from cosim.campaign.run import (
     run_campaign,
     run_sampler,
 )
-from cosim.campaign.store import Campaign
+from cosim.campaign.store import Campaign, open_campaign
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.engine_draw import EngineDraw, default_draw, engine_draw
@@ -29,13 +29,21 @@ from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.model_notes import design_warnings, nominal_model_notes
 from cosim.campaign.study.normal_space import FURTHEST, NormalSpace, draw_seed
 from cosim.campaign.study.options import NothingVariesError, open_study
-from cosim.campaign.study.plan import Flight, only_controller, scenario_of
+from cosim.campaign.study.plan import Flight, flight_of, only_controller, scenario_of
 from cosim.campaign.study.sequential import MAX_TESTED, Decision, Verdict, default_runs, parse_claim
 from cosim.campaign.study.study import Study, find_study, flatten_settings, study_code, study_names
 from cosim.campaign.study.values import absolute_support, check_vary, levels, quantum, whole_bounds
-from cosim.campaign.workers.flight_row import MARGIN_OF, NOT_FLOWN, Row, describe_not_flown
+from cosim.campaign.workers.flight_row import (
+    MARGIN_OF,
+    NOT_FLOWN,
+    Row,
+    describe_not_flown,
+    failed_row,
+    fly_one,
+    outcome_row,
+)
 from cosim.campaign.workers.protocol import Workers
 from cosim.campaign.workers.tasks import run_in_order
 from cosim.results.limits import LIMITED
-from cosim.results.metrics import check_expectations
+from cosim.results.metrics import check_expectations, metric_names
 from cosim.results.wording import metric

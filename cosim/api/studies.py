@@ -116,6 +116,7 @@ def sweep(
     aircraft: str | Path | None = None,
     engine: str | Path | None = None,
     nominal_engine: bool = False,
+    batch: bool = False,
     settings: Sequence[str] | Mapping[str, object] = (),
     metrics: Sequence[str] = (),
     wind: str | None = None,
@@ -158,6 +159,8 @@ def sweep(
         In place of the scenario's: a name, an FMU or its mapping file.
     nominal_engine : bool
         Fly the engine as it is stated, not drawn by its uncertainty.
+    batch : bool
+        Fly on arrays, many flights at once, and some of them again by JSBSim.
     settings : sequence of str or mapping
         Written over the scenario's: ``duration_s=2.5`` or ``{"duration_s": 2.5}``.
     metrics : sequence of str
@@ -211,6 +214,7 @@ def sweep(
         seed=seed,
         until=until,
         nominal_engine=nominal_engine,
+        batch=batch,
     )
     hears.begin(folder)
     with choose_workers(workers, cluster, time_limit_s) as flying:

@@ -34,6 +34,7 @@ from cosim.spec.vehicle import is_aircraft_path, is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
+REFEREE = "referee.json"  # what JSBSim says of flights on arrays
 # What the first flight was asked for: study and scenario once more, hashes of their files, and what was installed.
 RECORD = "asked.toml"
 PLAN, COMMAND = "plan", "command"  # its table of what a command asks beside the study, and the command's name there
@@ -41,7 +42,7 @@ SWEEP = "hexjet sweep"
 # Keys of study and scenario that no row depends on: what they are called, and where values are from.
 WORDS = ("title", "description", "changed")
 CAMPAIGN_FILES = (
-    *(STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS),
+    *(STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS, REFEREE),
     *("search.toml", "search.json", "search.html", "rare.toml", "rare.json", "rare.html"),
 )
 
@@ -131,7 +132,7 @@ def read_asked(folder: Path) -> dict[str, Any]:
 def fingerprint(asked: Mapping[str, Any]) -> str:
     """Return the hash of what all flights of a folder have in common: scenario, files, program and what is judged."""
     scenario = {key: value for key, value in asked[SCENARIO].items() if key not in WORDS}
-    judged = [asked[STUDY].get(key) for key in ("success", "autopilot", "case")]
+    judged = [asked[STUDY].get(key) for key in ("success", "autopilot", "case", "batch")]
     flown = json.dumps([scenario, asked["file"], asked["installed"], judged], sort_keys=True, default=str)
     return sha256(flown.encode()).hexdigest()
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.plugins.entry_points import load_hook
 from cosim.base.storage.files import parse_json
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, extend_asked, is_campaign
@@ -90,6 +91,8 @@ def run_sampler(
     is_begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
     if study is not None and study.autopilot is not None:
         _check_autopilot(study, study.autopilot, workers)
+    if study is not None and (batch := load_batch(study)):
+        batch.check(study)
     with Store.resume(folder, study, plan, kept) if is_begun else Store.create(folder, study, plan, kept) as store:  # type: ignore[arg-type]
 
         def tell() -> None:
@@ -98,8 +101,12 @@ def run_sampler(
 
         tell()
         with open_workers(workers) as flying:
+            batch = load_batch(store.study)
+            fleet = batch.BatchWorkers(flying) if batch else flying
             try:
-                result = _answer(sampler(store.study), lambda asked: _rows(store, asked, flying, tell))
+                result = _answer(sampler(store.study), lambda asked: _rows(store, asked, fleet, tell))
+                if batch:
+                    batch.judge(folder, flying)
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:  # it may have come after a flight was stored and before it was reported
@@ -154,6 +161,13 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
                 store.add(waiting.pop(key))
                 tell()
             yield store.done[key]
+
+
+def load_batch(study: Study) -> Any:
+    """Return the tool that flies a study on arrays, None for one that is not.  Raises InputError without it."""
+    if study.batch and (tool := load_hook("campaign.batch")) is None:
+        raise InputError(f"study {study.name}: batch: needs hexjet_batch, which is not installed")
+    return tool if study.batch else None
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:

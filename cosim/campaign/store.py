@@ -32,6 +32,7 @@ from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,
     RECORD,
+    REFEREE,
     SCENARIO,
     STUDY,
     FrozenStudy,
@@ -279,6 +280,7 @@ class Campaign:
     columns: Mapping[str, list[Value]]
     of: int
     plan: Mapping[str, Any] = field(default_factory=dict)
+    referee: Mapping[str, Any] = field(default_factory=dict)  # what JSBSim said of flights on arrays, if any were flown
 
     def __len__(self) -> int:
         return len(self.columns["flight"])
@@ -308,15 +310,17 @@ def open_campaign(folder: Path | str) -> Campaign:
         study = load(folder)
         plan = check_unedited(folder)
         of = 0 if plan else flight_count(study)
-        columns = _Columns(folder, stored_kinds(folder, study), of)
-    return Campaign(folder, study, columns, of or len(columns["flight"]), plan)
+        judged = folder / REFEREE
+        referee = parse_json(read_file(judged), str(judged)) if judged.is_file() else {}
+        columns = _Columns(folder, stored_kinds(folder, study), of, referee.get("success", {}))
+    return Campaign(folder, study, columns, of or len(columns["flight"]), plan, referee)
 
 
 class _Columns(Mapping[str, list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
-    def __init__(self, folder: Path, columns: Kinds, of: int) -> None:
-        self._names = tuple(columns)
+    def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
+        self._names, self._success = tuple(columns), success  # of flights that count otherwise than their rows say
         # the journal first: what leaves it meanwhile is in a part by then
         journal_rows = {_flight_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
@@ -343,6 +347,9 @@ class _Columns(Mapping[str, list[Value]]):
                 values += read_table(path, (name,), lacking=True)[name][: len(stored)]
             values += [row.get(name) for row in self._journal_rows]
             self._read[name] = [values[index] for index in self._order]
+            if name == "success" and self._success:
+                own = zip(self["flight"], self._read[name], strict=True)
+                self._read[name] = [self._success.get(str(number), success) for number, success in own]
         return self._read[name]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from markupsafe import Markup
 
@@ -173,6 +174,17 @@ def ranking_cards(
         text = f"{counted}. The rest is effects of several keys together, and noise. {first}".strip()
         title = f"What drives it: {labels[name]}"
         yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
+
+
+def referee_cards(referee: Mapping[str, Any]) -> Iterator[Card]:
+    """Yield what JSBSim says of flights on arrays: how far the metrics are off, and the verdicts that differ."""
+    if referee:
+        columns = ("metric", "largest", "unit", "flight", "half within [%]", "nine of ten within [%]", "")
+        yield Card("Flown again by JSBSim", columns, referee["metrics"], " ".join(referee["says"]),
+                   is_folded=referee["confirmed"])  # fmt: skip
+    if referee.get("verdicts"):
+        both = ("flight", "controller", "on arrays", "by JSBSim", "margin on arrays", "margin by JSBSim")
+        yield Card("Verdicts that differ", both, referee["verdicts"])
 
 
 def metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:

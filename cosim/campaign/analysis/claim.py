@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from cosim.campaign.analysis.statistics import widen
 from cosim.campaign.study.plan import stopping_rule
 from cosim.campaign.study.sequential import Claim, Verdict
 from cosim.campaign.workers.flight_row import verdict_of
@@ -79,6 +81,10 @@ def judge_claim(campaign: Campaign) -> ClaimResult | None:
     for number, outcome, success in zip(*columns, strict=True):
         rule.add(int(number or 0), verdict_of(outcome, success))
     verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
+    for name, (down, up) in campaign.referee.get("rates", {}).items():
+        if (verdict := verdicts.get(name)) is not None and (down or up):  # others of its verdicts may be wrong too
+            bound, interval = max(0.0, verdict.bound - down), widen(verdict.interval, down, up)
+            verdicts[name] = replace(verdict, decision="open", bound=bound, interval=interval)
     return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)
 
 

@@ -15,7 +15,14 @@ from markupsafe import Markup
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import parse_json, read_text
-from cosim.campaign.analysis.cards import comparison_cards, format_span, metrics_card, ranking_cards, success_card
+from cosim.campaign.analysis.cards import (
+    comparison_cards,
+    format_span,
+    metrics_card,
+    ranking_cards,
+    referee_cards,
+    success_card,
+)
 from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
@@ -96,13 +103,16 @@ def make_page(campaign: Campaign) -> Page:
         figures["map-tables"] = map_tables(table, mapped, pair, leading)
     finished = claim.is_finished if claim is not None else table.flight.size == campaign.of
     count = f"{table.flight.size:,} flights" if finished else f"{table.flight.size:,} of {campaign.of:,} flights"
+    judged, confirmed = campaign.referee.get("says", []), campaign.referee.get("confirmed", True)
     named = [coloured(name, run_colour(n)) for n, name in enumerate(table.controllers)]
     claims = [] if claim is None else [f"{line}." for line in claim.lines()]
+    answers = [_answer(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)]
     told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
     pages = [_nothing_yet()] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
         Card("What the flights came to", figure="outcomes", is_half=True),
         success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
+        *referee_cards(campaign.referee),
         Card("Stability map", content=_map()) if "map-tables" in figures else None,
         *comparison_cards(table, named),
         *ranking_cards(table, named, rankings, bool(study.correlate)),
@@ -118,9 +128,9 @@ def make_page(campaign: Campaign) -> Page:
         study.title or study.name,
         [*pages, _keys_card(study, table), *_data_cards(campaign)],
         figures,
-        verdict=count,
-        badge="completed" if finished else "failed",
-        answer=[*(_answer(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)), *claims],
+        verdict=count if confirmed else f"{judged[0]}; {count}",
+        badge="completed" if finished and confirmed else "failed",
+        answer=[*judged, *answers, *claims],
         summary=[told],
         notes=warnings(campaign, table, stops=claim is not None),
         facts=head_rows(campaign, table),

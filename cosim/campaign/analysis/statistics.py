@@ -47,6 +47,11 @@ def proportion(hits: int, of: int) -> Proportion:
     return Proportion(hits, of, (float(bounds[0][0]), float(bounds[1][0])), (float(low), float(high)))
 
 
+def widen(interval: Interval, down: float, up: float) -> Interval:
+    """Return an interval of a probability with its lower end lower and its upper end higher by so much."""
+    return max(0.0, interval[0] - down), min(1.0, interval[1] + up)
+
+
 def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, Array]:
     """Return the lower and upper ends of the score interval of many fractions at once, 0 to 1 where ``of`` is 0.
 

@@ -24,6 +24,7 @@ from cosim.campaign.analysis.statistics import (
     median_difference,
     newcombe,
     proportion,
+    widen,
 )
 from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read_flight_table
 from cosim.campaign.workers.flight_row import describe_not_flown
@@ -65,10 +66,12 @@ class Spread(NamedTuple):
 
 def success_fractions(table: FlightTable) -> list[Proportion]:
     """Return the fraction of successes of every controller; a failed flight counts as no success."""
-    return [
-        proportion(int(np.sum(table.success & table.rows_of(controller))), int(np.sum(table.rows_of(controller))))
-        for controller in controller_indices(table)
-    ]
+    fractions = []
+    for controller, name in enumerate(table.controllers):
+        rows, rates = table.rows_of(controller), (table.rates or {}).get(name, (0.0, 0.0))
+        found = proportion(int(np.sum(table.success & rows)), int(np.sum(rows)))
+        fractions.append(found._replace(wilson=widen(found.wilson, *rates), exact=widen(found.exact, *rates)))
+    return fractions
 
 
 def controller_indices(table: FlightTable) -> range:
@@ -186,6 +189,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "planned": campaign.of,
         "finished": int(table.flight.size) == campaign.of if claim is None else claim.is_finished,
         "until": None if claim is None else claim.to_dict() | {"says": list(claim.lines())},
+        "referee": dict(campaign.referee) or None,
         "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
@@ -269,6 +273,8 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
 
 def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     """Return lines for a terminal: how often each controller succeeds, and how the other flights ended."""
+    judged = summary["referee"] or {"says": [], "confirmed": True}
+    yield from () if judged["confirmed"] else judged["says"]
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for line in (summary["until"] or {"says": []})["says"]:
@@ -277,6 +283,7 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
     if summary["not_flown"]:
         yield f"  {summary['not_flown']}"
+    yield from (f"  {line}" for line in judged["says"] if judged["confirmed"])
 
 
 def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

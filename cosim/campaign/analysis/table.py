@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.campaign.analysis.statistics import Counts
+from cosim.campaign.analysis.statistics import Counts, Interval
 from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS
 from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.campaign.workers.flight_row import MARGIN_OF
@@ -80,6 +80,7 @@ class FlightTable(NamedTuple):
     values: dict[str, Array]  # metrics by name, SI; NaN where a flight did not complete or has none
     controllers: list[str]
     grid: bool  # every combination of levels, rather than draws
+    rates: Mapping[str, Interval] | None = None  # of verdicts that the referee holds for wrong, by controller
     broken: Sequence[Sequence[str]] = ()  # the requirements that each flight does not keep; empty where there are none
 
     @property
@@ -135,6 +136,7 @@ def read_flight_table(campaign: Campaign) -> FlightTable:
         values=values,
         controllers=[short_name(name) for name in controllers],
         grid=study.design == "grid",
+        rates=campaign.referee.get("rates"),
         broken=broken_requirements(campaign),
     )
 

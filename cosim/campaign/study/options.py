@@ -40,6 +40,7 @@ def open_study(
     seed: int | None = None,
     until: str | None = None,
     nominal_engine: bool = False,
+    batch: bool = False,
 ) -> Study:
     """Return a study, or a scenario as one, with a command line's options written over it.
 
@@ -78,6 +79,7 @@ def open_study(
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
         data |= _retitle(data, settings, controllers)
     data |= {"nominal_engine": True} if nominal_engine else {}
+    data |= {"batch": True} if batch else {}
     if _is_engine_drawn(data, folder, where):
         data["vary"] = [*data["vary"], {"key": UNCERTAIN, "uncertainty": True}]
     if not data["vary"]:

@@ -78,7 +78,8 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     varied = {name: _kind(study, name) for name in study.drawn}
     measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
     flown = {"autopilot": str, **study.autopilot.columns} if study.autopilot is not None else {}
-    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | _plugin_kinds(study) | flown
+    by: Kinds = {"by": str} if study.batch else {}
+    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | by | _plugin_kinds(study) | flown
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -86,6 +87,8 @@ def fly_one(study: Study, flight: Flight) -> Row:
 
     Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
     """
+    if (fly_together := getattr(flight, "fly", None)) is not None:  # flights that a tool flies as one piece of work
+        return fly_together(study)  # type: ignore[no-any-return]
     begin = time.perf_counter()
     try:
         scenario = scenario_of(study, flight)
@@ -94,7 +97,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
                 outcome, _ = with_autopilot(study, scenario, folder / "run", case_of(flight.values), page=False)
         else:
             sink = _sink(scenario)
-            outcome = _outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
+            outcome = outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
         trouble = _machine_trouble(error)
         if trouble is not None:
@@ -116,7 +119,7 @@ def with_autopilot(
     autopilot = study.autopilot_of(case)
     run, flown = autopilot.fly(scenario, study.folder, folder, page)
     digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
-    row = _outcome_row(study, run, log_digest(run.log)) | {
+    row = outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
         "inputs_sha256": digest,
@@ -207,7 +210,8 @@ def inputs_sha256(run: Run) -> str:
     return hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
 
 
-def _outcome_row(study: Study, run: Run, digest: str) -> Row:
+def outcome_row(study: Study, run: Run, digest: str) -> Row:
+    """Return the values of a row that a finished flight has; ``digest`` is of its log."""
     summary, controller = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
     return {

@@ -41,7 +41,8 @@ class Workers(Protocol):
 def time_limit(study: Study) -> float:
     """Return how long a flight of ``study`` may take by default, s of wall time."""
     before = 0.0 if study.autopilot is None else study.autopilot.before_s
-    return max(MIN_LIMIT_S, LIMIT_FACTOR * (study.base().duration_s + before))
+    together = 10.0 if study.batch else 1.0  # flights on arrays are handed out many at a time
+    return together * max(MIN_LIMIT_S, LIMIT_FACTOR * (study.base().duration_s + before))
 
 
 def update_mean(mean: float | None, seconds: float) -> float:

@@ -1,0 +1,185 @@
+"""Flights of a study on arrays: workers that hand them on in chunks, and the rows that come of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.cache import RecentCache
+from cosim.results.limits import make_limit_inputs
+from cosim.results.log.columns import logged_vehicle
+from cosim.results.metrics import Reach, columns, metric_names
+from cosim.results.requirements.signals import event_times
+from cosim.results.requirements.stated import columns_of
+from cosim.results.resolved_scenario import resolve
+from cosim.results.run import Run
+from cosim.results.setup import make_setup
+from cosim.results.summary import Setup, summarize
+from cosim.simulation.build import build
+from cosim.simulation.controllers.models import make_thrust_map
+from cosim.simulation.engines import load_engines
+from cosim.studies import Flight, Row, Study, Workers, failed_row, fly_one, outcome_row, scenario_of, with_values
+from hexjet_batch.fly import BatchFlight, fly_batch
+from hexjet_batch.make import read_flight
+from hexjet_batch.referee import judge
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from cosim.spec.scenario import Scenario
+
+__all__ = ["BatchWorkers", "check", "judge"]
+
+BATCH, JSBSIM = "batch", "jsbsim"
+_setups: RecentCache[Setup] = RecentCache(16)
+
+
+def check(study: Study) -> None:
+    """Raise InputError, before the first flight, for a study that a batch does not cover."""
+    where = f"study {study.name}"
+    base = study.base()
+    own = {"autopilot": study.autopilot, "metrics": base.metrics, "observers": base.observers, "wind": base.wind,
+           "sensors": base.sensor_plugin}  # fmt: skip
+    for name, value in own.items():
+        if value:
+            raise InputError(f"{where}: {name} of your own are not flown in a batch; fly it without --batch")
+    recorded = columns(logged_vehicle(base.resolved_vehicle()[0]))
+    for name in columns_of(base, metric_names()):
+        if name not in recorded:
+            raise InputError(f"{where}: a batch does not record {name}, which it requires; fly it without --batch")
+    for controller in study.tried:
+        read_flight(with_values(base, {"controller": controller}))
+
+
+@dataclass(frozen=True)
+class Chunk(Flight):
+    """Flights that a process flies together, as one piece of its work; its row has all of theirs."""
+
+    flights: tuple[Flight, ...] = ()
+
+    def fly(self, study: Study) -> dict[str, Any]:
+        """Fly them in this process."""
+        begin = time.perf_counter()
+        rows = fly_flights(study, self.flights)
+        return {"flight": self.number, "rows": rows, "wall_s": time.perf_counter() - begin}
+
+
+class BatchWorkers:
+    """Flies a study's flights on arrays, in the processes of other workers; ``together``: flights of one chunk.
+
+    A chunk with which three processes were lost is flown by JSBSim, flight by flight.
+    """
+
+    def __init__(self, workers: Workers, together: int = 256) -> None:
+        if together < 1:
+            raise InputError(f"together = {together}: at least 1 flight")
+        self._workers, self._together = workers, together
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        """See :class:`cosim.studies.Workers`."""
+        under_way: dict[int, Chunk] = {}
+        lost: list[Flight] = []
+        for row in self._workers.fly(study, self._chunks(iter(flights), under_way)):
+            chunk, rows = under_way.pop(int(row["flight"] or 0)), row.get("rows")
+            if rows is None:
+                lost += chunk.flights
+            else:
+                yield from rows  # type: ignore[misc]  # a chunk's
+        for row in self._workers.fly(study.changed(batch=False), lost):
+            yield row | {"by": JSBSIM}
+
+    def _chunks(self, flights: Iterator[Flight], under_way: dict[int, Chunk]) -> Iterator[Chunk]:
+        """Yield chunks of one controller each, which fly together best."""
+        waiting: dict[str, list[Flight]] = {}
+        for flight in flights:
+            group = waiting.setdefault(flight.controller, [])
+            group.append(flight)
+            if len(group) == self._together:
+                yield _chunk(waiting.pop(flight.controller), under_way)
+        for group in waiting.values():
+            yield _chunk(group, under_way)
+
+    def close(self) -> None:
+        """End every process."""
+        self._workers.close()
+
+    def __enter__(self) -> BatchWorkers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _chunk(flights: Sequence[Flight], under_way: dict[int, Chunk]) -> Chunk:
+    """Return flights as a chunk, which is noted under its number."""
+    first = flights[0]
+    chunk = Chunk(first.number, first.draw, first.controller, first.seed, {}, tuple(flights))
+    return under_way.setdefault(chunk.number, chunk)
+
+
+def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
+    """Fly flights of a study together and return their rows, in their order.
+
+    What a batch does not cover or judge, such as a flight near the ground, is flown by JSBSim.
+    """
+    scenarios: dict[int, Scenario] = {}
+    for place, flight in enumerate(flights):
+        try:
+            scenario = scenario_of(study, flight)
+            read_flight(scenario)
+        except InputError:  # JSBSim flies it, or says in its row why nothing does
+            continue
+        scenarios[place] = scenario
+    rows: dict[int, Row] = {}
+    places = list(scenarios)
+    begin = time.perf_counter()
+    stated = study.base().model_dump_json()
+    for flown in fly_batch(list(scenarios.values())):
+        place = places[flown.number]
+        if flown.ending is not None:
+            rows[place] = _row(study, stated, flights[place], scenarios[place], flown)
+    alone = study.changed(batch=False)
+    seconds = (time.perf_counter() - begin) / max(len(rows), 1)
+    return [
+        rows[place] | {"wall_s": seconds} if place in rows else fly_one(alone, flight) | {"by": JSBSIM}
+        for place, flight in enumerate(flights)
+    ]
+
+
+def _row(study: Study, stated: str, flight: Flight, scenario: Scenario, flown: BatchFlight) -> Row:
+    """Return the row of a flight, with what is measured of it by the functions that measure every flight."""
+    assert flown.ending is not None
+    vehicle = scenario.resolved_vehicle()[0]
+    key = (stated, flight.controller, scenario.aircraft, scenario.engine)
+    setup = _setups.get(key, lambda: _setup(scenario)).model_copy(update={
+        "seed": scenario.seed,
+        "planned_s": scenario.duration_s,
+        "reach": _reach(scenario),
+        "yardstick": make_limit_inputs(scenario, vehicle),
+        "event_times_s": event_times(scenario) if scenario.require else {},
+    })  # fmt: skip
+    summary = summarize(setup, flown.log, flown.ending.outcome, flown.ending.reason, None)
+    outcome = outcome_row(study, Run(summary, flown.log, None, scenario), "")
+    return failed_row(study, flight, "") | outcome | {"log_sha256": None, "by": BATCH}
+
+
+def _setup(scenario: Scenario) -> Setup:
+    """Return what is known of a flight beforehand, most of which those of one study share."""
+    with build(scenario, with_ledger=False) as simulation:
+        return make_setup(simulation, resolve(simulation)[0], notes=False)
+
+
+def _reach(scenario: Scenario) -> Reach:
+    """Return how far the actuators can be told to go, as of a flight by JSBSim."""
+    vehicle = scenario.resolved_vehicle()[0]
+    engine, *stations = load_engines(scenario, vehicle)
+    limits, jets = vehicle.control.allocation, len(vehicle.jets)
+    thrust = make_thrust_map(vehicle, engine, stations)[0]
+    least, most = (thrust.throttle((share,) * jets) for share in (limits.throttle_min, limits.throttle_max))
+    servo = vehicle.servo
+    return Reach(throttle=tuple(zip(least, most, strict=True)), tilt_rad=servo.range_rad if servo else None)
