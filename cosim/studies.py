@@ -3,11 +3,12 @@
 ``cosim.campaign`` has what a program calls; this is for tools that look for something among flights.
 """
 
+from cosim.campaign.analysis.cards import referee_cards
 from cosim.campaign.analysis.claim import ClaimResult, format_bound, judge_claim
 from cosim.campaign.analysis.margin import requirement_margins, row_margin
 from cosim.campaign.analysis.page import key_rows, write_campaign_report
 from cosim.campaign.analysis.statistics import LEVEL, proportion
-from cosim.campaign.analysis.summary import SUCCESS, rank_keys
+from cosim.campaign.analysis.summary import SUCCESS, rank_keys, with_referee
 from cosim.campaign.analysis.table import FlightTable, describe_range, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity, write_flight
 from cosim.campaign.folder import CASES, REFEREE, STUDY, is_campaign
@@ -20,7 +21,7 @@ from cosim.campaign.run import (
     run_campaign,
     run_sampler,
 )
-from cosim.campaign.store import Campaign, open_campaign
+from cosim.campaign.store import Campaign, open_campaign, read_referee
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.engine_draw import EngineDraw, default_draw, engine_draw
@@ -41,6 +42,7 @@ from cosim.campaign.workers.flight_row import (
     failed_row,
     fly_one,
     outcome_row,
+    worker_name,
 )
 from cosim.campaign.workers.protocol import Workers
 from cosim.campaign.workers.tasks import run_in_order

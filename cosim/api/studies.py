@@ -65,9 +65,10 @@ class SweepResult(Result):
 
     def lines(self) -> list[str]:
         """Return how often each controller succeeds, and each against the first."""
-        from cosim.campaign.analysis.summary import comparison_lines, success_lines
+        from cosim.campaign.analysis.summary import comparison_lines, success_lines, with_referee
 
-        return [line.strip() for line in (*success_lines(self._summary), *comparison_lines(self._summary))]
+        flown = with_referee(success_lines(self._summary), self.campaign.referee)
+        return [line.strip() for line in (*flown, *comparison_lines(self._summary))]
 
     def tables(self) -> list[Table]:
         """Return the metrics' medians."""

@@ -21,7 +21,7 @@ from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, case_of, flight_of, flights, scenario_of, stopping_rule
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
-from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, verdict_of, with_autopilot
+from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, outcome_row, verdict_of, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly_watched as fly
@@ -274,10 +274,11 @@ class RepeatedFlight:
     run: Run
     otherwise: list[str]
     comparable: bool  # False: nothing is recorded of the first time but why it failed
+    sameness: str = "the same, bit for bit"
 
     @property
     def same(self) -> bool:
-        """Whether the log is the same, bit for bit."""
+        """Whether the log is the same, bit for bit; of a flight on arrays, whether the verdict is."""
         return self.comparable and not self.otherwise
 
     @property
@@ -285,7 +286,7 @@ class RepeatedFlight:
         """Whether the flight is the same, in words."""
         if not self.comparable:
             return "the first time was not recorded to its end"
-        return "the same, bit for bit" if self.same else "not the same"
+        return self.sameness if self.same else "not the same"
 
 
 def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **options: Any) -> RepeatedFlight:
@@ -309,6 +310,10 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
         if str(error) == row["reason"]:
             raise FlightError(f"flight {number} cannot be flown, as the first time: {error}") from error
         raise
+    if row.get("by") == "batch":
+        now = outcome_row(campaign.study, run, "")
+        otherwise = [f"{name} is {now[name]} by JSBSim" for name in ("outcome", "success") if now[name] != row[name]]
+        return RepeatedFlight(number, run, otherwise, True, "the same verdict by JSBSim")
     if row["log_sha256"] is None:
         return RepeatedFlight(number, run, [f"{row['outcome']}, {row['reason']}"], False)
     differences = [] if log_digest(run.log) == row["log_sha256"] else list(_explain_differences(row, run))

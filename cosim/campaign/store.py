@@ -310,10 +310,15 @@ def open_campaign(folder: Path | str) -> Campaign:
         study = load(folder)
         plan = check_unedited(folder)
         of = 0 if plan else flight_count(study)
-        judged = folder / REFEREE
-        referee = parse_json(read_file(judged), str(judged)) if judged.is_file() else {}
+        referee = read_referee(folder)
         columns = _Columns(folder, stored_kinds(folder, study), of, referee.get("success", {}))
     return Campaign(folder, study, columns, of or len(columns["flight"]), plan, referee)
+
+
+def read_referee(folder: Path) -> Mapping[str, Any]:
+    """Return what JSBSim said of a folder's flights on arrays; nothing where it was not asked.  Raises InputError."""
+    path = folder / REFEREE
+    return parse_json(read_file(path), str(path)) if path.is_file() else {}
 
 
 class _Columns(Mapping[str, list[Value]]):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,18 @@ from cosim.results.summary import Setup, summarize
 from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_thrust_map
 from cosim.simulation.engines import load_engines
-from cosim.studies import Flight, Row, Study, Workers, failed_row, fly_one, outcome_row, scenario_of, with_values
+from cosim.studies import (
+    Flight,
+    Row,
+    Study,
+    Workers,
+    failed_row,
+    fly_one,
+    outcome_row,
+    scenario_of,
+    with_values,
+    worker_name,
+)
 from hexjet_batch.fly import BatchFlight, fly_batch
 from hexjet_batch.make import read_flight
 from hexjet_batch.referee import judge
@@ -68,13 +80,14 @@ class Chunk(Flight):
 
 
 class BatchWorkers:
-    """Flies a study's flights on arrays, in the processes of other workers; ``together``: flights of one chunk.
+    """Flies a study's flights on arrays, in the processes of other workers.
 
-    A chunk with which three processes were lost is flown by JSBSim, flight by flight.
+    ``together``: flights of one chunk, by default up to 1024 whose logs come to 0.8 GB.  A chunk with which three
+    processes were lost is flown by JSBSim, flight by flight.
     """
 
-    def __init__(self, workers: Workers, together: int = 256) -> None:
-        if together < 1:
+    def __init__(self, workers: Workers, together: int | None = None) -> None:
+        if together is not None and together < 1:
             raise InputError(f"together = {together}: at least 1 flight")
         self._workers, self._together = workers, together
 
@@ -82,7 +95,8 @@ class BatchWorkers:
         """See :class:`cosim.studies.Workers`."""
         under_way: dict[int, Chunk] = {}
         lost: list[Flight] = []
-        for row in self._workers.fly(study, self._chunks(iter(flights), under_way)):
+        together = self._together or min(1024, max(1, 2_560_000 // study.base().steps))
+        for row in self._workers.fly(study, _chunks(iter(flights), under_way, together)):
             chunk, rows = under_way.pop(int(row["flight"] or 0)), row.get("rows")
             if rows is None:
                 lost += chunk.flights
@@ -90,17 +104,6 @@ class BatchWorkers:
                 yield from rows  # type: ignore[misc]  # a chunk's
         for row in self._workers.fly(study.changed(batch=False), lost):
             yield row | {"by": JSBSIM}
-
-    def _chunks(self, flights: Iterator[Flight], under_way: dict[int, Chunk]) -> Iterator[Chunk]:
-        """Yield chunks of one controller each, which fly together best."""
-        waiting: dict[str, list[Flight]] = {}
-        for flight in flights:
-            group = waiting.setdefault(flight.controller, [])
-            group.append(flight)
-            if len(group) == self._together:
-                yield _chunk(waiting.pop(flight.controller), under_way)
-        for group in waiting.values():
-            yield _chunk(group, under_way)
 
     def close(self) -> None:
         """End every process."""
@@ -115,8 +118,19 @@ class BatchWorkers:
         self.close()
 
 
+def _chunks(flights: Iterator[Flight], under_way: dict[int, Chunk], together: int) -> Iterator[Chunk]:
+    """Yield chunks of one controller each, which fly together best, and note them by their numbers."""
+    waiting: dict[str, list[Flight]] = {}
+    for flight in flights:
+        group = waiting.setdefault(flight.controller, [])
+        group.append(flight)
+        if len(group) == together:
+            yield _chunk(waiting.pop(flight.controller), under_way)
+    for group in waiting.values():
+        yield _chunk(group, under_way)
+
+
 def _chunk(flights: Sequence[Flight], under_way: dict[int, Chunk]) -> Chunk:
-    """Return flights as a chunk, which is noted under its number."""
     first = flights[0]
     chunk = Chunk(first.number, first.draw, first.controller, first.seed, {}, tuple(flights))
     return under_way.setdefault(chunk.number, chunk)
@@ -127,35 +141,50 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
 
     What a batch does not cover or judge, such as a flight near the ground, is flown by JSBSim.
     """
+    begin = time.perf_counter()
     scenarios: dict[int, Scenario] = {}
     for place, flight in enumerate(flights):
-        try:
-            scenario = scenario_of(study, flight)
-            read_flight(scenario)
-        except InputError:  # JSBSim flies it, or says in its row why nothing does
-            continue
-        scenarios[place] = scenario
-    rows: dict[int, Row] = {}
-    places = list(scenarios)
-    begin = time.perf_counter()
-    stated = study.base().model_dump_json()
-    for flown in fly_batch(list(scenarios.values())):
-        place = places[flown.number]
-        if flown.ending is not None:
-            rows[place] = _row(study, stated, flights[place], scenarios[place], flown)
-    alone = study.changed(batch=False)
+        with suppress(InputError):  # JSBSim says in its row why nothing flies it
+            scenarios[place] = scenario_of(study, flight)
+    try:
+        rows = _fly(study, flights, scenarios)
+    except InputError:  # one of them is not covered, which is rare
+        rows = _fly(study, flights, {place: each for place, each in scenarios.items() if _is_covered(each)})
     seconds = (time.perf_counter() - begin) / max(len(rows), 1)
+    alone = study.changed(batch=False)
     return [
         rows[place] | {"wall_s": seconds} if place in rows else fly_one(alone, flight) | {"by": JSBSIM}
         for place, flight in enumerate(flights)
     ]
 
 
-def _row(study: Study, stated: str, flight: Flight, scenario: Scenario, flown: BatchFlight) -> Row:
-    """Return the row of a flight, with what is measured of it by the functions that measure every flight."""
+def _is_covered(scenario: Scenario) -> bool:
+    try:
+        read_flight(scenario)
+    except InputError:
+        return False
+    return True
+
+
+def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenario]) -> dict[int, Row]:
+    """Return the rows of the flights that a batch judges, by their places."""
+    places, stated = list(scenarios), study.base().model_dump_json()
+    blank = failed_row(study, flights[0], "")
+    rows: dict[int, Row] = {}
+    for flown in fly_batch(list(scenarios.values())):
+        place = places[flown.number]
+        if flown.ending is not None:
+            flight = flights[place]
+            own = {"flight": flight.number, "draw": flight.draw, "seed": flight.seed, **flight.values}
+            rows[place] = blank | own | _outcome(study, stated, flight.controller, scenarios[place], flown)
+    return rows
+
+
+def _outcome(study: Study, stated: str, controller: str, scenario: Scenario, flown: BatchFlight) -> Row:
+    """Return what a row says of a flight, measured by the functions that measure every flight."""
     assert flown.ending is not None
     vehicle = scenario.resolved_vehicle()[0]
-    key = (stated, flight.controller, scenario.aircraft, scenario.engine)
+    key = (stated, controller, scenario.aircraft, scenario.engine)
     setup = _setups.get(key, lambda: _setup(scenario)).model_copy(update={
         "seed": scenario.seed,
         "planned_s": scenario.duration_s,
@@ -163,9 +192,10 @@ def _row(study: Study, stated: str, flight: Flight, scenario: Scenario, flown: B
         "yardstick": make_limit_inputs(scenario, vehicle),
         "event_times_s": event_times(scenario) if scenario.require else {},
     })  # fmt: skip
-    summary = summarize(setup, flown.log, flown.ending.outcome, flown.ending.reason, None)
-    outcome = outcome_row(study, Run(summary, flown.log, None, scenario), "")
-    return failed_row(study, flight, "") | outcome | {"log_sha256": None, "by": BATCH}
+    log: Any = flown.log  # its columns are all that metrics read
+    summary = summarize(setup, log, flown.ending.outcome, flown.ending.reason, None)
+    outcome = outcome_row(study, Run(summary, log, None, scenario), "")
+    return outcome | {"controller": controller, "worker": worker_name(), "log_sha256": None, "by": BATCH}
 
 
 def _setup(scenario: Scenario) -> Setup:

@@ -85,7 +85,7 @@ def compare(campaign: Campaign, rows: Mapping[int, Row], again: Mapping[int, Row
     by_controller: dict[str, list[int]] = {}
     for number in rows:
         by_controller.setdefault(str(rows[number]["controller"]), []).append(number)
-    rates = {name: _rates([number for number in flown if number in random], rows, again)
+    widening = {name: rates([number for number in flown if number in random], rows, again)
              for name, flown in by_controller.items()}  # fmt: skip
     return {
         "flights": len(campaign),
@@ -98,7 +98,7 @@ def compare(campaign: Campaign, rows: Mapping[int, Row], again: Mapping[int, Row
             for number in otherwise
         ],
         "success": {str(number): bool(again[number]["success"]) for number in otherwise},
-        "rates": {short_name(name): rate for name, rate in rates.items()},
+        "rates": {short_name(name): rate for name, rate in widening.items()},
     }  # fmt: skip
 
 
@@ -117,7 +117,7 @@ def _compare_metric(name: str, rows: Mapping[int, Row], again: Mapping[int, Row]
     return Off(name, float(apart[worst]), kept[worst][0], half, most)
 
 
-def _rates(numbers: Sequence[int], rows: Mapping[int, Row], again: Mapping[int, Row]) -> list[float]:
+def rates(numbers: Sequence[int], rows: Mapping[int, Row], again: Mapping[int, Row]) -> list[float]:
     """Return at most how many of the other successes are none by JSBSim, and how many failures are some: shares."""
     ends = []
     for success in (True, False):

@@ -35,6 +35,7 @@ from cosim.campaign.analysis.summary import (
     rank_keys,
     ranked_result,
     success_fractions,
+    with_referee,
 )
 from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
 from cosim.campaign.analysis.worst_cases import CASE_COLUMNS, case_rows
@@ -130,7 +131,7 @@ def make_page(campaign: Campaign) -> Page:
         figures,
         verdict=count if confirmed else f"{judged[0]}; {count}",
         badge="completed" if finished and confirmed else "failed",
-        answer=[*judged, *answers, *claims],
+        answer=with_referee([*answers, *claims], campaign.referee),
         summary=[told],
         notes=warnings(campaign, table, stops=claim is not None),
         facts=head_rows(campaign, table),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -189,7 +189,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "planned": campaign.of,
         "finished": int(table.flight.size) == campaign.of if claim is None else claim.is_finished,
         "until": None if claim is None else claim.to_dict() | {"says": list(claim.lines())},
-        "referee": dict(campaign.referee) or None,
+        "referee": dict(campaign.referee),
         "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
@@ -271,10 +271,14 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
+def with_referee(lines: Iterable[str], referee: Mapping[str, Any]) -> list[str]:
+    """Return lines with those of JSBSim on flights on arrays: before all where it does not confirm them."""
+    says = referee.get("says", [])
+    return [*lines, *says] if referee.get("confirmed", True) else [*says, *lines]
+
+
 def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     """Return lines for a terminal: how often each controller succeeds, and how the other flights ended."""
-    judged = summary["referee"] or {"says": [], "confirmed": True}
-    yield from () if judged["confirmed"] else judged["says"]
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
     for line in (summary["until"] or {"says": []})["says"]:
@@ -283,7 +287,6 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
     if summary["not_flown"]:
         yield f"  {summary['not_flown']}"
-    yield from (f"  {line}" for line in judged["says"] if judged["confirmed"])
 
 
 def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

@@ -101,11 +101,11 @@ def fly_one(study: Study, flight: Flight) -> Row:
     except Exception as error:
         trouble = _machine_trouble(error)
         if trouble is not None:
-            raise FlightError(f"{_worker()}: {trouble.strerror}") from error
+            raise FlightError(f"{worker_name()}: {trouble.strerror}") from error
         expected = isinstance(error, (InputError, FlightError))
         reason = str(error) if expected else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
         outcome = {"reason": reason}
-    return failed_row(study, flight, "") | outcome | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
+    return failed_row(study, flight, "") | outcome | {"wall_s": time.perf_counter() - begin, "worker": worker_name()}
 
 
 def with_autopilot(
@@ -260,5 +260,6 @@ def _metrics() -> tuple[str, ...]:
 
 
 @cache
-def _worker() -> str:
+def worker_name() -> str:
+    """Return the machine and the process that a row names."""
     return f"{gethostname()}:{os.getpid()}"

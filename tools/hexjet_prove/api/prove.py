@@ -40,9 +40,11 @@ class ProofResult(Result):
 
     def lines(self) -> list[str]:
         """Return the sentence, what belongs to it, what is not covered, and the command that repeats it."""
+        from cosim.studies import with_referee
+
         proof = self.proof
         return [
-            proof.sentence,
+            *with_referee([proof.sentence], proof.referee),
             *(f"{about}: {text}" for about, text in proof.facts.items()),
             *(f"not covered: {text}" for text in proof.not_covered),
             WholeLine(f"again: {proof.repeat['command']}"),
@@ -70,6 +72,7 @@ def prove(
     aircraft: str | Path | None = None,
     engine: str | Path | None = None,
     nominal_engine: bool = False,
+    batch: bool = False,
     settings: Sequence[str] | Mapping[str, object] = (),
     seed: int | None = None,
     search: int = 500,
@@ -107,6 +110,8 @@ def prove(
         In place of the scenario's.
     nominal_engine : bool
         Fly the engine as it is stated, not drawn by its uncertainty.
+    batch : bool
+        Fly on arrays, many flights at once, and some of them again by JSBSim.
     settings : sequence of str or mapping
         Written over the scenario's.
     seed : int or None
@@ -157,18 +162,10 @@ def prove(
         raise InputError(f"{name}: already holds a proof; resume goes on with it")
     if is_begun:
         refuse_changes(
-            f"{name}: is a proof",
-            claim=claim,
-            budget=budget,
-            controllers=controllers,
-            success=success,
-            aircraft=aircraft,
-            engine=engine,
-            nominal_engine=nominal_engine,
-            settings=as_settings(settings),
-            seed=seed,
+            f"{name}: is a proof", claim=claim, budget=budget, controllers=controllers, success=success,
+            aircraft=aircraft, engine=engine, nominal_engine=nominal_engine, batch=batch, settings=as_settings(settings), seed=seed,
             out=out,
-        )
+        )  # fmt: skip
     if rare:
         check_flights(rare)
     request = Request(limit, search, rare, tuple(read_comparison(Path(path)) for path in replays))
@@ -178,15 +175,9 @@ def prove(
         if resume and out is None:
             raise InputError("resume: give the folder of the proof as its name")
         study = proof_study(
-            str(name),
-            claim,
-            budget,
-            settings=study_settings(settings, aircraft, engine, (), None),
-            controllers=controllers,
-            success=success,
-            seed=seed,
-            nominal_engine=nominal_engine,
-        )
+            str(name), claim, budget, settings=study_settings(settings, aircraft, engine, (), None),
+            controllers=controllers, success=success, seed=seed, nominal_engine=nominal_engine, batch=batch,
+        )  # fmt: skip
         folder = Path(out) if out is not None else new_folder(Path("runs"), f"proof-{study.name}")
     hears.begin(folder)
     with choose_workers(workers, cluster, time_limit_s) as flying:

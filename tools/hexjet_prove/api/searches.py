@@ -43,17 +43,19 @@ class SearchResult(Result):
 
     def lines(self) -> list[str]:
         """Return what was found, what was flown, what counts as broken, and the flights that show it."""
+        from cosim.studies import read_referee, with_referee
         from hexjet_prove.search.page import answers, describe_resolution, together_lines
         from hexjet_prove.search.worst_case import WorstSearch
 
         result = self.searched.result
         base = result.study.base()
         flown = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
+        judged = read_referee(self.searched.folder)
         if isinstance(result, WorstSearch):
-            return [*result.lines(), flown, *result.notes, *self.searched.lines()]
+            return [*with_referee(result.lines(), judged), flown, *result.notes, *self.searched.lines()]
         notes = [result.engine_note] if result.engine_note else []
         return [
-            *answers(result),
+            *with_referee(answers(result), judged),
             flown,
             result.criterion,
             *notes,
@@ -99,11 +101,13 @@ class RareResult(Result):
 
     def lines(self) -> list[str]:
         """Return the probability, how it was made, what decides, and the most likely failures."""
+        from cosim.studies import read_referee, with_referee
         from hexjet_prove.rare.page import LIMITS, describe_deciders, describe_result
 
         result = self.simulated.result
         deciders = [describe_deciders(result)] if result.deciders else []
-        return [*describe_result(result), *deciders, *self.simulated.lines(), LIMITS]
+        judged = with_referee(describe_result(result), read_referee(self.simulated.folder))
+        return [*judged, *deciders, *self.simulated.lines(), LIMITS]
 
     def tables(self) -> list[Table]:
         """Return where the failures lie in what is drawn."""
@@ -132,6 +136,7 @@ def search(
     aircraft: str | Path | None = None,
     engine: str | Path | None = None,
     nominal_engine: bool = False,
+    batch: bool = False,
     settings: Sequence[str] | Mapping[str, object] = (),
     metrics: Sequence[str] = (),
     wind: str | None = None,
@@ -179,6 +184,8 @@ def search(
         In place of the scenario's.
     nominal_engine : bool
         Fly the engine as it is stated, not drawn by its uncertainty.
+    batch : bool
+        Fly on arrays, many flights at once, and some of them again by JSBSim.
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
@@ -223,6 +230,7 @@ def search(
         "controllers": controllers,
         "success": success,
         "nominal_engine": nominal_engine,
+        "batch": batch,
     }
     sought: dict[str, Any] = {"seeds": seeds, "seed": seed}
     fleet = (workers, cluster, time_limit_s)
@@ -291,6 +299,7 @@ def rare(
     aircraft: str | Path | None = None,
     engine: str | Path | None = None,
     nominal_engine: bool = False,
+    batch: bool = False,
     settings: Sequence[str] | Mapping[str, object] = (),
     metrics: Sequence[str] = (),
     wind: str | None = None,
@@ -328,6 +337,8 @@ def rare(
         In place of the scenario's.
     nominal_engine : bool
         Fly the engine as it is stated, not drawn by its uncertainty.
+    batch : bool
+        Fly on arrays, many flights at once, and some of them again by JSBSim.
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
@@ -364,18 +375,10 @@ def rare(
     from hexjet_prove.rare.folder import resolve_rare, run_rare
 
     study, plan = resolve_rare(
-        str(name),
-        target=target,
-        budget=budget,
-        same_seed=same_seed,
-        settings=study_settings(settings, aircraft, engine, metrics, wind),
-        vary=as_texts(vary),
-        controllers=controllers,
-        correlate=correlate,
-        success=success,
-        seed=seed,
-        nominal_engine=nominal_engine,
-    )
+        str(name), target=target, budget=budget, same_seed=same_seed, vary=as_texts(vary), controllers=controllers,
+        settings=study_settings(settings, aircraft, engine, metrics, wind), correlate=correlate, success=success,
+        seed=seed, nominal_engine=nominal_engine, batch=batch,
+    )  # fmt: skip
     fleet = (workers, cluster, time_limit_s)
     with _searching(out, resume, f"rare-{study.name}", "simulation", fleet, progress) as (folder, tell, flying):
         return RareResult(run_rare(study, plan, folder, flying, resume, tell))

@@ -163,7 +163,7 @@ def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> str:
     if not evidence.replayed:
         return f"{kept}; none was flown again"
     flown = f"{evidence.replayed_same} of {evidence.replayed}"
-    return f"{kept}; {flown} flights came out the same, bit for bit, when they were flown again"
+    return f"{kept}; {flown} flights came out the same when they were flown again"
 
 
 def _review(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:

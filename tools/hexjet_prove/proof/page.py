@@ -8,6 +8,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from cosim.pages import Card, Page, code, link, marked, sentence
+from cosim.studies import referee_cards, with_referee
 from hexjet_prove.proof.credibility import CAPABILITY, RESULTS
 from hexjet_prove.proof.result import Proof, WorstFlight
 
@@ -54,6 +55,7 @@ def write_page(proof: Proof, path: Path) -> None:
         Card("How it is shown", text=campaign, lines=[*shown, *rare]),
         Card("The worst flights, flown again", ("flight", "why", "ended", "margin", "drawn", "again"),
              [_worst_row(one) for one in proof.worst], MARGIN, lines=list(_searched(proof))),
+        *referee_cards(proof.referee),
         _limits_card(proof),
         Card("What is not known, and where that is from", ("key", "drawn from", "nominal", "flown", "unit"), drawn,
              lines=[f"The probability is over {proof.over}."]),
@@ -68,7 +70,7 @@ def write_page(proof: Proof, path: Path) -> None:
         cards,
         verdict=f"{proof.claim.text}: {WORDS[proof.decision]}",
         badge=BADGES[proof.decision],
-        answer=[proof.sentence],
+        answer=with_referee([proof.sentence], proof.referee),
         evidence=[f"{about[:1].upper()}{about[1:]}: {text}" for about, text in proof.facts.items()],
         facts=[(name, str(study[name])) for name in ("scenario", "aircraft", "engine", "controller", "seed")],
     )
@@ -87,7 +89,7 @@ def _searched(proof: Proof) -> Iterator[Markup]:
 
 def _worst_row(one: WorstFlight) -> tuple[str, ...]:
     values = ", ".join(f"{key} {v:.4g}" if isinstance(v, float) else f"{key} {v}" for key, v in one.values.items())
-    again = "the same, bit for bit" if one.is_same else marked("not the same", "unmet")
+    again = one.again if one.is_same else marked("not the same", "unmet")
     flight = link(str(one.flight), f"{one.run}/report.html" if one.run else "")
     return flight, one.why, f"{one.outcome}, {one.reason}", f"{one.margin:.3g}", values, again
 

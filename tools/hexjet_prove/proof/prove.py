@@ -171,6 +171,7 @@ def _conclude(
         ),
         credibility=list_evidence(evidence),
         repeat=_repeat(out, campaign, request),
+        referee=campaign.referee,
     )  # fmt: skip
 
 
@@ -189,12 +190,13 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
         say(f"flight {number} again")
         run = f"{WORST}/flight-{number:06d}"
         try:
-            is_same = fly_again(campaign, number, out / run).same
+            again = fly_again(campaign, number, out / run)
+            is_same, same = again.same, again.sameness
         except (FlightError, InputError):  # as the first time, which is how it failed
-            run, is_same = "", row["outcome"] == "failed"
+            run, is_same, same = "", row["outcome"] == "failed", "failed again"
         values = {name: row[name] for name in campaign.study.drawn}
         reason = str(row["reason"])
-        yield WorstFlight(number, why, str(row["outcome"]), reason, float(margins[index]), values, run, is_same)
+        yield WorstFlight(number, why, str(row["outcome"]), reason, float(margins[index]), values, run, is_same, same)
 
 
 def _evidence(
@@ -252,6 +254,6 @@ def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
         digest.update(f"{row}\n".encode())
     file = shlex.quote((out / CAMPAIGN / STUDY).as_posix())
     beside = f" --search {request.search}{f' --rare {request.rare}' if request.rare else ''}"
-    beside += "" if request.limit else " --no-limit"
+    beside += ("" if request.limit else " --no-limit") + (" --batch" if study.batch else "")
     command = f"hexjet prove {file} --claim {study.until} --budget {study.draws}{beside} --out AGAIN"
     return {"command": command, "rows_sha256": digest.hexdigest(), "versions": versions()}

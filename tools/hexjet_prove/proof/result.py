@@ -39,7 +39,8 @@ class WorstFlight:
     margin: float  # of the row: below 0 where it failed
     values: Mapping[str, Any]  # of the drawn keys
     run: str  # its folder, as seen from the proof's; empty where it could not be flown
-    is_same: bool  # as it was in the campaign, bit for bit
+    is_same: bool  # as it was in the campaign: bit for bit, or in its verdict where it was flown on arrays
+    again: str  # in words
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Proof:
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions
+    referee: Mapping[str, Any]  # what JSBSim said of flights on arrays; empty where it flew them all
 
     @property
     def verdict(self) -> Verdict | None:
@@ -171,6 +173,7 @@ class Proof:
             "not_covered": list(self.not_covered),
             "credibility": [factor._asdict() for factor in self.credibility],
             "repeat": dict(self.repeat),
+            "referee": dict(self.referee),
         }
 
     def requirement_rows(self) -> Iterator[tuple[str, str, str, str]]:

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.pages import GREEN, GREY, RED, Card, Page, closest, dotted, link, marked, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
-from cosim.studies import Value
+from cosim.studies import Value, read_referee, referee_cards, with_referee
 from hexjet_prove.search.question import Answered, case_rows
 from hexjet_prove.search.search import Edge, SearchResult
 from hexjet_prove.search.span import Span
@@ -42,12 +42,13 @@ def write_page(searched: Answered[SearchResult], path: Path) -> None:
         Card("Each key alone" if several else "Where it breaks", *table(result), " ".join(fine)),
         cases_card("The flights that show it", searched, path),
     ]  # fmt: skip
+    judged = read_referee(path.parent)
     page = Page(
         "the smallest change that breaks",
         base.name if list_changes(base, flown_parameters(base)) else base.title or base.name,
-        cards,
+        [*cards, *referee_cards(judged)],
         drawn,
-        answer=answers(result),
+        answer=with_referee(answers(result), judged),
         summary=criterion,
         facts=list_facts(base, result.flights, facts),
         are_figures_linked=False,
@@ -76,7 +77,7 @@ def cases_card(
     for each in listed:
         case = each["case"]
         values = ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())
-        same = marked("bit for bit", "met") if case.same else marked("no", "unmet")
+        same = marked(case.again, "met") if case.same else marked("no", "unmet")
         rows.append((link(case.name, each["report"]), *cells(case), values, str(case.seed), case.reason, same))
     commands = [f"hexjet fly {each['command']}" for each in listed if each["report"]]
     titles = ("case", *columns, "values", "seed", "ending", "as in the search")

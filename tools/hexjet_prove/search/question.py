@@ -48,7 +48,8 @@ class Case:
     seed: int
     outcome: str
     reason: str  # in words
-    same: bool  # whether it is as it was before, bit for bit
+    same: bool  # whether it is as it was before: bit for bit, or in its verdict where it was flown on arrays
+    again: str  # what is the same
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Answered(Generic[A]):
         for each in case_rows(self, self.folder / REPORT):
             case = each["case"]
             distance = "" if case.distance is None else f", {case.distance:.2f} standard deviations out"
-            again = "the same bit for bit" if case.same else "NOT the same"
+            again = case.again if case.same else "NOT the same"
             line = f"{case.name}: flight {case.flight}{distance}; {case.reason}; flown again {again}"
             lines.append(WholeLine(f"{line}: hexjet fly {each['command']}") if each["report"] else line)
         return lines
@@ -95,7 +96,7 @@ def fly_cases(campaign: Campaign, chosen: Iterable[tuple[str, int, bool, float |
 def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance: float | None) -> Case:
     row, study = campaign.row(number), campaign.study
     values = {key: row[key] for key in study.drawn if row[key] is not None}
-    outcome, reason, same = "failed", str(row["reason"]), True
+    outcome, reason, same, what = "failed", str(row["reason"]), True, ""
     try:
         again = fly_again(campaign, number, campaign.folder / CASES / name)
     except FlightError:  # it could not be flown the first time either, which is how it failed
@@ -103,10 +104,10 @@ def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance
     except InputError as error:
         reason, same = str(error), False
     else:
-        outcome, same = again.run.outcome, again.same
+        outcome, same, what = again.run.outcome, again.same, again.sameness
         reason = describe_flight(study, row) if same else f"{outcome}, {again.run.summary.reason}"
     seed = int(row["seed"] or 0)
-    return Case(name, number, str(row["controller"]), breaks, distance, values, seed, outcome, reason, same)
+    return Case(name, number, str(row["controller"]), breaks, distance, values, seed, outcome, reason, same, what)
 
 
 def case_rows(answered: Answered[Any], page: Path) -> Iterator[dict[str, Any]]:
