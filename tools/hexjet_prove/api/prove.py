@@ -163,8 +163,8 @@ def prove(
     if is_begun:
         refuse_changes(
             f"{name}: is a proof", claim=claim, budget=budget, controllers=controllers, success=success,
-            aircraft=aircraft, engine=engine, nominal_engine=nominal_engine, batch=batch, settings=as_settings(settings), seed=seed,
-            out=out,
+            aircraft=aircraft, engine=engine, nominal_engine=nominal_engine, batch=batch,
+            settings=as_settings(settings), seed=seed, out=out,
         )  # fmt: skip
     if rare:
         check_flights(rare)
