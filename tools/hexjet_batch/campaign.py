@@ -20,8 +20,6 @@ from cosim.results.run import Run
 from cosim.results.setup import make_setup
 from cosim.results.summary import Setup, summarize
 from cosim.simulation.build import build
-from cosim.simulation.controllers.models import make_thrust_map
-from cosim.simulation.engines import load_engines
 from cosim.studies import (
     Flight,
     Row,
@@ -51,13 +49,9 @@ _setups: RecentCache[Setup] = RecentCache(16)
 
 def check(study: Study) -> None:
     """Raise InputError, before the first flight, for a study that a batch does not cover."""
-    where = f"study {study.name}"
-    base = study.base()
-    own = {"autopilot": study.autopilot, "metrics": base.metrics, "observers": base.observers, "wind": base.wind,
-           "sensors": base.sensor_plugin}  # fmt: skip
-    for name, value in own.items():
-        if value:
-            raise InputError(f"{where}: {name} of your own are not flown in a batch; fly it without --batch")
+    where, base = f"study {study.name}", study.base()
+    if study.autopilot is not None:
+        raise InputError(f"{where}: an autopilot is not flown in a batch; fly it without --batch")
     recorded = columns(logged_vehicle(base.resolved_vehicle()[0]))
     for name in columns_of(base, metric_names()):
         if name not in recorded:
@@ -188,7 +182,10 @@ def _outcome(study: Study, stated: str, controller: str, scenario: Scenario, flo
     setup = _setups.get(key, lambda: _setup(scenario)).model_copy(update={
         "seed": scenario.seed,
         "planned_s": scenario.duration_s,
-        "reach": _reach(scenario),
+        "reach": Reach(
+            throttle=tuple(zip(*flown.numbers.reach, strict=True)),
+            tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
+        ),
         "yardstick": make_limit_inputs(scenario, vehicle),
         "event_times_s": event_times(scenario) if scenario.require else {},
     })  # fmt: skip
@@ -202,14 +199,3 @@ def _setup(scenario: Scenario) -> Setup:
     """Return what is known of a flight beforehand, most of which those of one study share."""
     with build(scenario, with_ledger=False) as simulation:
         return make_setup(simulation, resolve(simulation)[0], notes=False)
-
-
-def _reach(scenario: Scenario) -> Reach:
-    """Return how far the actuators can be told to go, as of a flight by JSBSim."""
-    vehicle = scenario.resolved_vehicle()[0]
-    engine, *stations = load_engines(scenario, vehicle)
-    limits, jets = vehicle.control.allocation, len(vehicle.jets)
-    thrust = make_thrust_map(vehicle, engine, stations)[0]
-    least, most = (thrust.throttle((share,) * jets) for share in (limits.throttle_min, limits.throttle_max))
-    servo = vehicle.servo
-    return Reach(throttle=tuple(zip(least, most, strict=True)), tilt_rad=servo.range_rad if servo else None)

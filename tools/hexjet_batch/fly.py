@@ -29,12 +29,13 @@ from hexjet_batch.stages.step import start, step
 
 
 class BatchFlight(NamedTuple):
-    """A flight of a batch: its number in what was asked for, how it ended and its log.
+    """A flight of a batch: its number in what was asked for, its numbers, how it ended and its log.
 
     ``ending`` is None where it is not to be judged here, for the ``reason``: it is to be flown by JSBSim.
     """
 
     number: int
+    numbers: Numbers
     ending: Ending | None
     log: FlightLog
     reason: str = ""
@@ -85,7 +86,7 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
             log.add(k, command, inputs, outputs)
             altitude = state.start[1] - (state.motion.position[2] - state.start[0])
             burns = ~np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
-            goes_on = _is_within(limits, state.motion) & (altitude > lowest) & burns
+            goes_on = is_within(limits, state.motion) & (altitude > lowest) & burns
             for i in np.flatnonzero(flies & ~goes_on).tolist():
                 flies[i] = False
                 if not burns[i % burns.size] or altitude[i] <= lowest[i]:
@@ -95,12 +96,12 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
             if not flies.any():
                 break
     log.finish(k + 1)
-    for i, number in enumerate(numbers_asked):
+    for i, (number, own) in enumerate(zip(numbers_asked, flights, strict=True)):
         end, ending, said = endings.get(i, (rows, Ending("completed", f"flew {rows} steps"), None))
         if ending is None:
-            yield BatchFlight(number, None, log.of(i, end), said)
+            yield BatchFlight(number, own, None, log.of(i, end), said)
         else:
-            yield BatchFlight(number, ending, log.of(i, end, said))
+            yield BatchFlight(number, own, ending, log.of(i, end, said))
 
 
 def make_noise(n: Numbers, scenarios: Sequence[Scenario]) -> Noise | None:
@@ -110,7 +111,7 @@ def make_noise(n: Numbers, scenarios: Sequence[Scenario]) -> Noise | None:
     return Noise([scenario.seed for scenario in scenarios], not is_absent(n.sensors.attitude.ahrs_time_constant_s))
 
 
-def _is_within(limits: Limits, motion: Motion) -> Flags:
+def is_within(limits: Limits, motion: Motion) -> Flags:
     """Return which flights neither lean nor turn beyond the limits, nor are lost: comparisons with NaN are false."""
     _, x, y, _ = motion.attitude
     most = np.maximum(np.maximum(abs(motion.rate[0]), abs(motion.rate[1])), abs(motion.rate[2]))

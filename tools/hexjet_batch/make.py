@@ -142,6 +142,10 @@ def read_flight(scenario: Scenario) -> Numbers:
         ),
         engine=flying,
         needs_air=needs_air,
+        reach=tuple(
+            thrust_map.throttle((share,) * len(vehicle.jets))
+            for share in (control.allocation.throttle_min, control.allocation.throttle_max)
+        ),
         servo=tables.servo,
         airflow=tables.airflow,
         flown=_body(scenario, flown),

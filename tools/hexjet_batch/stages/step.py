@@ -81,7 +81,7 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
     xp, zero, fuel = n.xp, 0.0 * motion.position[0], n.flown.fuel
     burnt = zero if fuel is None else (1.0 - fuel.share) * fuel.mass_kg + zero
     hover = ((n.height.mass_kg - burnt) * GRAVITY / n.height.jets - n.height.low) / n.height.span
-    throttle = _throttle(n, xp.stack([hover + zero] * (max(n.jets.channels) + 1)))
+    throttle = to_throttle(n, xp.stack([hover + zero] * (max(n.jets.channels) + 1)))
     gains = None
     if n.schedule is not None:
         level = xp.clip(hover + zero, n.schedule.low, n.schedule.high)
@@ -103,7 +103,7 @@ def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
     xp, fuel = n.xp, n.flown.fuel
     rates, torque, collective, given, s = _control(n, s, u)
     share, tilt_command, unallocated = given
-    throttle = _throttle(n, share)
+    throttle = to_throttle(n, share)
 
     engines, report = n.engine.kind.step(n.engine, s.engines, u.k, _to_engines(n, throttle), _air(n, s, u.wind))
     tilt, burnt = _turn_servos(n, s.tilt, tilt_command), s.burnt
@@ -171,7 +171,7 @@ def _altitude(s: State, motion: Motion) -> Any:
     return height - (motion.position[2] - begin)
 
 
-def _throttle(n: Numbers, share: Any) -> Any:
+def to_throttle(n: Numbers, share: Any) -> Any:
     """Return the throttle of each channel: the engine's static curve inverted, linear between its points."""
     xp, curve = n.xp, n.thrust
     if curve.throttles is None:
