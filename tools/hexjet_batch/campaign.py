@@ -51,11 +51,11 @@ def check(study: Study) -> None:
     """Raise InputError, before the first flight, for a study that a batch does not cover."""
     where, base = f"study {study.name}", study.base()
     if study.autopilot is not None:
-        raise InputError(f"{where}: an autopilot is not flown in a batch; fly it without --batch")
+        raise InputError(f"{where}: an autopilot is not flown in a batch; fly it without batch")
     recorded = columns(logged_vehicle(base.resolved_vehicle()[0]))
     for name in columns_of(base, metric_names()):
         if name not in recorded:
-            raise InputError(f"{where}: a batch does not record {name}, which it requires; fly it without --batch")
+            raise InputError(f"{where}: a batch does not record {name}, which it requires; fly it without batch")
     for controller in study.tried:
         read_flight(with_values(base, {"controller": controller}))
 
