@@ -67,7 +67,7 @@ class SweepResult(Result):
         """Return how often each controller succeeds, and each against the first."""
         from cosim.campaign.analysis.summary import comparison_lines, success_lines, with_referee
 
-        flown = with_referee(success_lines(self._summary), self.campaign.referee)
+        flown = with_referee(success_lines(self._summary), self.campaign.folder)
         return [line.strip() for line in (*flown, *comparison_lines(self._summary))]
 
     def tables(self) -> list[Table]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from pathlib import Path
 
 from markupsafe import Markup
 
@@ -18,6 +18,7 @@ from cosim.campaign.analysis.summary import (
     find_spread,
 )
 from cosim.campaign.analysis.table import KINDS, FlightTable
+from cosim.campaign.store import read_referee
 from cosim.results.report.cards import Card, code
 
 NONE = "–"
@@ -176,8 +177,9 @@ def ranking_cards(
         yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
 
 
-def referee_cards(referee: Mapping[str, Any]) -> Iterator[Card]:
+def referee_cards(folder: Path) -> Iterator[Card]:
     """Yield what JSBSim says of flights on arrays: how far the metrics are off, and the verdicts that differ."""
+    referee = read_referee(folder)
     if referee:
         columns = ("metric", "largest", "unit", "flight", "half within [%]", "nine of ten within [%]", "")
         yield Card("Flown again by JSBSim", columns, referee["metrics"], " ".join(referee["says"]),

@@ -44,7 +44,7 @@ class ProofResult(Result):
 
         proof = self.proof
         return [
-            *with_referee([proof.sentence], proof.referee),
+            *with_referee([proof.sentence], proof.folder / "campaign"),
             *(f"{about}: {text}" for about, text in proof.facts.items()),
             *(f"not covered: {text}" for text in proof.not_covered),
             WholeLine(f"again: {proof.repeat['command']}"),

@@ -43,19 +43,18 @@ class SearchResult(Result):
 
     def lines(self) -> list[str]:
         """Return what was found, what was flown, what counts as broken, and the flights that show it."""
-        from cosim.studies import read_referee, with_referee
+        from cosim.studies import with_referee
         from hexjet_prove.search.page import answers, describe_resolution, together_lines
         from hexjet_prove.search.worst_case import WorstSearch
 
         result = self.searched.result
         base = result.study.base()
         flown = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
-        judged = read_referee(self.searched.folder)
         if isinstance(result, WorstSearch):
-            return [*with_referee(result.lines(), judged), flown, *result.notes, *self.searched.lines()]
+            return [*with_referee(result.lines(), self.searched.folder), flown, *result.notes, *self.searched.lines()]
         notes = [result.engine_note] if result.engine_note else []
         return [
-            *with_referee(answers(result), judged),
+            *with_referee(answers(result), self.searched.folder),
             flown,
             result.criterion,
             *notes,
@@ -101,12 +100,12 @@ class RareResult(Result):
 
     def lines(self) -> list[str]:
         """Return the probability, how it was made, what decides, and the most likely failures."""
-        from cosim.studies import read_referee, with_referee
+        from cosim.studies import with_referee
         from hexjet_prove.rare.page import LIMITS, describe_deciders, describe_result
 
         result = self.simulated.result
         deciders = [describe_deciders(result)] if result.deciders else []
-        judged = with_referee(describe_result(result), read_referee(self.simulated.folder))
+        judged = with_referee(describe_result(result), self.simulated.folder)
         return [*judged, *deciders, *self.simulated.lines(), LIMITS]
 
     def tables(self) -> list[Table]:

@@ -44,10 +44,10 @@ def find_design(path: Path) -> Path | None:
 def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     """Return the study of the design in a controller file, with its claim and so many draws at most.
 
-    ``options``: ``settings``, ``success``, ``seed`` and ``nominal_engine``, as of a study; ``success`` stands beside
+    ``options``: ``settings``, ``success``, ``seed``, ``nominal_engine`` and ``batch``, as of a study; ``success`` stands beside
     what the design promises.  Raises InputError, for any other too.
     """
-    known = ("settings", "success", "seed", "nominal_engine")
+    known = ("settings", "success", "seed", "nominal_engine", "batch")
     refused = next((k for k, v in options.items() if v and k not in known), None)
     if refused is not None:
         raise InputError(
@@ -78,6 +78,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
         until=claim,
         seed=options.get("seed"),
         nominal_engine=nominal,
+        batch=bool(options.get("batch")),
     )
     named = f"{aircraft_name(aircraft)}-{made.engine}-designed"
     return study.changed(name=named, title=f"{file.name}: the design for {made.aircraft} with engine {made.engine}")

@@ -171,7 +171,6 @@ def _conclude(
         ),
         credibility=list_evidence(evidence),
         repeat=_repeat(out, campaign, request),
-        referee=campaign.referee,
     )  # fmt: skip
 
 

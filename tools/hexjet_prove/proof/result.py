@@ -71,7 +71,6 @@ class Proof:
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions
-    referee: Mapping[str, Any]  # what JSBSim said of flights on arrays; empty where it flew them all
 
     @property
     def verdict(self) -> Verdict | None:
@@ -173,7 +172,6 @@ class Proof:
             "not_covered": list(self.not_covered),
             "credibility": [factor._asdict() for factor in self.credibility],
             "repeat": dict(self.repeat),
-            "referee": dict(self.referee),
         }
 
     def requirement_rows(self) -> Iterator[tuple[str, str, str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.pages import GREY, RED, Card, Page, closest, dotted, run_colour, sentence
 from cosim.spec.controller_name import short_name
-from cosim.studies import read_referee, referee_cards, with_referee
+from cosim.studies import referee_cards, with_referee
 from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.rare.simulation import RareResult, describe_plan
 from hexjet_prove.rare.subset import Repeat
@@ -46,13 +46,12 @@ def write_page(saved: Answered[RareResult], path: Path) -> None:
         cases_card("The most likely failures that were met", saved, path, ("flight", "standard deviations"),
                    lambda case: (str(case.flight), f"{case.distance:.2f}")),
     ]  # fmt: skip
-    judged = read_referee(path.parent)
     page = Page(
         "rare failures",
         result.study.name,
-        [*cards, *referee_cards(judged)],
+        [*cards, *referee_cards(path.parent)],
         {"levels": _levels(result)},
-        answer=with_referee([sentence(result.sentence)], judged),
+        answer=with_referee([sentence(result.sentence)], path.parent),
         problems=[sentence(line) for line in (result.contradiction, result.seed_note) if line],
         summary=[sentence(line) for line in notes if line],
         facts=list_facts(

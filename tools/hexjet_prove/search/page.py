@@ -10,7 +10,7 @@ from typing import Any
 from cosim.pages import GREEN, GREY, RED, Card, Page, closest, dotted, link, marked, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
-from cosim.studies import Value, read_referee, referee_cards, with_referee
+from cosim.studies import Value, referee_cards, with_referee
 from hexjet_prove.search.question import Answered, case_rows
 from hexjet_prove.search.search import Edge, SearchResult
 from hexjet_prove.search.span import Span
@@ -42,13 +42,12 @@ def write_page(searched: Answered[SearchResult], path: Path) -> None:
         Card("Each key alone" if several else "Where it breaks", *table(result), " ".join(fine)),
         cases_card("The flights that show it", searched, path),
     ]  # fmt: skip
-    judged = read_referee(path.parent)
     page = Page(
         "the smallest change that breaks",
         base.name if list_changes(base, flown_parameters(base)) else base.title or base.name,
-        [*cards, *referee_cards(judged)],
+        [*cards, *referee_cards(path.parent)],
         drawn,
-        answer=with_referee(answers(result), judged),
+        answer=with_referee(answers(result), path.parent),
         summary=criterion,
         facts=list_facts(base, result.flights, facts),
         are_figures_linked=False,

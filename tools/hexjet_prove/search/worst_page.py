@@ -7,7 +7,7 @@ from typing import Any
 
 from cosim.pages import Card, Page, bars, closest, run_colour, sentence
 from cosim.spec.controller_name import short_name
-from cosim.studies import read_referee, referee_cards, with_referee
+from cosim.studies import referee_cards, with_referee
 from hexjet_prove.search.page import ROW_PX, cases_card, list_facts, text
 from hexjet_prove.search.question import Answered
 from hexjet_prove.search.worst_case import WorstCase, WorstSearch, important
@@ -45,17 +45,16 @@ def write_page(saved: Answered[WorstSearch], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base, kind = result.study.base(), "most likely failure" if result.plan.likely else "worst case"
-    judged = read_referee(path.parent)
     page = Page(
         f"the {kind}",
         result.study.title or base.title or base.name,
         [
             Card("Which keys matter", titles(result), rows(result), MEANT, "places"),
             cases_card("The flight", saved, path),
-            *referee_cards(judged),
+            *referee_cards(path.parent),
         ],
         {"places": _places(result)},
-        answer=with_referee([f"{line}." for line in result.lines()], judged),
+        answer=with_referee([f"{line}." for line in result.lines()], path.parent),
         summary=[sentence(note) for note in result.notes],
         facts=list_facts(base, result.flights, [("searched in", result.plan.where)]),
     )
