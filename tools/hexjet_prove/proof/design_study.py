@@ -44,8 +44,8 @@ def find_design(path: Path) -> Path | None:
 def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     """Return the study of the design in a controller file, with its claim and so many draws at most.
 
-    ``options``: ``settings``, ``success``, ``seed``, ``nominal_engine`` and ``batch``, as of a study; ``success`` stands beside
-    what the design promises.  Raises InputError, for any other too.
+    ``options``: ``settings``, ``success``, ``seed``, ``nominal_engine`` and ``batch``, as of a study; ``success``
+    stands beside what the design promises.  Raises InputError, for any other too.
     """
     known = ("settings", "success", "seed", "nominal_engine", "batch")
     refused = next((k for k, v in options.items() if v and k not in known), None)
