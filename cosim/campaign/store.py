@@ -280,7 +280,7 @@ class Campaign:
     columns: Mapping[str, list[Value]]
     of: int
     plan: Mapping[str, Any] = field(default_factory=dict)
-    referee: Mapping[str, Any] = field(default_factory=dict)  # what JSBSim said of flights on arrays, if any were flown
+    referee: Mapping[str, Any] = field(default_factory=dict)  # see ``read_referee``
 
     def __len__(self) -> int:
         return len(self.columns["flight"])
@@ -325,7 +325,7 @@ class _Columns(Mapping[str, list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
     def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
-        self._names, self._success = tuple(columns), success  # of flights that count otherwise than their rows say
+        self._names, self._success = tuple(columns), success  # the second by the referee
         # the journal first: what leaves it meanwhile is in a part by then
         journal_rows = {_flight_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]

@@ -138,11 +138,11 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
     begin = time.perf_counter()
     scenarios: dict[int, Scenario] = {}
     for place, flight in enumerate(flights):
-        with suppress(InputError):  # JSBSim says in its row why nothing flies it
+        with suppress(InputError):  # JSBSim says why nothing flies it
             scenarios[place] = scenario_of(study, flight)
     try:
         rows = _fly(study, flights, scenarios)
-    except InputError:  # one of them is not covered, which is rare
+    except InputError:  # one is not covered, which is rare
         rows = _fly(study, flights, {place: each for place, each in scenarios.items() if _is_covered(each)})
     seconds = (time.perf_counter() - begin) / max(len(rows), 1)
     alone = study.changed(batch=False)

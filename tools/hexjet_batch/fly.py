@@ -76,7 +76,7 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
     lowest = 0.5 + np.array([max(hypot(*contact.position_m) for contact in v.contacts) for v in vehicles])
     flies = np.ones(len(group), dtype=np.bool_)
     endings: dict[int, tuple[int, Ending | None, Any]] = {}
-    with np.errstate(all="ignore"):  # a flight that is lost goes on to infinity unseen
+    with np.errstate(all="ignore"):  # lost flights go on to infinity
         state = start(n, start_motion(scenarios, heights), np.array(heights), script.at(0)[1])
         for k in range(rows):
             command, inputs = script.at(k)

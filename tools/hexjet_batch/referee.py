@@ -30,7 +30,7 @@ class Off(NamedTuple):
     name: str
     largest: float  # SI
     flight: int  # the flight of the largest
-    half: float  # half of the flights are within this share of the metric's size
+    half: float  # half of them are within this share
     most: float  # nine of ten are
 
     @property
@@ -47,7 +47,7 @@ def judge(folder: Path, workers: Workers, nearest: int = 10, share: float = 0.01
     campaign = open_campaign(folder)
     if campaign.referee.get("flights") == len(campaign):
         return
-    (folder / REFEREE).unlink(missing_ok=True)  # of fewer flights: the rows count as they are until all are judged
+    (folder / REFEREE).unlink(missing_ok=True)  # of fewer flights
     campaign = open_campaign(folder)
     chosen, random = choose(campaign, nearest, share)
     rows = {number: campaign.row(number) for number in chosen}

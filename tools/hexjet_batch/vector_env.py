@@ -24,7 +24,7 @@ from hexjet_batch.script import Script
 from hexjet_batch.stages.rotations import from_euler
 from hexjet_batch.stages.sensors import Noise
 from hexjet_batch.stages.step import start, step, to_throttle
-from hexjet_gym import ANGLE, HEIGHT, HexJetEnv, Vary  # its message without gymnasium comes first
+from hexjet_gym import ANGLE, HEIGHT, HexJetEnv, Vary
 
 
 class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type: ignore[misc]  # as in hexjet_gym
@@ -122,7 +122,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
             raise InputError(f"actions: must be finite numbers of shape {self.action_space.shape}")
         values = (np.clip(numbers, self.action_space.low, self.action_space.high) * self._scale).T
         total = np.zeros(self.num_envs)
-        with np.errstate(all="ignore"):  # a flight that is lost goes on to infinity unseen
+        with np.errstate(all="ignore"):  # lost flights go on to infinity
             for _ in range(min(self._hold, self._last - self._k)):
                 total += self._fly(values)
         is_over = np.full(self.num_envs, self._k >= self._last)

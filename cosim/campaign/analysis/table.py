@@ -80,7 +80,8 @@ class FlightTable(NamedTuple):
     values: dict[str, Array]  # metrics by name, SI; NaN where a flight did not complete or has none
     controllers: list[str]
     grid: bool  # every combination of levels, rather than draws
-    rates: Mapping[str, Interval] | None = None  # of verdicts that the referee holds for wrong, by controller
+    # By how much the referee widens the interval of each controller.
+    rates: Mapping[str, Interval] | None = None
     broken: Sequence[Sequence[str]] = ()  # the requirements that each flight does not keep; empty where there are none
 
     @property

@@ -83,7 +83,7 @@ class Study(Model):
         default_factory=list
     )  # what each flight is to keep, beside the scenario's own
     until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
-    batch: bool = False  # flown on arrays, many flights at once, and some again by JSBSim
+    batch: bool = False  # flown on arrays, many at once
     # It flies in the place of the controller, whose gains go into it.
     autopilot: Annotated[StudyAutopilot, PlainValidator(read_autopilot)] | None = None
 

@@ -87,7 +87,8 @@ def fly_one(study: Study, flight: Flight) -> Row:
 
     Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
     """
-    if (fly_together := getattr(flight, "fly", None)) is not None:  # flights that a tool flies as one piece of work
+    # Flights that a tool flies as one piece of work.
+    if (fly_together := getattr(flight, "fly", None)) is not None:
         return fly_together(study)  # type: ignore[no-any-return]
     begin = time.perf_counter()
     try:

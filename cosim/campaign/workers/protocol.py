@@ -41,7 +41,8 @@ class Workers(Protocol):
 def time_limit(study: Study) -> float:
     """Return how long a flight of ``study`` may take by default, s of wall time."""
     before = 0.0 if study.autopilot is None else study.autopilot.before_s
-    together = 10.0 if study.batch else 1.0  # flights on arrays are handed out many at a time
+    # Flights on arrays are handed out many at a time.
+    together = 10.0 if study.batch else 1.0
     return together * max(MIN_LIMIT_S, LIMIT_FACTOR * (study.base().duration_s + before))
 
 

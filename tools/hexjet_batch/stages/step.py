@@ -54,7 +54,7 @@ class State(NamedTuple):
     tilt_rate: Vector
     spin: Vector | None
     burnt: Any
-    gains: Any  # level, level of the gains, and the gains of the schedule
+    gains: Any  # level, level of the gains, the gains
     start: tuple[Any, Any]  # down [m] and height above the ground [m]
 
 

@@ -21,7 +21,8 @@ from hexjet_batch.stages.engines import (
 
 R_AIR, CP_AIR, CP_GAS = 287.0, 3.5 * 287.0, 4.0 * 287.0  # J/(kg K)
 P_STD, T_STD = 101325.0, 288.15  # Pa, K
-HEATING_VALUE, T_REFERENCE = 43.1e6, 298.15  # J/kg of Jet A-1, stated at this temperature [K]
+# J/kg of Jet A-1, stated at this temperature [K].
+HEATING_VALUE, T_REFERENCE = 43.1e6, 298.15
 
 
 class Inlet(NamedTuple):

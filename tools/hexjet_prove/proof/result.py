@@ -39,7 +39,7 @@ class WorstFlight:
     margin: float  # of the row: below 0 where it failed
     values: Mapping[str, Any]  # of the drawn keys
     run: str  # its folder, as seen from the proof's; empty where it could not be flown
-    is_same: bool  # as it was in the campaign: bit for bit, or in its verdict where it was flown on arrays
+    is_same: bool  # as it was in the campaign, see ``again``
     again: str  # in words
 
 

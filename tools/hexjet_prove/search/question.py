@@ -48,7 +48,7 @@ class Case:
     seed: int
     outcome: str
     reason: str  # in words
-    same: bool  # whether it is as it was before: bit for bit, or in its verdict where it was flown on arrays
+    same: bool  # as it was before, see ``again``
     again: str  # what is the same
 
 
