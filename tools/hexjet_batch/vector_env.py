@@ -17,12 +17,11 @@ from cosim import InputError, Scenario
 from cosim.base.arrays import Array, Flags
 from cosim.base.constants import GRAVITY
 from cosim.vehicle.airframe import start_height
-from hexjet_batch.fly import is_within, start_motion
+from hexjet_batch.fly import is_within, make_noise, start_motion
 from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import is_absent, stack
+from hexjet_batch.numbers import stack
 from hexjet_batch.script import Script
 from hexjet_batch.stages.rotations import from_euler
-from hexjet_batch.stages.sensors import Noise
 from hexjet_batch.stages.step import start, step, to_throttle
 from hexjet_gym import ANGLE, HEIGHT, HexJetEnv, Vary
 
@@ -98,8 +97,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
         self._lowest, self._limits = 0.5 + np.array(contacts), vehicles[0].limits
         self._n = stack([read_flight(each) for each in scenarios])
         self._script, self._k, self._last = Script(scenarios, heights), 0, scenarios[0].steps
-        has_ahrs = not is_absent(self._n.sensors.attitude.ahrs_time_constant_s)
-        self._noise = Noise(noise, has_ahrs) if self._scenario.sensor_noise else None
+        self._noise = make_noise(self._n, scenarios)
         self._asked, self._inputs = self._script.at(0)
         self._state = start(self._n, start_motion(scenarios, heights), np.array(heights), self._inputs)
         self._height, self._lost = np.array(heights), np.zeros(self.num_envs, dtype=np.bool_)
