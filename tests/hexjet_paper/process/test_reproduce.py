@@ -98,6 +98,7 @@ def _here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reproduce, "as_finished", lambda act, tasks, _: enumerate(map(act, tasks)))
 
 
+@pytest.mark.usefixtures("_here")
 def test_parts_are_run_once_and_then_taken_up(tmp_path: Path) -> None:
     said: list[tuple[str, int, int]] = []
     tasks = cheap(tmp_path, "abc")

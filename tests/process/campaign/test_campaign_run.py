@@ -23,7 +23,7 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
 
-SHORT = ("--set", "duration_s=0.2", "--workers", "2")
+SHORT = ("--set", "duration_s=0.2", "--workers", "1")
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from long_cases import long_after
 from patience import PATIENCE
 from session_pilot import Pilot, flown
 
@@ -558,7 +559,7 @@ def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", long_after(1, [signal.SIGTERM, signal.SIGINT]))
 def test_a_signal_finishes_the_run(started: Any, tmp_path: Path, number: signal.Signals) -> None:
     process = started("--json")
     process.send_signal(number)

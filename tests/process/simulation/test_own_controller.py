@@ -474,9 +474,6 @@ def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) ->
     log = open_run(tmp_path / "run").log
     assert set(log["altitude_measured_m"][1:]) == {-7.0}
     assert log["wind_north_m_s"][-1] == pytest.approx(3.0)
-    wrong = hexjet(tmp_path, "gcs", "--observer", "mine.py:Count")
-    assert (wrong.returncode, wrong.stdout) == (2, "")
-    assert "mine.py:Count: mine.py has no 'Count'; did you mean 'Counts'?" in wrong.stderr
 
 
 def test_its_parameters_are_keys(mine: str) -> None:
