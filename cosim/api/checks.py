@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import FolderResult, Limits, Result, Table, checked
-from cosim.api.call.choices import as_settings
+from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:

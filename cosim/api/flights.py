@@ -156,10 +156,11 @@ def load(
 ) -> Scenario:
     """Return a scenario with what :func:`fly` writes over it.  Raises InputError for a wrong choice."""
     from cosim.api.call.choices import choose, plugin_changes
+    from cosim.base.storage.settings import as_several
 
     hears = progress or Progress()
     chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
-    changes = plugin_changes(tuple(metrics), tuple(observers), sensors, wind)
+    changes = plugin_changes(tuple(as_several(metrics)), tuple(as_several(observers)), sensors, wind)
     if sensors or wind:  # its expectations do not apply with them
         changes["expect"] = []
     if unchecked_engine:
@@ -247,9 +248,11 @@ def fly(
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
+    from cosim.base.storage.settings import as_several
     from cosim.flight import check_arguments, fly_watched, list_warnings
 
     check_arguments(scenario, out, realtime_factor)
+    observers = as_several(observers)
     named = [each for each in observers if isinstance(each, str)]
     own = None if controller is None or isinstance(controller, (str, Path)) else controller
     loaded = load(
@@ -274,7 +277,7 @@ def fly(
             realtime_factor=(1.0 if is_watched else None) if realtime_factor is None else realtime_factor or None,
             report=report,
             shared_assets=shared_assets,
-            watch=_watch_by_links(mavlink, stack) if mavlink else None,
+            watch=_watch_by_links(as_several(mavlink), stack) if mavlink else None,
         )
     for text in (*told, *run.summary.notes) if progress is None else ():
         notify(text)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
-from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
+from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:

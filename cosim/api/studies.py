@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Progress, Result, Table, checked
-from cosim.api.call.choices import aircraft_settings, as_settings, as_texts, plugin_settings
+from cosim.api.call.choices import aircraft_settings, plugin_settings
+from cosim.base.storage.settings import as_settings, as_texts
 
 if TYPE_CHECKING:
     from cosim.campaign.run import RepeatedFlight
@@ -106,7 +107,7 @@ def study_settings(
 def sweep(
     name: str | Path,
     *,
-    vary: Sequence[str] | Mapping[str, str] = (),
+    vary: Sequence[str] | Mapping[str, object] = (),
     runs: int | None = None,
     repeats: int | None = None,
     design: str | None = None,
@@ -138,7 +139,7 @@ def sweep(
     name : str or Path
         A scenario, a study, or the folder of a campaign to go on with.
     vary : sequence of str or mapping
-        What varies, as ``vehicle.mass_kg=5:6.5`` or ``{"vehicle.mass_kg": "5:6.5"}``: LO:HI, LO:HI:LEVELS, A,B,C,
+        What varies, as ``vehicle.mass_kg=5:6.5`` or ``{"vehicle.mass_kg": [5, 6.5]}``: LO:HI, LO:HI:LEVELS, A,B,C,
         log(LO:HI), normal(MEAN,SD).
     runs : int or None
         Draws; a grid has as many as it has points.

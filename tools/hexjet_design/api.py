@@ -9,10 +9,11 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Progress, Table, checked
-from cosim.api.call.choices import as_settings, engine_for, list_fmu_defects
+from cosim.api.call.choices import engine_for, list_fmu_defects
 from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import load_hook
 from cosim.base.storage.files import read_text
+from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:

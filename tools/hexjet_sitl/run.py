@@ -12,12 +12,13 @@ from typing import IO, Any, Literal
 
 from cosim import FlightError, InputError, Run, Scenario, design
 from cosim.api.call import Limits, Progress, checked
-from cosim.api.call.choices import as_settings, choose
+from cosim.api.call.choices import choose
 from cosim.api.flights import FlightResult
 from cosim.base.geodesy import gravity
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample
+from cosim.base.storage.settings import as_settings
 from cosim.files import parse_numbers, write_whole
 from cosim.flight import new_folder, record, with_page
 from cosim.results.resolved_scenario import resolve

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
@@ -64,6 +64,8 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 parameter = signature.parameters[name]
                 check = functools.partial(_valid, call, parameter, adapters[name], limits.get(name))
                 several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
+                if several and len(value) == 1 and isinstance(value[0], (list, tuple)):
+                    value = value[0]
                 bound.arguments[name] = tuple(map(check, value)) if several else check(value)
             return call(*bound.args, **bound.kwargs)
 
@@ -109,7 +111,13 @@ def _valid(
 
     where = f"{call.__name__}: {parameter.name}"
     try:
-        valid = adapter.validate_python(value)
+        try:
+            valid = adapter.validate_python(value)
+        except ValidationError:
+            # A single value stands for a sequence of one.
+            if isinstance(value, (list, tuple, Mapping)) or "Sequence" not in str(parameter.annotation):
+                raise
+            valid = adapter.validate_python((value,))
     except ValidationError as error:
         shown = repr(value)
         shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."

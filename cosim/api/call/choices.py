@@ -8,33 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
+from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 Note = Callable[[str], None]  # is told in a line what is taken otherwise than it was asked for
-
-
-def as_settings(values: Sequence[str] | Mapping[str, object]) -> list[str]:
-    """Return settings as texts ``KEY=VALUE``; a mapping has the values by their dotted keys.
-
-    Raises InputError for a value that is none of TOML on one line.
-    """
-    if not isinstance(values, Mapping):
-        return list(values)
-    texts = []
-    for key, value in values.items():
-        try:
-            texts.append(f"{key}={json.dumps(str(value) if isinstance(value, Path) else value, allow_nan=False)}")
-        except (TypeError, ValueError):
-            raise InputError(f"settings: {key}: {value!r} is no number, text, truth value or list of these") from None
-    return texts
-
-
-def as_texts(values: Sequence[str] | Mapping[str, str]) -> list[str]:
-    """Return texts ``KEY=TEXT``, where they are a mapping as well."""
-    return [f"{key}={text}" for key, text in values.items()] if isinstance(values, Mapping) else list(values)
 
 
 def choose(

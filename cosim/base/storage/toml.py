@@ -155,6 +155,18 @@ def _are_indices(changes: Mapping[str, Any], entries: list[Any]) -> bool:
     return bool(changes) and all(key in map(str, range(len(entries))) for key in changes)
 
 
+def nest(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes whose dotted keys are tables in tables."""
+    nested: dict[str, Any] = {}
+    for key, value in changes.items():
+        *above, last = split_key(key)
+        entry = {last: value}
+        for part in reversed(above):
+            entry = {part: entry}
+        nested = merge(nested, entry)
+    return nested
+
+
 def parse_setting(text: str) -> tuple[list[str], Any]:
     """Split ``a.b.c=VALUE`` into its path and its value, read as TOML and, failing that, as a string.
 

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal, Self, Unpack
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
+from cosim.base.storage.settings import as_settings
+from cosim.base.storage.toml import Duration, Model, merge, nest, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import trust_named_code
 from cosim.spec.file_kind import SCENARIO, check_kind
 from cosim.spec.scenario.changes import Changes
@@ -241,15 +242,15 @@ class Scenario(Model):
         return steps
 
     @classmethod
-    def load(cls, name: str | Path, settings: list[str] | None = None) -> Self:
+    def load(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
         """Read a scenario.
 
         Parameters
         ----------
         name : str or Path
             Its name in ``scenarios/``, or the path of its file.
-        settings : list of str or None
-            Overrides ``KEY=VALUE``, the value as in TOML.
+        settings : sequence of str or mapping
+            Overrides: ``KEY=VALUE`` with the value as in TOML, or values by their dotted keys.
 
         Returns
         -------
@@ -266,15 +267,15 @@ class Scenario(Model):
         return scenario
 
     @classmethod
-    def read(cls, name: str | Path, settings: Sequence[str] | None = None) -> Self:
+    def read(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
         """Read a scenario without its vehicle: one of an older version, or one that will get another aircraft.
 
         Parameters
         ----------
         name : str or Path
             Its name in ``scenarios/``, or the path of its file.
-        settings : sequence of str or None
-            Overrides ``KEY=VALUE``, the value as in TOML.
+        settings : sequence of str or mapping
+            As of :meth:`load`.
 
         Returns
         -------
@@ -290,7 +291,7 @@ class Scenario(Model):
         data = read_toml(path)
         check_kind(data, path, SCENARIO)
         origin = cls.as_filed(path) if settings else None
-        for text in settings or []:
+        for text in as_settings(settings):
             key, value = parse_setting(text)
             set_path(data, key, value, f"{path}: settings")
         return cls.from_table(data, path.parent, str(path) if origin is None else f"{path}: settings", origin)
@@ -395,7 +396,8 @@ class Scenario(Model):
         Parameters
         ----------
         **changes : Changes
-            Values by the scenario's keys: tables are merged into its own, everything else is replaced.
+            Values by the scenario's keys, dotted ones too (``**{"vehicle.mass_kg": 6.0}``): tables are merged
+            into its own, everything else is replaced.
 
         Returns
         -------
@@ -407,13 +409,14 @@ class Scenario(Model):
         InputError
             For a wrong key or value.
         """
-        trust_named_code(_code_names(changes), self.folder)
+        nested = nest(changes)
+        trust_named_code(_code_names(nested), self.folder)
         data = self.stated()
-        if changes.get("controller", self.controller) != self.controller:  # these keys belong to the old controller
+        if nested.get("controller", self.controller) != self.controller:  # these keys belong to the old controller
             data = {
                 key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")
             }
-        data = merge(data, dict(changes))
+        data = merge(data, nested)
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Self:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, WholeLine, checked
-from cosim.api.call.choices import as_settings
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
+from cosim.base.storage.settings import as_settings
 
 if TYPE_CHECKING:
     from cosim.studies import Decision

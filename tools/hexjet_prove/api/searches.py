@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.call.choices import as_texts
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
+from cosim.base.storage.settings import as_texts
 
 if TYPE_CHECKING:
     from cosim.studies import Workers
@@ -121,7 +121,7 @@ class RareResult(Result):
 def search(
     name: str | Path,
     *,
-    vary: Sequence[str] | Mapping[str, str] = (),
+    vary: Sequence[str] | Mapping[str, object] = (),
     worst: bool = False,
     likely: bool = False,
     within: str | float | None = None,
@@ -288,7 +288,7 @@ def _searching(
 def rare(
     name: str | Path,
     *,
-    vary: Sequence[str] | Mapping[str, str] = (),
+    vary: Sequence[str] | Mapping[str, object] = (),
     controllers: Sequence[str] = (),
     correlate: Sequence[str] = (),
     success: Sequence[str] = (),

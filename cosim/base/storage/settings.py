@@ -1,0 +1,42 @@
+"""What a call takes as settings or as several values, in the forms that Python users write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+
+
+def as_settings(values: str | Sequence[str] | Mapping[str, object]) -> list[str]:
+    """Return settings as texts ``KEY=VALUE``; a mapping has the values by their dotted keys.
+
+    Raises InputError for a value that is none of TOML on one line.
+    """
+    if not isinstance(values, Mapping):
+        return [values] if isinstance(values, str) else list(values)
+    texts = []
+    for key, value in values.items():
+        try:
+            texts.append(f"{key}={json.dumps(str(value) if isinstance(value, Path) else value, allow_nan=False)}")
+        except (TypeError, ValueError):
+            raise InputError(f"settings: {key}: {value!r} is no number, text, truth value or list of these") from None
+    return texts
+
+
+def as_texts(values: str | Sequence[str] | Mapping[str, object]) -> list[str]:
+    """Return texts ``KEY=TEXT``, of one text, of several, or of a mapping, which may have several values of a key."""
+    if isinstance(values, Mapping):
+        return [f"{key}={','.join(map(_as_text, as_several(value)))}" for key, value in values.items()]
+    return list(as_several(values))
+
+
+def as_several(values: Any) -> Sequence[Any]:
+    """Return values, or a single one, which may be a text or a path, as a sequence."""
+    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, (str, Path, Mapping)) else (values,)
+
+
+def _as_text(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
