@@ -35,7 +35,7 @@ class FlightResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet fly --json`` prints: the run's summary."""
-        return self.run.summary.model_dump(mode="json")
+        return self.run.to_dict()
 
     def lines(self) -> list[str]:
         """Return how it ended, what flew, what is to be known of the verdict, and what is not as it was expected."""

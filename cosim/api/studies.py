@@ -71,6 +71,12 @@ class SweepResult(Result):
         flown = with_referee(success_lines(self._summary), self.campaign.folder)
         return [line.strip() for line in (*flown, *comparison_lines(self._summary))]
 
+    def table(self) -> Any:
+        """Return the flights as a ``pandas.DataFrame``, a row each."""
+        from cosim.results.log.tables import make_table
+
+        return make_table(self.columns)
+
     def tables(self) -> list[Table]:
         """Return the metrics' medians."""
         from cosim.campaign.analysis.summary import spread_table

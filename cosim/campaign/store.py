@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.appended import AppendedFile
 from cosim.base.storage.files import map_os_errors, parse_json, read_file, try_lock
 from cosim.base.trust import without_code
@@ -49,6 +49,7 @@ from cosim.campaign.study.plan import Flight, flight_count, flight_key, flight_o
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import KEY, Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
+from cosim.results.log.tables import NamedColumns
 
 PART_ROWS = 4096  # 2 MB
 WRITE_S = 15.0  # s between replacements of the last part, each of which takes 50 ms
@@ -321,7 +322,7 @@ def read_referee(folder: Path) -> Mapping[str, Any]:
     return parse_json(read_file(path), str(path)) if path.is_file() else {}
 
 
-class _Columns(Mapping[str, list[Value]]):
+class _Columns(NamedColumns[list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
     def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
@@ -344,7 +345,7 @@ class _Columns(Mapping[str, list[Value]]):
 
     def __getitem__(self, name: str) -> list[Value]:
         if name not in self._names:
-            raise KeyError(name)
+            raise KeyError(f"no column {name!r}; {nearest(name, self._names)}")
         if name not in self._read:
             values: list[Value] = []
             for path, stored in self._parts:

@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.outcomes import Outcome
+from cosim.base.errors import FlightError, InputError, nearest
+from cosim.base.outcomes import Outcome, Verdict
 from cosim.base.protocols import Column
 from cosim.base.removed import WRITTEN_BEFORE, is_written_before
 from cosim.base.storage.files import lock_file, read_file, read_text, write_whole
@@ -25,7 +26,7 @@ from cosim.base.trust import remember_written
 from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import BackgroundSink, KeepingSink, Log, MemorySink, Recorder
-from cosim.results.metrics import AxisMetrics
+from cosim.results.metrics import Metrics
 from cosim.results.summary import Setup, Summary, summarize, summary_json
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric, make_unavailable_metric
@@ -102,9 +103,64 @@ class Run:
         return self.summary.reason
 
     @property
-    def metrics(self) -> dict[str, AxisMetrics]:
-        """Of roll, pitch and yaw, by name."""
-        return self.summary.metrics
+    def verdict(self) -> Verdict | None:
+        """What is to be said of it, such as ``as planned``; None of a run whose folder says nothing of it."""
+        return self.summary.verdict
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """Of roll, pitch and yaw, by name; ``altitude``, ``position``, ``speed`` and others of the whole flight too."""
+        return _MetricsByName(self.summary)
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The files in its folder, by kind; ``report`` is the page.  Empty where it was flown without one."""
+        paths = [] if self.folder is None else [self.folder / name for name in RUN_FILES]
+        return {path.stem: path for path in paths if path.is_file()}
+
+    @property
+    def report(self) -> Path | None:
+        """The page; None where none was written."""
+        return self.files.get("report")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summary as numbers, texts, lists and tables, which the command prints as JSON.
+
+        Returns
+        -------
+        dict
+            In SI units.
+        """
+        return self.summary.model_dump(mode="json")
+
+    def table(self, *names: str) -> Any:
+        """Return its log as a ``pandas.DataFrame``.
+
+        Parameters
+        ----------
+        *names : str
+            The columns; all of them where none is named.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row a control step, the time [s] as its index.
+        """
+        return self.log.table(*names)
+
+
+class _MetricsByName(dict[str, Any]):
+    """The metrics of the axes, which it lists, and by their names those of the whole flight."""
+
+    def __init__(self, summary: Summary) -> None:
+        super().__init__(summary.metrics)
+        self._summary = summary
+
+    def __missing__(self, name: str) -> Any:
+        others = Metrics.model_fields.keys() - {"axes"}
+        if name not in others:
+            raise KeyError(f"no metric {name!r}; {nearest(name, {*self, *others})}")
+        return getattr(self._summary, name)
 
 
 class Recording:

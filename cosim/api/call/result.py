@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from cosim.base.errors import notify
+from cosim.base.errors import InputError, notify
 
 
 class Progress:
@@ -115,6 +115,30 @@ class Result:
         """
         return []
 
+    @property
+    def verdict(self) -> str:
+        """What it came to in a sentence."""
+        return next(iter(self.lines()), "")
+
+    def table(self) -> Any:
+        """Return the first of its tables as a ``pandas.DataFrame``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Of texts; of a sweep the flights, a row each.
+
+        Raises
+        ------
+        InputError
+            Where it has no table, or pandas is not installed.
+        """
+        from cosim.results.log.tables import make_table
+
+        if not (tables := self.tables()):
+            raise InputError(f"table: {type(self).__name__} has none")
+        return make_table(dict(zip(tables[0].columns, zip(*tables[0].rows, strict=True), strict=True)))
+
     def figures(self) -> Mapping[str, Any]:
         """Return the figures of the page, which the extra ``notebook`` draws.
 
@@ -141,8 +165,7 @@ class Result:
 
     def __repr__(self) -> str:
         where = "" if self.folder is None else f", {self.folder}"
-        first = next(iter(self.lines()), "")
-        return f"<{type(self).__name__}: {first}{where}>"
+        return f"<{type(self).__name__}: {self.verdict}{where}>"
 
     def _repr_html_(self) -> str:
         """Return lines and tables for notebooks, and where the page is."""

@@ -19,13 +19,29 @@ from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
 
 if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
     from pydantic_core import ErrorDetails
+else:
+    ModelMetaclass = type(BaseModel)
 
 
-class Model(BaseModel):
+class _OwnNames(ModelMetaclass):
+    """What ``dir`` shows of a table: its keys and its own methods, not those of pydantic."""
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *vars(self).get("__pydantic_fields__", ())} - _PYDANTIC)
+
+
+_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("__"))
+
+
+class Model(BaseModel, metaclass=_OwnNames):
     """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+    def __dir__(self) -> list[str]:
+        return dir(type(self))
 
     @model_validator(mode="before")
     @classmethod

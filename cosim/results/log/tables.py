@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copyreg
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,7 +18,45 @@ from cosim.results.log.columns import require
 TIME = "time_s"
 
 
-class Columnar:
+V = TypeVar("V")
+
+
+class NamedColumns(dict[str, V]):
+    """Columns by their names, each read when it is asked for; a subclass has ``__getitem__`` and ``__iter__``.
+
+    A dict, because pandas makes a table of nothing else (``pandas.DataFrame(columns)``), which holds nothing itself.
+    """
+
+    keys, items, values = Mapping.keys, Mapping.items, Mapping.values  # type: ignore[assignment]
+    __eq__, __hash__ = object.__eq__, object.__hash__  # type: ignore[assignment]
+
+    def __contains__(self, name: object) -> bool:
+        return name in tuple(self)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a column, or the default where there is none of this name."""
+        is_there = name in self
+        return self[name] if is_there else default
+
+    def __setitem__(self, name: str, value: V) -> None:
+        raise TypeError("columns cannot be set; dict(columns) is a copy that can")
+
+    def __reduce__(self) -> Any:
+        return copyreg.__newobj__, (type(self),), vars(self)  # type: ignore[attr-defined]
+
+
+def make_table(columns: Mapping[str, Any]) -> Any:
+    """Return columns as a ``pandas.DataFrame``.  Raises InputError where pandas is not installed."""
+    try:
+        from pandas import DataFrame
+    except ModuleNotFoundError as error:
+        if error.name != "pandas":
+            raise
+        raise InputError("a table needs pandas, which is not installed: pip install pandas") from None
+    return DataFrame(dict(columns))
+
+
+class Columnar(NamedColumns[Array]):
     """A log of named columns: ``log["roll_rad"]`` is one, and ``dict(log)`` has all of them."""
 
     columns: tuple[str, ...]
@@ -41,7 +80,7 @@ class Columnar:
         blocks = list(self.blocks(tuple(names)))
         return {name: np.concatenate([np.empty(0), *[part[name] for part in blocks]]) for name in names}
 
-    def keys(self) -> tuple[str, ...]:
+    def keys(self) -> tuple[str, ...]:  # type: ignore[override]
         """Return the columns' names."""
         return self.columns
 
@@ -76,15 +115,9 @@ class Columnar:
         InputError
             For a column that the log has not, and where pandas is not installed.
         """
-        try:
-            from pandas import DataFrame, Index
-        except ModuleNotFoundError as error:
-            if error.name != "pandas":
-                raise
-            raise InputError("a table needs pandas, which is not installed: pip install pandas") from None
         chosen = [require(name, self.columns) for name in names or self.columns]
         values = self._read(list(dict.fromkeys([TIME, *chosen])))
-        frame = DataFrame(values, index=Index(values.pop(TIME), name=TIME))
+        frame = make_table(values).set_index(TIME)
         described = {column.name: column for column in self.described if column.name in chosen}
         frame.attrs = {
             f"{key}s": {name: getattr(column, key) for name, column in described.items()}

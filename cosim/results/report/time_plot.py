@@ -20,15 +20,16 @@ from cosim.results.run import Run
 _DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
 
 
-def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
+def plot(runs: Run | Sequence[Run], *columns: Run | str) -> Any:
     """Plot columns of a run, or of several, over time.
 
     Parameters
     ----------
     runs : Run or sequence of Run
         Whose logs are drawn over each other.
-    *columns : str
-        Their names; those of one unit share a panel, in SI units.  The attitude in degrees where none is named.
+    *columns : str or Run
+        Their names; those of one unit share a panel, in SI units.  The attitude in degrees where none is named.  Runs
+        among them are drawn too.
 
     Returns
     -------
@@ -41,24 +42,26 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
         For what is no run, a column that a log has not, or where Plotly is not installed.
     """
     flights = [runs] if isinstance(runs, Run) else list(runs) if isinstance(runs, Sequence) else []
+    flights += [each for each in columns if isinstance(each, Run)]
+    names = [each for each in columns if isinstance(each, str)]
     if not flights or not all(isinstance(run, Run) for run in flights):
         raise InputError(f"plot: {runs!r:.60}; allowed: a Run, or a sequence of some")
     readers = [Reader(run.log, run.summary.step_s) for run in flights]
-    if not columns:
+    if not names:
         labels = [
             f"{n}: {run.summary.controller_shown}, {run.summary.engine_shown}" for n, run in enumerate(flights, 1)
         ]
         one = len(flights) == 1
         return as_plotly(stack_panels(readers[0], ATTITUDE) if one else overlay(readers, labels, ATTITUDE, "true"))
     units = {column.name: column.unit for run in flights for column in run.log.described}
-    for name in columns:
+    for name in names:
         for run in flights:
             require(name, run.log.columns)
-    shared = list(dict.fromkeys(units.get(name, "") for name in columns))
+    shared = list(dict.fromkeys(units.get(name, "") for name in names))
     panels = [Panel("", unit, []) for unit in shared]
     data = []
     for number, reader in enumerate(readers):
-        for n, name in enumerate(columns):
+        for n, name in enumerate(names):
             at = shared.index(units.get(name, ""))
             label = name if len(readers) == 1 else f"{number + 1}: {name}"
             trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
