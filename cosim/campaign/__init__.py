@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
     from cosim.campaign.workers.local import LocalWorkers
     from cosim.campaign.workers.tasks import as_finished
-    from hexjet_prove.proof.prove import prove
     from hexjet_prove.proof.source import proof_study
 
 _WHERE = {
@@ -41,7 +40,6 @@ __all__ = [
     "open_campaign",
     "open_study",
     "proof_study",
-    "prove",
     "run_campaign",
 ]
 
