@@ -55,11 +55,12 @@ class ReplayResult(FolderResult):
         return [first, *([found.fault] if found.fault else []), *found.evidence, *notes]
 
     def tables(self) -> list[Table]:
-        """Return the channels: how long each is within the envelope, and how far it is off."""
-        from hexjet_identify.replay.page import channel_rows
+        """Return the channels, with how long each is within the envelope, and what each number would explain."""
+        from hexjet_identify.replay.page import TABLE, cause_rows, channel_rows
 
         titles = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
-        return [Table("", titles, channel_rows(self.replayed))]
+        channels = Table("", titles, channel_rows(self.replayed))
+        return [channels, Table("what each number would explain", TABLE, cause_rows(self.replayed))]
 
     def _figures(self) -> Mapping[str, Any]:
         from hexjet_identify.replay.page import figures

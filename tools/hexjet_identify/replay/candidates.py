@@ -1,139 +1,124 @@
-"""What may be wrong with a model: one number (a factor, a delay), or an exchange (two engines, an axis reversed)."""
+"""What may be wrong with a vehicle: its numbers, and cases such as two engines exchanged or an axis reversed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import combinations
-from math import exp, log, prod
-from typing import Final
+from math import exp, inf, log
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
 from hexjet_identify.replay.flown import Change, Model
+from hexjet_identify.replay.recorded import RecordedFlight
 
-ONE_AXIS, ALL_AXES = "moment of inertia about", "all moments of inertia"
-ALL_LATER, ENGINES_LATER = "all engines and servos later by", "engines alone later by"
-LARGER: Final = ((ONE_AXIS, ALL_AXES), (ENGINES_LATER, ALL_LATER))  # the second is the first and what did not move
-INERTIA, MASS, THRUST = "of inertia", "mass", "thrust of all engines"
-MOST_SWAPS_OF: Final = 10  # engines: of more no pairs are tried
-Sense = tuple[int, int, int]
-AS_STATED: Final[Sense] = (1, 1, 1)
+CENTRE: Final = "centre of gravity"
+INERTIA: Final = "moment of inertia about"
+MASS, THRUST = "mass", "thrust of all engines"
+SENSORS: Final = ("gyro", "accelerometer", "attitude")
 
 
-@dataclass(frozen=True)
-class Cause:
-    """A number that a model may have wrong: what it is, its unit, where it begins, and its bounds."""
+class Number(NamedTuple):
+    """A number of the vehicle: its unit ("" for a factor), its stated value, where it may be, and its change.
+
+    ``deviation`` is how far it may be off at a guess, for numbers that are fitted together; ``off`` an error that a
+    log should show.  ``inverse``: the motion goes with one over it.
+    """
 
     name: str
-    unit: str  # "": a factor
-    begin: float
+    unit: str
+    stated: float
     low: float
     high: float
-    probe: float  # by how much it is changed to see what it does
+    probe: float
     change: Callable[[float], Change]
-    divides: bool = False  # what turns or lifts the vehicle: its inverse is what the motion is straight in
-
-    def moved(self, value: float, by: float) -> float:
-        """Return the number after a step of Gauss and Newton, within its bounds."""
-        if self.divides:
-            left = value - by
-            by = value * value / left - value if left > 0.0 else self.high
-        return min(max(value + by, self.low), self.high)
+    inverse: bool = False
+    deviation: float = inf
+    off: float = 0.3
 
 
 @dataclass(frozen=True)
-class Exchange:
-    """What the vehicle may have the other way round: the order of its engines, or the sense of an axis (-1)."""
+class Candidate:
+    """Numbers that are fitted together, mostly one, or a case that is flown as it is."""
 
     name: str
-    change: Change = field(default_factory=Change)
-    sense: Sense = AS_STATED
+    numbers: tuple[Number, ...] = ()
+    case: Change = field(default_factory=Change)
+    sense: tuple[int, ...] = (1,) * 9
+
+    def change(self, values: Array) -> Change:
+        """Return the vehicle's change with these values."""
+        if len(values) > 1:
+            x, y = values.tolist()
+            return Change(centre=(x, y, 0.0))
+        return self.numbers[0].change(float(values[0])) if self.numbers else self.case
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """Causes that are there at once: one or two numbers, or an exchange with a number or without."""
-
-    numbers: tuple[Cause, ...] = ()
-    exchange: Exchange | None = None
-
-    @property
-    def begin(self) -> tuple[float, ...]:
-        """The numbers as the vehicle states them."""
-        return tuple(cause.begin for cause in self.numbers)
-
-    @property
-    def sense(self) -> Sense:
-        """-1 for an axis that the log has reversed."""
-        return self.exchange.sense if self.exchange else AS_STATED
-
-    def change(self, values: Sequence[float]) -> Change:
-        """Return the vehicle's change with these numbers."""
-        changes = [cause.change(value) for cause, value in zip(self.numbers, values, strict=True)]
-        return combine([*changes, *([self.exchange.change] if self.exchange else [])])
+def list_candidates(model: Model, flight: RecordedFlight) -> Iterator[Candidate]:
+    """Yield everything that is tried, numbers first."""
+    yield from (Candidate(number.name, (number,)) for number in _list_numbers(model, flight))
+    x, y, z = _list_centre(model)
+    yield Candidate(CENTRE, (x, y))
+    yield Candidate(z.name, (z,))
+    yield from _list_exchanges(len(model.vehicle.jets), flight.throttle)
+    for axis, name in enumerate(AXES):
+        signs = [-1 if channel == axis else 1 for channel in range(9)]
+        yield Candidate(f"{name} rate reversed", sense=tuple(signs))
+        if flight.has_angles:
+            signs[6 + axis] = -1
+            yield Candidate(f"{name} rate and {name} angle reversed", sense=tuple(signs))
 
 
-def combine(changes: Sequence[Change]) -> Change:
-    """Return changes that are there at once: factors multiply, delays and dampings add, the last order holds."""
-    x, y, z = (prod(change.inertia[axis] for change in changes) for axis in range(3))
-    jets: dict[int, float] = {}
-    for change in changes:
-        for jet, factor in change.jets.items():
-            jets[jet] = jets.get(jet, 1.0) * factor
-    return Change(
-        (x, y, z),
-        prod(change.mass for change in changes),
-        prod(change.thrust for change in changes),
-        jets,
-        sum(change.delay_s for change in changes),
-        order=next((change.order for change in reversed(changes) if change.order), ()),
-        parameters={name: value for change in changes for name, value in change.parameters.items()},
-        damping=sum(change.damping for change in changes),
-        engines_s=sum(change.engines_s for change in changes),
-        servo_lag_s=sum(change.servo_lag_s for change in changes),
-    )
+def _list_exchanges(jets: int, throttle: Array, most_jets: int = 10) -> Iterator[Candidate]:
+    """Yield pairs of engines with each other's command; no log tells those that have the same command all the while.
 
-
-def list_exchanges(model: Model, throttle: Array) -> Iterator[Exchange]:
-    """Yield engines that are swapped in pairs, and axes that are reversed; ``throttle`` (n, jets) of the log.
-
-    Engines with the same command all the while are left out: no log tells whether these are swapped.
+    Vehicles with more than ``most_jets`` have too many pairs.
     """
-    jets = len(model.vehicle.jets)
-    for a, b in combinations(range(jets if jets <= MOST_SWAPS_OF else 0), 2):
+    for a, b in combinations(range(jets if jets <= most_jets else 0), 2):
         if not np.array_equal(throttle[:, a], throttle[:, b]):
             order = list(range(jets))
             order[a], order[b] = b, a
-            yield Exchange(f"engines {a + 1} and {b + 1} swapped", Change(order=tuple(order)))
-    for axis, name in enumerate(AXES):
-        x, y, z = (-1 if n == axis else 1 for n in range(3))
-        yield Exchange(f"{name} rate reversed", sense=(x, y, z))
+            yield Candidate(f"engines {a + 1} and {b + 1} swapped", case=Change(order=tuple(order)))
 
 
-def list_numbers(model: Model) -> Iterator[Cause]:
-    """Yield the causes that are one number."""
+def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
     for axis, letter in enumerate("xyz"):
-        yield _factor(f"{ONE_AXIS} {letter}", _inertia_change(axis), divides=True)
-    yield _factor(ALL_AXES, lambda v: Change(inertia=(v, v, v)), divides=True)
-    yield _factor(MASS, lambda v: Change(mass=v), divides=True)
+        yield _factor(f"{INERTIA} {letter}", _inertia(axis), inverse=True)
+    yield _factor(MASS, lambda v: Change(mass=v), inverse=True)
     yield _factor(THRUST, lambda v: Change(thrust=v))
-    for jet in range(min(len(model.vehicle.jets), 6)):
-        yield _factor(f"thrust of engine {jet + 1}", _jet_change(jet))
-    probe = model.scenario.step_s
-    yield Cause(ALL_LATER, "s", 0.0, -0.2, 0.5, probe, lambda v: Change(delay_s=v))
+    for jet in range(len(model.vehicle.jets)):
+        yield _factor(f"thrust of engine {jet + 1}", _thrust(jet))
+    step = model.scenario.step_s
+    yield _delay("further delay of the engines", 0.2 * step, lambda v: Change(engines_s=v))
+    yield from _list_lags(model)
     if model.vehicle.ranges:
-        yield Cause(ENGINES_LATER, "s", 0.0, -0.2, 0.5, probe, lambda v: Change(engines_s=v))
-        yield Cause("lag of the servos more by", "s", 0.0, -0.1, 0.5, probe, lambda v: Change(servo_lag_s=v))
+        yield _delay("further delay of the servos", step, lambda v: Change(servos_s=v))
+        yield _delay("further lag of the servos", step, lambda v: Change(servo_lag_s=v))
+    for sensor, (name, here) in enumerate(zip(SENSORS, (True, flight.has_force, flight.has_angles), strict=True)):
+        if here:
+            yield _delay(f"further delay of the {name}", step, _sensor(sensor))
     if model.vehicle.model is None:
-        yield Cause("further damping of roll and pitch", "1/s", 0.0, 0.0, 50.0, 0.5, lambda v: Change(damping=v))
-    yield from _lags(model)
+        yield Number("further damping of roll and pitch", "1/s", 0.0, 0.0, 50.0, 0.5, lambda v: Change(damping=v))
 
 
-def _lags(model: Model) -> Iterator[Cause]:
-    """Return the lag of the engines, where they have a parameter for it."""
+def _list_centre(model: Model) -> list[Number]:
+    span = model.vehicle.aero.span_m
+    known, probe, most = 0.05 * span, 0.0005 * span, 0.5 * span
+    return [
+        Number(f"{CENTRE} {letter}", "m", 0.0, -most, most, probe, _move_along_z, deviation=known, off=known)
+        for letter in "xyz"
+    ]
+
+
+def _move_along_z(value: float) -> Change:
+    return Change(centre=(0.0, 0.0, value))
+
+
+def _list_lags(model: Model) -> Iterator[Number]:
+    """Yield the lag of the engines, where they have a parameter for it."""
     engine = model.engine
     if engine is None:
         return
@@ -143,24 +128,29 @@ def _lags(model: Model) -> Iterator[Cause]:
         if pole_name is None or gain is None:
             return
 
-        def with_lag(lag: float) -> Change:  # at rest it gives as much as before: gain over 1 less pole
+        def with_lag(lag: float) -> Change:
+            # At rest it gives as much as before: gain over one less the pole.
             other = exp(-step / lag)
             return Change(parameters={pole_name: other, "gain": gain * (1.0 - other) / (1.0 - pole)})
 
-        yield _lag("lag of the engines", -step / log(pole), with_lag)
+        yield _lag(-step / log(pole), with_lag)
     elif engine.parameters.get("lag", 0.0) > 0.0:
-        yield _lag("lag of the engines", engine.parameters["lag"], lambda v: Change(parameters={"lag": v}))
+        yield _lag(engine.parameters["lag"], lambda v: Change(parameters={"lag": v}))
 
 
-def _lag(name: str, value: float, change: Callable[[float], Change]) -> Cause:
-    return Cause(name, "s", value, 0.1 * value, 10.0 * value, 0.1 * value, change)
+def _lag(value: float, change: Callable[[float], Change]) -> Number:
+    return Number("lag of the engines", "s", value, 0.1 * value, 10.0 * value, 0.1 * value, change, off=0.02)
 
 
-def _factor(name: str, change: Callable[[float], Change], divides: bool = False) -> Cause:
-    return Cause(name, "", 1.0, 0.2, 5.0, 0.05, change, divides)
+def _delay(name: str, step: float, change: Callable[[float], Change]) -> Number:
+    return Number(name, "s", 0.0, -0.2, 0.3, step, change, off=0.02)
 
 
-def _inertia_change(axis: int) -> Callable[[float], Change]:
+def _factor(name: str, change: Callable[[float], Change], inverse: bool = False) -> Number:
+    return Number(name, "", 1.0, 0.2, 5.0, 0.005, change, inverse)
+
+
+def _inertia(axis: int) -> Callable[[float], Change]:
     def change(value: float) -> Change:
         x, y, z = (value if n == axis else 1.0 for n in range(3))
         return Change(inertia=(x, y, z))
@@ -168,5 +158,13 @@ def _inertia_change(axis: int) -> Callable[[float], Change]:
     return change
 
 
-def _jet_change(jet: int) -> Callable[[float], Change]:
+def _sensor(sensor: int) -> Callable[[float], Change]:
+    def change(value: float) -> Change:
+        gyro, accelerometer, attitude = (value if n == sensor else 0.0 for n in range(3))
+        return Change(sensors_s=(gyro, accelerometer, attitude))
+
+    return change
+
+
+def _thrust(jet: int) -> Callable[[float], Change]:
     return lambda value: Change(jets={jet: value})

@@ -1,242 +1,377 @@
-"""What of a model is wrong: one change after the other is fitted to what the replay does not explain, then two at once.
+"""What of a model is wrong: a table of its numbers, each with the value that explains the flight best.
 
-Each cause is one number (a factor, a delay) or one of a few exchanges (two engines, the sense of an axis).  Numbers
-are fitted by Gauss and Newton with differences of whole replays.  Their bounds are by what the windows, each taken for
-one observation, disagree on (White, 1982).  Two causes are named where what the best one leaves is more than noise, and
-windows that are held back say so.
+One flight of the windows with a number a little larger gives its sensitivity, and so its value, its bounds and the
+share of the misfit that it removes.  Flights at the value confirm those that promise something.  Cases are flown as
+they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.signals import Vector3
-from hexjet_identify.replay.candidates import Cause, Exchange, Hypothesis, list_exchanges, list_numbers
-from hexjet_identify.replay.flown import Model
-from hexjet_identify.replay.misfit import MISFIT, MOST, Fitted, Judge, Part, Residuals
-from hexjet_identify.replay.windows import Flying
+from cosim.base.errors import EngineError, FlightError, InputError
+from cosim.base.signals import AXES, Vector3
+from hexjet_identify.replay.candidates import INERTIA, Candidate, Number, list_candidates
+from hexjet_identify.replay.flown import Change, Model
+from hexjet_identify.replay.measures import EXCITED, NEEDED
+from hexjet_identify.replay.misfit import COSTS, MOMENT, Misfit, Point, Step
+from hexjet_identify.replay.windows import CHANNELS, Flying
 
-REFINED: Final = 6  # causes that are fitted; the others would remove less
-REFINED_PAIRS: Final = 3  # of two numbers, and of an exchange with a number
-PROMISING: Final = 0.1  # of the misfit that is removed after two rounds, at least, by what is fitted further
-ROUNDS: Final = 4  # of Gauss and Newton
-SAME: Final = 0.95  # correlation of two slopes from where on two numbers are one
-KNOWN: Final = 1e-3  # of a number's curvature that windows have together, without which the others do not tell it
+# A channel whose mean square is so many times that of its noise is off.
+MISFIT: Final = 1.3
+# Share of the misfit that a named cause removes at least.
+NAMED: Final = 0.5
+# Standard errors, over the windows, by which something is taken for sure.
+SURE: Final = 3.0
+
+
+class Part(NamedTuple):
+    """A number of the table: its stated value, the one that explains the flight best, and half of its 95 % interval."""
+
+    name: str
+    unit: str
+    stated: float
+    value: float
+    bound: float
+    off: float
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the log would show an error of the size that it should."""
+        return 2.0 * self.bound <= self.off
+
+    @property
+    def texts(self) -> tuple[str, str, str]:
+        """The stated and the best value with their unit and the bounds, to as many digits as tell these apart."""
+        size, unit = _UNITS.get(self.unit, (1.0, f" {self.unit}"))
+        value, half = size * self.value, size * self.bound
+        digits = max(1 - int(np.floor(np.log10(max(half, 1e-6)))), 0) if isfinite(half) else 2
+        ends = f"{value - half:.{digits}f} to {value + half:.{digits}f}"
+        return f"{size * self.stated:.4g}{unit}", f"{value:.{digits}f}{unit}", ends
+
+    @property
+    def text(self) -> str:
+        """The number with its value and bounds."""
+        _, value, bounds = self.texts
+        return f"{self.name}: {value} (95 %: {bounds})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        bound = self.bound if isfinite(self.bound) else None
+        return {
+            "name": self.name, "unit": self.unit, "stated": self.stated, "value": self.value, "bound_95": bound,
+        }  # fmt: skip
+
+
+# How a unit is shown: by what it is multiplied, and what it is called.
+_UNITS: Final = {"": (1.0, " times as stated"), "s": (1e3, " ms"), "m": (1e3, " mm")}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of the table, numbers that go together, or a case (no parts), with the share that it removes.
+
+    ``windows`` (w,): the misfit of each window; ``over_noise``: of the channel that is left worst, in squares of its
+    noise; ``fits``: what is left lies in the envelope.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    removed: float
+    windows: Array
+    over_noise: float
+    fits: bool
+    changes: float
+    at_limit: bool = False
+
+    @property
+    def value(self) -> float | None:
+        """The value of a single number."""
+        return self.parts[0].value if len(self.parts) == 1 else None
+
+    @property
+    def bound(self) -> float | None:
+        """Half of its 95 % interval."""
+        return self.parts[0].bound if len(self.parts) == 1 else None
+
+    @property
+    def text(self) -> str:
+        """What it is, with values and bounds."""
+        return ", ".join(part.text for part in self.parts) or self.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the windows, for JSON."""
+        alone = self.parts[0].to_dict() if len(self.parts) == 1 else {"unit": "", "value": None, "bound_95": None}
+        return {
+            **alone,
+            "name": self.name,
+            "parts": [part.to_dict() for part in self.parts],
+            "removed": self.removed,
+        }
 
 
 @dataclass(frozen=True)
 class Causes:
-    """What was tried: the misfit in squares of the noise, the named ones first, and why none is named."""
+    """The table: the misfit in squares of the noise, what is named, all rows by what they remove, and why none is."""
 
     misfit: float
-    named: tuple[Fitted, ...]
-    tried: tuple[Fitted, ...]
+    named: tuple[Row, ...]
+    tried: tuple[Row, ...]
     reason: str
-    pairs: tuple[Fitted, ...] = ()  # two at once, where one leaves more than noise
+    is_off: bool = False
 
     @property
     def finds_nothing(self) -> bool:
         """Whether no rate or force that moves is off by more than noise."""
-        return isfinite(self.misfit) and not self.tried
+        return isfinite(self.misfit) and not self.is_off
+
+    @property
+    def tells_inertia(self) -> bool:
+        """Whether the moment of inertia about one axis is told."""
+        return any(row.name.startswith(INERTIA) and row.parts[0].is_told for row in self.tried)
+
+    @property
+    def reach(self) -> tuple[list[Part], list[str]]:
+        """What the log would show, were it off, and what it would not."""
+        parts = [part for row in self.tried for part in row.parts]
+        hidden = [part.name for part in parts if not part.is_told]
+        hidden += [row.name for row in self.tried if not row.parts and row.changes < MISFIT - 1.0]
+        return [part for part in parts if part.is_told], hidden
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
         return {
             "misfit_over_noise_squared": self.misfit if isfinite(self.misfit) else None,
-            "named": [fitted.to_dict() for fitted in self.named],
-            "tried": [fitted.to_dict() for fitted in self.tried],
-            "pairs": [fitted.to_dict() for fitted in self.pairs],
+            "named": [row.to_dict() for row in self.named],
+            "tried": [row.to_dict() for row in self.tried],
             "reason": self.reason,
         }
 
 
-class _Slope(NamedTuple):
-    """What a number does to the residuals, as differences have it; ``promise`` is what it would remove of them."""
-
-    cause: Cause
-    values: Array  # (w, n, c) a unit of the number
-    promise: float
-
-
-def find_causes(model: Model, flying: Flying, wind: Vector3) -> Causes:
-    """Fit causes to what a replay leaves, and name the one, or the two, that remove most of it, where the log tells."""
-    residuals = Residuals(model, flying, wind)
-    nominal = residuals.nominal
-    misfit = float(np.mean(nominal**2))
-    nominal, told = residuals.balance(nominal)
-    if not told.any():
-        left = "what is left is as large as the noise" if misfit < MISFIT else "no channel that moves is off"
-        return Causes(misfit, (), (), f"{left}: there is nothing to explain")
-    exchanges = tuple(list_exchanges(model, flying.flight.throttle))
-    return search_causes(residuals, nominal, told, tuple(list_numbers(model)), exchanges, misfit)
-
-
-def search_causes(
-    residuals: Residuals,
-    nominal: Array,
-    told: Flags,
-    numbers: Sequence[Cause],
-    exchanges: Sequence[Exchange],
-    misfit: float,
+def find_causes(
+    model: Model, flying: Flying, wind: Vector3, margins: tuple[Array, Array], most_windows: int = 20
 ) -> Causes:
-    """Fit each cause alone, then two at once where the best leaves more than noise, and name what windows bear out.
+    """Fit every number to what a replay leaves, fly every case, and name what explains it.
 
-    ``nominal``: the residuals of the vehicle as stated, (w, n, c); ``told``: the channels that are to be explained.
+    ``flying`` starts as suits the vehicle as stated; ``margins`` (w, n, 9) are the envelope's ends beside it.  The
+    ``most_windows`` that move most are taken.
     """
-    search = _Search(residuals, Judge(nominal, told, residuals), numbers)
-    slopes = search.slopes(Hypothesis(), nominal)
-    singles = [(one, search.fit(one)) for one in (Hypothesis((), each) for each in exchanges)]
-    singles += [(one, search.fit(one, nominal)) for one in (Hypothesis((slope.cause,)) for slope in slopes[:REFINED])]
-    singles = [(one, fitted) for one, fitted in singles if isfinite(fitted.removed)]
-    singles.sort(key=lambda pair: -pair[1].removed)
-    tried = tuple(fitted for _, fitted in singles)
-    exchanged = next((pair for pair in singles if pair[0].exchange), None)
-    found: list[Fitted] = []
-    if tried and tried[0].over_noise > MISFIT:
-        found = [search.fit(pair) for pair in search.list_pairs(slopes, nominal)]
-    if exchanged and exchanged[1].over_noise > MISFIT and exchanged[1].removed > (PROMISING if found else MOST):
-        found += [search.fit(pair) for pair in search.list_beside(exchanged[0])]
-    pairs = tuple(sorted((one for one in found if isfinite(one.removed)), key=lambda one: -one.removed))
-    named, reason = search.judge.name(tried, pairs)
-    return Causes(misfit, named, tried[:8], reason, pairs)
+    moved = np.nanstd(flying.measured()[:, :, :3] / flying.scale[:3], axis=1).sum(axis=1)
+    chosen = np.sort(np.argsort(-moved, kind="stable")[:most_windows]).tolist()
+    spread = np.std(flying.starts.moment, axis=0, ddof=1)
+    misfit = Misfit(model, flying.only(chosen), wind, np.maximum(spread, 1e-9))
+    table = _Table(misfit, (margins[0][chosen], margins[1][chosen]))
+    rows = [row for one in list_candidates(model, flying.flight) if (row := table.fit(one)) is not None]
+    rows.sort(key=lambda row: -row.removed)
+    if not table.told.any():
+        return Causes(table.misfit, (), tuple(rows), "no channel that moves is off by more than noise")
+    named, reason = name_rows(rows, table.windows)
+    return Causes(table.misfit, named, tuple(rows), reason, table.is_off)
 
 
-class _Search:
-    """Fits hypotheses to the residuals of a replay."""
+class _Table:
+    """Fits candidates, and judges them by windows.  Channels are the sensors', then what moments and zeros cost."""
 
-    def __init__(self, residuals: Residuals, judge: Judge, numbers: Sequence[Cause]) -> None:
-        self._residuals, self.judge, self._numbers = residuals, judge, numbers
+    def __init__(self, misfit: Misfit, margins: tuple[Array, Array]) -> None:
+        self._misfit, flying = misfit, misfit.flying
+        self._margins = [ends[:, :, misfit.present] / flying.scale[misfit.present] for ends in margins]
+        step = misfit.solve(misfit.nominal)
+        windows, rows = flying.rows.shape
+        count = step.squares.shape[1]
+        # The mean square that noise leaves of each; of three standard deviations in a zero nothing is made.
+        self._floor = np.full(count, float(rows))
+        self._floor[-COSTS:] = [2.0] * 3 + [9.0 / windows] * 3
+        off = step.squares.mean(axis=0) / self._floor
+        measured = flying.measured()[:, :, misfit.present]
+        movement = np.std(measured, axis=1) / flying.scale[misfit.present]
+        self._moves: Flags = np.mean(movement**2, axis=0) > EXCITED**2
+        self.told: Flags = off > MISFIT
+        names = [name for (name, _), here in zip(CHANNELS, misfit.present, strict=True) if here]
+        self.told[:-COSTS] &= self._moves
+        self.told[-COSTS : -COSTS + 3] &= _is_common(flying.starts.moment)
+        self.misfit = float(np.mean(misfit.nominal.left**2))
+        # An angle alone that is off is the attitude's own error.
+        self.is_off = bool(self.told[[not name.endswith(AXES) for name in names] + [True] * COSTS].any())
+        if self.told.any():
+            # Each channel counts by the root of its misfit, so that the largest does not hide the others.
+            misfit.weights = np.where(self.told, 1.0, 0.2) / np.maximum(1.0, off) ** 0.25
+            step = misfit.solve(misfit.nominal)
+        self._nominal = step.squares
+        self._start = misfit.follow(misfit.nominal, step) if self.told.any() else misfit.nominal
+        self.windows = self._misfits(misfit.solve(self._start).squares)
 
-    def slopes(self, base: Hypothesis, left: Array) -> list[_Slope]:
-        """Return what each number beside ``base`` does to what that leaves, the most promising first."""
-        found = []
-        for cause in self._numbers:
-            moved = self._residuals.of(replace(base, numbers=(cause,)), (cause.begin + cause.probe,))
-            slope = (moved - left) / cause.probe
-            power = float(np.sum(slope**2))
-            if 0.0 < power < np.inf:
-                found.append(_Slope(cause, slope, float(np.sum(slope * left)) ** 2 / power))
-        return sorted(found, key=lambda slope: -slope.promise)
+    def _misfits(self, squares: Array) -> Array:
+        """Return the misfit above the noise of each window; channels that are not off count where they get worse."""
+        over = np.where(self.told, squares - self._floor, squares - np.maximum(self._nominal, self._floor))
+        return np.asarray(np.maximum(over * self._misfit.weights**2, 0.0).sum(axis=1))
 
-    def list_pairs(self, slopes: Sequence[_Slope], nominal: Array) -> Iterator[Hypothesis]:
-        """Yield the pairs of numbers that promise most."""
-        promises = []
-        for one, other in combinations(slopes, 2):
-            if abs(_correlation(one.values, other.values)) < SAME:
-                stack = np.stack([one.values.ravel(), other.values.ravel()], axis=1)
-                solution = np.linalg.lstsq(stack, nominal.ravel(), rcond=None)[0]
-                promises.append((float(nominal.ravel() @ (stack @ solution)), (one.cause, other.cause)))
-        promises.sort(key=lambda promise: -promise[0])
-        yield from (Hypothesis(causes) for _, causes in promises[:REFINED_PAIRS])
+    def _removed(self, squares: Array) -> float:
+        before = float(np.mean(self.windows))
+        return 1.0 - float(np.mean(self._misfits(squares))) / before if before > 0.0 else 0.0
 
-    def list_beside(self, exchanged: Hypothesis) -> Iterator[Hypothesis]:
-        """Yield an exchange with the numbers that promise most behind it."""
-        for slope in self.slopes(exchanged, self._residuals.of(exchanged))[:REFINED_PAIRS]:
-            yield replace(exchanged, numbers=(slope.cause,))
+    def fit(self, one: Candidate, promising: float = 0.1, rounds: int = 5) -> Row | None:
+        """Return the row of a candidate; None where it cannot be flown.
 
-    def fit(self, hypothesis: Hypothesis, left: Array | None = None) -> Fitted:
-        """Fit the numbers of a hypothesis, from the stated ones on; ``left`` is what these leave, if known."""
-        values = np.array(hypothesis.begin)
-        left = self._residuals.of(hypothesis, values.tolist()) if left is None else left
-        slopes: Array = np.zeros((*left.shape, len(values)))
-        for done in range(ROUNDS if hypothesis.numbers else 0):
-            slopes = self._slopes_at(hypothesis, values, left)
-            normal = np.einsum("wnci,wncj->ij", slopes, slopes)
-            if not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) != len(values):
-                break
-            better = self._step(hypothesis, values, left, -np.linalg.solve(normal, _scores(slopes, left).sum(axis=0)))
-            if better is None:
-                break
-            moved, (values, left) = np.abs(better[0] - values), better
-            probes = np.array([cause.probe for cause in hypothesis.numbers])
-            if np.all(moved < 0.05 * probes) or (done and self.judge.removed(left) < PROMISING):
-                break
-        return self._fitted(hypothesis, values, left, slopes)
+        What removes less than the share ``promising`` in a straight line is not flown again.
+        """
+        misfit, begin = self._misfit, self._start
+        values = np.array([_inward(number, number.stated) for number in one.numbers])
+        deviation = np.array([number.deviation for number in one.numbers])
+        try:
+            point = begin if one.numbers else self._fly_case(one)
+            slopes = self._slopes(one, values, point)
+        except (FlightError, EngineError, InputError):
+            return None
+        shift = (point.left - begin.left)[:, :, self._moves]
+        changes = float(np.max(np.mean(shift**2, axis=(0, 1)), initial=0.0))
+        step = misfit.solve(point, slopes, deviation)
+        if self.told.any() and self._removed(step.squares) > promising:
+            for _ in range(rounds):
+                better = self._better(one, values, point, step)
+                if better is None:
+                    break
+                slopes = slopes + self._secant(point, better[1], slopes, better[0] - values)
+                values, point = better
+                step = misfit.solve(point, slopes, deviation)
+                if np.all(np.abs(step.values) < 0.1 * step.bounds):
+                    break
+            last = misfit.solve(point)
+        else:
+            last, values = step, values + step.values
+        parts, at_limit = [], False
+        for number, value, bound in zip(one.numbers, values.tolist(), step.bounds.tolist(), strict=True):
+            outward = _outward(number, value)
+            at_limit |= outward in (number.low, number.high) and outward != number.stated
+            half = bound * outward**2 if number.inverse else bound
+            parts.append(Part(number.name, number.unit, number.stated, outward, half, number.off))
+        noise = (last.squares.mean(axis=0) / self._floor)[self.told]
+        return Row(
+            one.name, tuple(parts), self._removed(last.squares), self._misfits(last.squares),
+            float(np.max(noise, initial=0.0)), self._lies_in_envelope(last.left), changes, at_limit,
+        )  # fmt: skip
 
-    def _slopes_at(self, hypothesis: Hypothesis, values: Array, left: Array) -> Array:
+    def _fly_case(self, one: Candidate) -> Point:
+        """Fly a case, without the moments that made up for its absence."""
+        sense, own = np.array(one.sense, float), self._start.own.copy()
+        own[:, MOMENT] = -sense[:3] * self._misfit.flying.starts.moment
+        return self._misfit.fly(one.case, sense, own, self._start.shared)
+
+    def _slopes(self, one: Candidate, values: Array, point: Point) -> Array:
         slopes = []
-        for n, cause in enumerate(hypothesis.numbers):
-            probe = cause.probe if values[n] + cause.probe <= cause.high else -cause.probe
+        for n, number in enumerate(one.numbers):
             moved = values.copy()
-            moved[n] += probe
-            slopes.append((self._residuals.of(hypothesis, moved.tolist()) - left) / probe)
-        return np.stack(slopes, axis=-1)
+            moved[n] = _inward(number, number.stated + number.probe)
+            slopes.append(self._misfit.slope(point, _change(one, moved), moved[n] - values[n]))
+        return np.stack(slopes, axis=-1) if slopes else np.zeros((*point.left.shape, 0))
 
-    def _step(self, hypothesis: Hypothesis, values: Array, left: Array, move: Array) -> tuple[Array, Array] | None:
-        """Return better numbers and what they leave, by the whole move or a part of it; None where no part is."""
+    def _better(self, one: Candidate, values: Array, point: Point, step: Step) -> tuple[Array, Point] | None:
+        """Return values that leave less, by the step or a part of it, with their flight; None where no part does."""
+        before = self._misfit.solve(point).loss
         for part in (1.0, 0.5, 0.25):
-            steps = zip(hypothesis.numbers, values.tolist(), (part * move).tolist(), strict=True)
-            candidate: Array = np.array([cause.moved(value, by) for cause, value, by in steps])
-            after = self._residuals.of(hypothesis, candidate.tolist())
-            if float(np.sum(after**2)) < float(np.sum(left**2)):
-                return candidate, after
+            tried = values + part * step.values
+            tried = np.array([_inward(n, _outward(n, v)) for n, v in zip(one.numbers, tried.tolist(), strict=True)])
+            try:
+                after = self._misfit.follow(point, step, _change(one, tried))
+            except (FlightError, EngineError, InputError):
+                continue
+            if self._misfit.solve(after).loss < before:
+                return tried, after
         return None
 
-    def _fitted(self, hypothesis: Hypothesis, values: Array, left: Array, slopes: Array) -> Fitted:
-        halves, held_back = bounds(slopes, left), _foretold(slopes, left)
-        parts = [Part(hypothesis.exchange.name, "")] if hypothesis.exchange else []
-        at_limit = False
-        for cause, value, half in zip(hypothesis.numbers, values.tolist(), halves, strict=True):
-            parts.append(Part(cause.name, cause.unit, value, half, cause.begin))
-            at_limit |= value in (cause.low, cause.high) and value != cause.begin
-        return self.judge.fitted(tuple(parts), left, held_back, at_limit)
+    def _secant(self, point: Point, after: Point, slopes: Array, moved: Array) -> Array:
+        """Return what slopes are to be corrected by, after two flights (Broyden, 1965)."""
+        size = float(moved @ moved)
+        if not size:
+            return np.zeros_like(slopes)
+        foreseen = self._misfit.foreseen(slopes, moved, after.own - point.own, after.shared - point.shared)
+        return np.asarray((after.left - point.left - foreseen)[..., None] * moved / size)
+
+    def _lies_in_envelope(self, left: Array) -> bool:
+        low, high = self._margins
+        within = np.mean((left >= low) & (left <= high), axis=(0, 1))
+        return bool(np.all(within[self._moves] >= NEEDED))
 
 
-def _scores(slopes: Array, left: Array) -> Array:
-    """Return slopes times residuals of each window, (w, numbers)."""
-    return np.asarray(np.einsum("wnci,wnc->wi", slopes, left))
+def name_rows(rows: Sequence[Row], misfit: Array) -> tuple[tuple[Row, ...], str]:
+    """Return the rows that are named, more than one where they cannot be told apart, and why none is.
+
+    ``rows`` begin with what removes most of the ``misfit`` of each window (w,).
+    """
+    likely = [row for row in rows if row.removed >= NAMED and row.fits and not row.at_limit]
+    if not likely:
+        return (), _explain_none(rows)
+    best = likely[0]
+    if _gain(misfit, best.windows, misfit)[1] < SURE:
+        return (), f"{best.text} would remove most of it, but the windows do not agree"
+    near = [row for row in rows if row is not best and row.removed >= max(NAMED, best.removed - 0.15)]
+    return (best, *(row for row in near if not _is_apart(row, best, misfit))), ""
 
 
-def bounds(slopes: Array, left: Array) -> list[float | None]:
-    """Return half of the 95 % interval of each number, each window taken for one observation."""
+def _is_apart(worse: Row, better: Row, misfit: Array) -> bool:
+    """Return whether the windows say that one is better than the other.
+
+    What leaves more than noise is worse than what leaves no more; else it has to be a twentieth of the misfit, by
+    three standard errors.
+    """
+    if better.over_noise < MISFIT < worse.over_noise:
+        return True
+    gain, sure = _gain(worse.windows, better.windows, misfit)
+    return gain > 0.05 and sure >= SURE
+
+
+def _inward(number: Number, value: float) -> float:
+    """Return what the motion goes with, of a value within the number's bounds."""
+    value = min(max(value, number.low), number.high)
+    return 1.0 / value if number.inverse else value
+
+
+def _outward(number: Number, inward: float) -> float:
+    """Return the value within the number's bounds of what the motion goes with."""
+    if number.inverse:
+        return number.high if inward <= 1.0 / number.high else max(1.0 / inward, number.low)
+    return min(max(inward, number.low), number.high)
+
+
+def _change(one: Candidate, inward: Array) -> Change:
+    return one.change(np.array([_outward(n, v) for n, v in zip(one.numbers, inward.tolist(), strict=True)]))
+
+
+def _is_common(moments: Array) -> Flags:
+    """Return whether the moments of windows (w, 3) have a mean that is no chance: one in a thousand."""
     from scipy.stats import t
 
-    count, size = len(slopes), slopes.shape[-1]
-    normal = np.einsum("wnci,wncj->ij", slopes, slopes)
-    if count < 2 or not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) < size:
-        return [None] * size
-    scores, inverse = _scores(slopes, left), np.linalg.inv(normal)
-    spread = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * count / (count - 1.0))
-    return [float(t.ppf(0.975, count - 1) * half) for half in spread]
+    count = len(moments)
+    error = np.std(moments, axis=0, ddof=1) / np.sqrt(count)
+    return np.asarray(np.abs(moments.mean(axis=0)) > float(t.ppf(0.9995, count - 1)) * error)
 
 
-def _foretold(slopes: Array, left: Array) -> Array:
-    """Return what is left of each window (w, n, c) with the numbers that the others give: a Newton step from all's.
+def _gain(before: Array, after: Array, misfit: Array) -> tuple[float, float]:
+    """Return the mean share of their misfit that windows gain, and that in its standard errors.
 
-    A number that the others do not tell foretells nothing; the window counts twice what all together leave of it.
+    Windows with less than a fifth of the mean misfit say nothing; less than two others say nothing either.
     """
-    if not slopes.shape[-1] or not np.isfinite(slopes).all():
-        return left
-    normals, scores = np.einsum("wnci,wncj->wij", slopes, slopes), _scores(slopes, left)
-    whole, total = normals.sum(axis=0), scores.sum(axis=0)
-    scale = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    held_back = left.copy()
-    for window, (normal, score) in enumerate(zip(normals, scores, strict=True)):
-        others = (whole - normal) / np.outer(scale, scale)
-        if np.linalg.eigvalsh(others)[0] < KNOWN:
-            held_back[window] *= np.sqrt(2.0)
-            continue
-        move = -np.linalg.solve(others, (total - score) / scale) / scale
-        held_back[window] += slopes[window] @ move
-    return held_back
+    telling = misfit > 0.2 * float(np.mean(misfit))
+    if telling.sum() < 2:
+        return 0.0, 0.0
+    gains = (before - after)[telling] / misfit[telling]
+    error = max(float(np.std(gains, ddof=1)), 1e-3) / np.sqrt(len(gains))
+    return float(np.mean(gains)), float(np.mean(gains) / error)
 
 
-def _correlation(one: Array, other: Array) -> float:
-    return float(np.sum(one * other) / np.sqrt(np.sum(one**2) * np.sum(other**2)))
-
-
-def without_windows(causes: Causes) -> Causes:
-    """Return the causes without what each window says, which is large."""
-    empty = np.zeros(0)
-
-    def small(ones: Sequence[Fitted]) -> tuple[Fitted, ...]:
-        return tuple(replace(one, windows=empty, held_back=empty) for one in ones)
-
-    return replace(causes, named=small(causes.named), tried=small(causes.tried), pairs=small(causes.pairs))
+def _explain_none(rows: Sequence[Row]) -> str:
+    """Return why nothing is named."""
+    if not rows:
+        return "nothing that was tried can be flown"
+    best = rows[0]
+    share = f"{best.text} removes {100.0 * max(best.removed, 0.0):.0f} %"
+    if best.removed < NAMED:
+        return f"nothing alone removes half of it, {share}: more at once, or something else"
+    if best.at_limit:
+        return f"{share}, at the end of what was tried: something else"
+    return f"{share}, but what is left is not in the envelope: more at once, or something else"

@@ -19,7 +19,7 @@ from cosim.base.signals import ZERO3, Actuation, Disturbance, PerJet, State, Una
 from cosim.engine import EngineSpec
 from cosim.simulation.build import build
 from cosim.simulation.script.mismatch import apply_mismatch
-from cosim.spec.scenario import Initial, Scenario
+from cosim.spec.scenario import Initial, Mismatch, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.sensors import SensorSuite
@@ -45,8 +45,10 @@ class Change:
     mass: float = 1.0
     thrust: float = 1.0  # of all engines
     jets: Mapping[int, float] = field(default_factory=dict)  # factor of a jet's thrust, from 0
-    delay_s: float = 0.0  # by which all that engines and servos do comes later
-    engines_s: float = 0.0  # by which the engines alone do
+    centre: Vector3 = ZERO3  # m, body, by which the centre of gravity is elsewhere
+    engines_s: float = 0.0  # by which the engines are later
+    servos_s: float = 0.0  # by which servos and surfaces are later
+    sensors_s: Vector3 = ZERO3  # by which gyro, accelerometer and attitude are later
     servo_lag_s: float = 0.0  # by which the lag of every servo and hinge is larger
     order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
@@ -96,38 +98,31 @@ class Model:
         self.scenario = scenario.replace(sensor_noise=False, expect=[])
         self.vehicle, self._folder = self.scenario.resolved_vehicle()
         self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
-        self._loads: dict[tuple[tuple[str, float], ...], Loads] = {}
+        self._loads: dict[tuple[object, ...], Loads] = {}
         self.engine: EngineSpec | None = None  # known when its engines have run
 
     def loads(self, flight: RecordedFlight, change: Change) -> Loads:
         """Return what the engines, servos and effects do with the commands of a flight."""
-        reordered = bool(change.order or change.jets or change.engines_s or change.servo_lag_s)
-        key = tuple(sorted(change.parameters.items()))
-        if reordered or key not in self._loads:
+        key = (tuple(sorted(change.parameters.items())), change.engines_s, change.servos_s, change.servo_lag_s)
+        if key not in self._loads:
             loads = self._run_engines(flight, change)
-            if reordered:
+            if any(key[1:]):
                 return loads
             self._loads[key] = loads
         return self._loads[key]
 
     def _run_engines(self, flight: RecordedFlight, change: Change) -> Loads:
         scenario = self.scenario
-        stated = scenario.mismatch.single_factors
-        factors = {f"thrust_factor_{jet + 1}": factor * stated[jet] for jet, factor in change.jets.items()}
-        if change.parameters or factors:
-            mismatch = {"engine_parameters": dict(change.parameters), **factors}
-            scenario = scenario.replace(mismatch={key: value for key, value in mismatch.items() if value})
+        if change.parameters:
+            scenario = scenario.replace(mismatch={"engine_parameters": dict(change.parameters)})
         if change.servo_lag_s:
             scenario = scenario.replace(vehicle=_slower_servos(self.vehicle, change.servo_lag_s))
         with build(scenario) as simulation:
             self.engine = self.engine or simulation.engine
             propulsion = simulation.propulsion
-            rows: Array = np.arange(float(len(flight.throttle))) - change.engines_s / flight.step
-            throttle = _shifted(flight.throttle, rows) if change.engines_s else flight.throttle
-            if change.order:
-                throttle = throttle[:, list(change.order)]
+            throttle = _later(flight.throttle, change.engines_s / flight.step)
             commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
-            tilts = [tuple(row) for row in flight.tilt.tolist()]
+            tilts = [tuple(row) for row in _later(flight.tilt, change.servos_s / flight.step).tolist()]
             states = recorded_states(flight, self.vehicle)
             propulsion.refuel()
             propulsion.reset(commands[0], states[0], ZERO3)
@@ -160,7 +155,7 @@ class Model:
     ) -> Flown:
         """Fly the windows from ``starts`` in a ``wind`` [m/s, NED].  Raises FlightError where JSBSim stops."""
         change = change or Change()
-        acting = _changed(self.loads(flight, change), change, flight.step)
+        acting = _changed(self.loads(flight, change), change, self.vehicle)
         scenario = self.scenario
         vehicle = changed_vehicle(self._flown_vehicle, change)
         rotors = bool(np.any(acting.momentum))
@@ -179,7 +174,9 @@ class Model:
 
 
 def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
-    """Return the vehicle with other mass, inertia and damping; what a JSBSim file of its own says of that stays."""
+    """Return the vehicle with another mass, centre of gravity, inertia and damping."""
+    if any(change.centre):
+        vehicle = apply_mismatch(vehicle, Mismatch(centre_m=change.centre))
     inertia = tuple(factor * value for factor, value in zip(change.inertia, vehicle.inertia_kg_m2, strict=True))
     update: dict[str, Any] = {"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg}
     if change.damping:
@@ -224,21 +221,26 @@ def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:
     ]
 
 
-def _changed(loads: Loads, change: Change, step: float) -> Loads:
-    """Return loads with the changes that need no engine to run again."""
-    if change.thrust != 1.0:
-        loads = loads._replace(forces=change.thrust * loads.forces, moments=change.thrust * loads.moments)
-    if change.delay_s:
-        rows: Array = np.arange(float(len(loads.burnt))) - change.delay_s / step
-        loads = Loads(*(_shifted(values, rows) for values in loads))
-    return loads
+def _changed(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
+    """Return loads with the changes that need no engine to run again: thrust, of all or of some, in another order."""
+    factors = np.array([change.thrust * change.jets.get(jet, 1.0) for jet in range(len(vehicle.jets))])
+    if not change.order and np.all(factors == 1.0):
+        return loads
+    thrust = np.linalg.norm(loads.forces, axis=2)
+    axes = loads.forces / np.maximum(thrust, 1e-12)[:, :, None]
+    other = factors * (thrust[:, list(change.order)] if change.order else thrust)
+    reactions = -np.array([jet.reaction_m for jet in vehicle.jets]) * (other - thrust)
+    moments = loads.moments + np.einsum("kj,kjc->kc", reactions, axes)
+    return loads._replace(forces=other[:, :, None] * axes, moments=moments)
 
 
-def _shifted(values: Array, rows: Array) -> Array:
-    """Return values at rows between the rows, in a straight line; the ends go on."""
-    rows = np.clip(rows, 0.0, len(values) - 1.0)
+def _later(values: Array, steps: float) -> Array:
+    """Return values so many rows later, in a straight line between rows; the ends go on."""
+    if not steps or not values.size:
+        return values
+    rows = np.clip(np.arange(float(len(values))) - steps, 0.0, len(values) - 1.0)
     before = np.minimum(rows.astype(int), len(values) - 2)
-    part = (rows - before).reshape(-1, *([1] * (values.ndim - 1)))
+    part = (rows - before)[:, None]
     return np.asarray((1.0 - part) * values[before] + part * values[before + 1])
 
 

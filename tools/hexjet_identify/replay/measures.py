@@ -15,6 +15,7 @@ EDGES: Final = (1.0, 3.0, 8.0, 25.0)  # of the bands, in periods a window
 LEVEL: Final = "specific_force_z"  # whose level is thrust over mass, and says something where nothing moves
 COHERENT: Final = 0.6  # from here on a ratio of the two says something
 EXCITED: Final = 2.0  # times its noise that a channel moves, rms, from where on it says something
+NEEDED: Final = 0.9  # share of the time within the envelope with which a channel is explained
 SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 
 

@@ -1,319 +1,254 @@
-"""What a replay leaves, what of it is more than noise, and what windows say of a cause."""
+"""What a replay leaves of a flight, beside all that nobody knows of it.
+
+Nobody knows the state at the start of a window, the constant moment of the air on it, a drift of the attitude, the
+accelerometer's zero and the rest of the wind.  They are estimated with every number of the vehicle, by Gauss and
+Newton, and stand beside the channels with what they cost: a moment that is the same in all windows, or a zero beyond
+what the sensor states, is something that a number has to explain.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.signals import Vector3
-from hexjet_identify.replay.candidates import AS_STATED, LARGER, Hypothesis, Sense
-from hexjet_identify.replay.flown import Change, Flown, Model
-from hexjet_identify.replay.measures import EXCITED
-from hexjet_identify.replay.windows import Flying, accelerometer_zero, without_start
+from hexjet_identify.replay.flown import Change, Flown, Model, Starts
+from hexjet_identify.replay.windows import Flying
 
-MISFIT: Final = 1.3  # times the noise's square, from where on there is anything to explain
-LITTLE: Final = 0.2  # weight of a channel that is not off, or does not move
-MOST: Final = 0.5  # of the misfit that a cause removes which is named
-MOST_REST: Final = 0.5  # of a channel's movement that it leaves at most
-SURE: Final = 3.0  # standard errors by which it does so, window by window
-APART: Final = 2.0  # standard errors by which it beats another that is not named,
-NEAR: Final = 0.05  # and share of the misfit
-PAIR_REST: Final = 0.5  # of what the best single cause leaves of windows held back, that a pair leaves at most
-TELLING: Final = 0.2  # of the mean misfit of a window, from where on it says something
-LEAST_TELLING: Final = 2  # windows with a misfit, for a name
-AIR_M_S: Final = 5.0  # by which a wind may be off, and not cost anything to speak of
-MOST_WINDOWS: Final = 20  # that move most: with so many a cause is looked for
-
-
-class Part(NamedTuple):
-    """One of the causes that are there at once, with its number."""
-
-    name: str
-    unit: str  # "": a factor
-    value: float | None = None  # None: an exchange has none
-    bound: float | None = None  # half of the 95 % interval
-    begin: float | None = None  # the number as the vehicle states it
-
-    @property
-    def is_apart(self) -> bool:
-        """Whether the 95 % interval is free of the stated number."""
-        if self.value is None or self.begin is None:
-            return True
-        return self.bound is not None and abs(self.value - self.begin) > self.bound
-
-    @property
-    def text(self) -> str:
-        """The cause with its value and bounds."""
-        if self.value is None:
-            return self.name
-        size, unit = (1e3, " ms") if self.unit == "s" else (1.0, f" {self.unit}" if self.unit else " times as stated")
-        value, half = size * self.value, size * (self.bound or 0.0)
-        bounds = f" (95 %: {value - half:.4g} to {value + half:.4g})" if half else ""
-        return f"{self.name}: {value:.4g}{unit}{bounds}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it for JSON."""
-        return {"name": self.name, "unit": self.unit, "value": self.value, "bound_95": self.bound}
+# Numbers of a window: rate, moment, angle and drift of the angle, about each axis.
+RATE, MOMENT, ANGLE, DRIFT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+# Numbers of the flight: the accelerometer's zero, and the wind beside the estimated one.
+ZERO, WIND = slice(0, 3), slice(3, 5)
+# Three moments of the window and three zeros of the flight are channels behind the sensors'.
+COSTS: Final = 6
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A cause with its number, or two; ``removed`` is the share that it takes of the misfit above the noise."""
+class Point:
+    """The windows flown once: how, and what is left over, ``left`` (w, n, c), in units of the noise.
 
-    parts: tuple[Part, ...]
-    removed: float
-    windows: Array  # squared error of each window
-    held_back: Array  # the same, each window foretold by the numbers that the others give
-    sure: float  # standard errors by which it is better than the model as stated
-    rest: float  # of the movement in the channel that it explains worst
-    at_limit: bool = False  # a number is at the end of what was tried
-    over_noise: float = 1.0  # what is left of the channels that are to be explained, in squares of the noise
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        return " and ".join(part.name for part in self.parts)
-
-    @property
-    def value(self) -> float | None:
-        """The number of a single cause; None for an exchange, and for two causes."""
-        return self.parts[0].value if len(self.parts) == 1 else None
-
-    @property
-    def bound(self) -> float | None:
-        """Half of its 95 % interval."""
-        return self.parts[0].bound if len(self.parts) == 1 else None
-
-    @property
-    def is_likely(self) -> bool:
-        """Whether it removes most of the misfit, and what is left is not most of what moved."""
-        return self.removed >= MOST and self.rest <= MOST_REST and not self.at_limit
-
-    @property
-    def has_exchange(self) -> bool:
-        """Whether engines or an axis are exchanged."""
-        return any(part.value is None for part in self.parts)
-
-    @property
-    def are_apart(self) -> bool:
-        """Whether each number differs from the stated one."""
-        return all(part.is_apart for part in self.parts)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything but the windows, for JSON."""
-        return {
-            "name": self.name,
-            "unit": self.parts[0].unit if len(self.parts) == 1 else "",
-            "value": self.value,
-            "bound_95": self.bound,
-            "parts": [part.to_dict() for part in self.parts],
-            "removed": self.removed,
-            "standard_errors": self.sure,
-            "rest_of_movement": self.rest,
-        }
-
-    @property
-    def text(self) -> str:
-        """The cause with its value and bounds, or both."""
-        return ", and ".join(part.text for part in self.parts)
-
-
-class Residuals:
-    """What a replay leaves, in units of the noise: (w, n, c), by the channels that the log has.
-
-    What another constant wind would make of it is taken out, for the estimated one is wrong where the model is.
+    ``sense`` (9,): -1 for a channel that the log has the other way round.  ``own`` (w, 12) of the windows and
+    ``shared`` (5,) of the flight are estimated beside, from the flight's starts on.
     """
 
-    def __init__(self, model: Model, flying: Flying, wind: Vector3) -> None:
-        self._model, self._wind = model, wind
-        moved = np.nanstd(flying.measured()[:, :, :3] / flying.scale[:3], axis=1).sum(axis=1)
-        chosen = np.sort(np.argsort(-moved, kind="stable")[:MOST_WINDOWS])
-        self.flying = flying.only(chosen.tolist())
-        self.has_force = flying.flight.has_force
-        self._weights = np.ones(6 if self.has_force else 3)
-        self._winds: Array = np.zeros((0, 1, 1, 1))  # what AIR_M_S more, north and east, makes of the residuals
-        still = self.of(Hypothesis())
-        self._winds = np.stack([self._in_wind(AIR_M_S * axis) - still for axis in np.eye(2)])
-        self.nominal = self._without_wind(still)  # of the model as it is
-
-    def _in_wind(self, more: Array) -> Array:
-        north, east, down = self._wind
-        wind = (north + float(more[0]), east + float(more[1]), down)
-        flown = self._model.fly(self.flying.flight, self.flying.windows, self.flying.starts, None, wind)
-        return self._weigh(self.flying.measured(), flown)
-
-    def _without_wind(self, left: Array) -> Array:
-        """Return residuals without the winds that fit them best; one of AIR_M_S costs as much as the noise of a row."""
-        if not len(self._winds):
-            return left
-        shapes = (self._weights * self._winds).reshape(len(self._winds), -1)
-        fitted = np.linalg.solve(shapes @ shapes.T + np.eye(len(shapes)), shapes @ left.ravel())
-        return left - np.asarray(fitted @ shapes).reshape(left.shape)
-
-    def balance(self, nominal: Array) -> tuple[Array, Flags]:
-        """Let each channel count by the root of its misfit from here on, those that are not off little.
-
-        So the largest does not hide the others, and one that is hardly off has little to say.  Return the model's own
-        residuals so, and which channels are to be explained, (c,): those that move and are off.
-        """
-        off, moves = np.mean(nominal**2, axis=(0, 1)), np.mean(self.movement() ** 2, axis=(0, 1))
-        told = (off > MISFIT) & (moves > EXCITED**2)
-        self._weights = np.where(told, 1.0, LITTLE) / np.maximum(1.0, off) ** 0.25
-        return np.asarray(nominal * self._weights), told
-
-    @property
-    def floor(self) -> Array:
-        """What noise alone would leave of a window in each channel, (c,)."""
-        return np.asarray(self.flying.rows.shape[1] * self._weights**2)
-
-    def movement(self) -> Array:
-        """Return what was measured as residuals are, (w, n, c): what a model would leave that does not move."""
-        flying = self.flying
-        still = Flown(*(np.zeros_like(flying.flight.rate) for _ in Flown._fields))
-        if self.has_force:  # across the thrust; along it a model without thrust would leave all of it
-            still.force[:, :2] = np.nanmean(flying.measured()[:, :, 3:5], axis=(0, 1))
-        return self._weigh(flying.measured(), still)
-
-    def of(self, hypothesis: Hypothesis, values: Sequence[float] = ()) -> Array:
-        """Return the residuals with causes at these numbers; infinite where an engine does not take one."""
-        try:
-            return self._of(hypothesis.change(values), hypothesis.sense)
-        except (FlightError, EngineError, InputError):
-            return np.full((len(self.flying.windows), 1, 1), np.inf)
-
-    def _of(self, change: Change, sense: Sense) -> Array:
-        flying = self.flying
-        measured, starts, winds = flying.measured(), flying.starts, [self._wind]
-        if sense != AS_STATED:
-            turned = np.array(sense, float)
-            measured = measured * np.concatenate([turned, np.ones(3), turned])
-            starts = starts._replace(rate=starts.rate * turned, moment=starts.moment * turned)
-            winds.append((0.0, 0.0, 0.0))  # the estimated one rests on the attitude that may be reversed
-        left = [
-            self._weigh(measured, self._model.fly(flying.flight, flying.windows, starts, change, wind))
-            for wind in winds
-        ]
-        return min(left, key=lambda one: float(np.sum(one**2)))
-
-    def _weigh(self, measured: Array, flown: Flown) -> Array:
-        flying = self.flying
-        error = measured[:, :, :6] - flying.modelled(flown)[:, :, :6]
-        left = without_start(error[:, :, :3], flying.flight.step) / flying.noise.rate
-        if self.has_force:
-            force = error[:, :, 3:] - accelerometer_zero(error[:, :, 3:], self._model.vehicle)
-            left = np.concatenate([left, force / flying.noise.force], axis=2)
-        return self._without_wind(self._weights * left)
+    change: Change
+    sense: Array
+    own: Array
+    shared: Array
+    left: Array
 
 
-class Judge:
-    """What the windows say of a cause beside the model as stated, and beside another cause."""
+@dataclass(frozen=True)
+class Step:
+    """A step of Gauss and Newton: of ``values`` with half of their 95 % intervals, of the windows and of the flight.
 
-    def __init__(self, nominal: Array, told: Flags, residuals: Residuals) -> None:
-        self._told, self._floor, self._nominal = told, residuals.floor, np.sum(nominal**2, axis=1)
-        self._windows = self._misfits(nominal)
-        movement = np.sum(residuals.movement() ** 2, axis=(0, 1)) - len(nominal) * self._floor
-        self._movement = np.where(told, movement, np.inf)  # of the channels that are to be explained
+    ``squares`` (w, c + 6) are what it leaves of each window, by channels and costs; ``loss`` is their weighted sum.
+    """
 
-    def _misfits(self, left: Array) -> Array:
-        """Return the misfit above the noise of each window; other channels count where they get worse."""
-        channels = np.sum(left**2, axis=1)
-        over = np.where(self._told, channels - self._floor, channels - self._nominal)
-        return np.asarray(np.maximum(over, 0.0).sum(axis=1))
-
-    def removed(self, left: Array) -> float:
-        """Return the share of the misfit above the noise that is gone from these residuals."""
-        before = float(np.mean(self._windows))
-        return (before - float(np.mean(self._misfits(left)))) / before if before > 0.0 else 0.0
-
-    def fitted(self, parts: tuple[Part, ...], left: Array, held_back: Array, at_limit: bool = False) -> Fitted:
-        """Return causes with what they leave, and what of each window the numbers of the others leave (w, n, c)."""
-        windows, channels = self._misfits(left), np.sum(left**2, axis=(0, 1))
-        over = channels - len(left) * self._floor
-        rest = float(np.sqrt(np.max(np.maximum(over, 0.0) / self._movement)))
-        noise = float(np.max((channels / (len(left) * self._floor))[self._told]))
-        sure = self._gain(self._windows, windows)
-        return Fitted(parts, self.removed(left), windows, self._misfits(held_back), sure, rest, at_limit, noise)
-
-    def name(self, tried: Sequence[Fitted], pairs: Sequence[Fitted]) -> tuple[tuple[Fitted, ...], str]:
-        """Return the causes that are named, more than one where they cannot be told apart, and why none is.
-
-        Both lists begin with what removes most.
-        """
-        if not tried:
-            return (), "nothing that was tried removes any of it"
-        both = [pair for pair in pairs if self._is_needed(pair, tried[0])]
-        likely = both or [one for one in tried if one.is_likely]
-        if not likely:
-            return (), _why_unlikely(tried[0])
-        best, *others = likely
-        if not both:  # an exchange may hide in a number: two of six engines swapped look like an inertia of three times
-            others += [one for one in pairs if one.has_exchange and one.is_likely and one.are_apart]
-        if best.sure < SURE:
-            return (), (
-                f"{best.text} would remove most of it, but the windows do not agree ({best.sure:.1f} standard errors)"
-            )
-        together = [best, *(one for one in others if not self._is_apart(one, best))]
-        for part, whole in LARGER:
-            if any(part in one.name for one in together):
-                together = [one for one in together if whole not in one.name]
-        return tuple(together), ""
-
-    def _is_needed(self, pair: Fitted, single: Fitted) -> bool:
-        """Return whether two causes are there, and not one: both differ from the stated vehicle, and held back they do.
-
-        Each window is foretold by the numbers that the others give, so that a second number that only fits does not
-        count.
-        """
-        if not pair.is_likely or not pair.are_apart:
-            return False
-        enough = float(np.mean(pair.held_back)) <= PAIR_REST * float(np.mean(single.held_back))
-        return enough and self._gain(single.held_back, pair.held_back) >= APART
-
-    def _gain(self, before: Array, after: Array) -> float:
-        """Return by how much windows with a misfit gain, as a share of it, in standard errors of that."""
-        return _mean_over_spread(*self._gains(before, after, np.maximum(before, after)))
-
-    def _is_apart(self, worse: Fitted, better: Fitted) -> bool:
-        """Return whether the windows say that one cause is better than another: by some of the misfit as stated.
-
-        What leaves more than noise is worse than what leaves no more.
-        """
-        if better.over_noise < MISFIT < worse.over_noise:
-            return True
-        gains, telling = self._gains(worse.windows, better.windows, self._windows)
-        enough = bool(telling.any()) and float(np.mean(gains[telling])) > NEAR
-        return enough and _mean_over_spread(gains, telling) >= APART
-
-    def _gains(self, before: Array, after: Array, misfit: Array) -> tuple[Array, Flags]:
-        """Return the shares of each window's misfit that are gained, and which windows have one worth the name."""
-        telling = misfit > TELLING * float(np.mean(misfit))
-        return np.where(telling, (before - after) / np.where(telling, misfit, 1.0), 0.0), telling
+    values: Array
+    bounds: Array
+    own: Array
+    shared: Array
+    squares: Array
+    left: Array
+    loss: float
 
 
-def _mean_over_spread(gains: Array, telling: Flags) -> float:
-    """Return the mean of the gains of telling windows in its standard errors; 0 for too few of them."""
-    gains = gains[telling]
-    if len(gains) < LEAST_TELLING:
-        return 0.0
-    spread = max(float(np.std(gains, ddof=1)), 1e-3) / np.sqrt(len(gains))
-    return float(np.mean(gains) / spread)
+class Misfit:
+    """The windows of a flight as one problem of least squares.
 
+    ``moment``: standard deviation of the windows' moments [N m]; without it moments cost nothing.  ``by_axis``: what a
+    window's numbers do to another axis than theirs is left out, which is enough to begin with.
+    """
 
-def _why_unlikely(best: Fitted) -> str:
-    """Return why the cause that removes most is not named."""
-    if best.removed < MOST:
-        return (
-            f"no cause alone removes half of it, {best.text} {100.0 * max(best.removed, 0.0):.0f} %, and no two that "
-            "held-back windows bear out: more at once, or something else (wind, a form that the model has not)"
+    def __init__(
+        self, model: Model, flying: Flying, wind: Vector3, moment: Array | None = None, by_axis: bool = False
+    ) -> None:
+        self._by_axis = by_axis
+        self._model, self.flying, self._wind = model, flying, wind
+        self.present: Flags = np.asarray(np.isfinite(flying.measured()).all(axis=(0, 1)))
+        windows, rows = flying.rows.shape
+        self._time = flying.flight.step * np.arange(1.0, rows + 1.0)
+        self.weights = np.ones(int(self.present.sum()) + COSTS)
+        sensor = model.vehicle.sensors.accelerometer
+        along = max(float(np.hypot(sensor.bias_m_s2[2], sensor.bias_sigma_m_s2)), 1e-3)
+        # Across the thrust the zero is also how straight the accelerometer stands, within some degrees.
+        self._shared_deviation = np.array([0.5, 0.5, along, 5.0, 5.0])
+        self._moment_deviation = np.full(3, np.inf) if moment is None else moment
+        # Without an attitude in the log nothing tells the one at the start.
+        self._held = np.diag(
+            np.concatenate([np.full(6, 1e-9), np.where(self.present[6:], 1e-9, 1e12), np.full(3, 1e-9)])
         )
-    if best.at_limit:
-        return f"{best.text} is at the end of what was tried: something else"
-    return (
-        f"{best.text} removes {100.0 * best.removed:.0f} %, but leaves {100.0 * best.rest:.0f} % of a movement that "
-        "was measured: it explains nothing"
-    )
+        self.nominal = self.fly(Change(), np.ones(9), np.zeros((windows, 12)), np.zeros(5))
+
+    def fly(self, change: Change, sense: Array, own: Array, shared: Array) -> Point:
+        """Fly the windows.  Raises FlightError and EngineError where the model cannot."""
+        flying, (north, east, down) = self.flying, self._wind
+        rate, angles, moment = flying.starts
+        starts = Starts(
+            sense[:3] * rate + own[:, RATE], sense[6:] * angles + own[:, ANGLE], sense[:3] * moment + own[:, MOMENT]
+        )
+        wind = (north + float(shared[WIND][0]), east + float(shared[WIND][1]), down)
+        flown = self._model.fly(flying.flight, flying.windows, starts, change, wind)
+        return Point(change, sense, own, shared, self._left(flown, change, sense, own, shared))
+
+    def _left(self, flown: Flown, change: Change, sense: Array, own: Array, shared: Array) -> Array:
+        flying = self.flying
+        measured, rows = sense * flying.measured(), flying.rows
+        error = measured - np.concatenate([flown.rate, flown.force, flown.angles], axis=1)[rows]
+        for number, late in enumerate(change.sensors_s):
+            if late:
+                part = slice(3 * number, 3 * number + 3)
+                error[:, :, part] = measured[:, :, part] - _delayed(
+                    measured[:, :, part] - error[:, :, part], late / flying.flight.step
+                )
+        error[:, :, 6:] -= 2.0 * np.pi * np.round(error[:, :, 6:] / (2.0 * np.pi))
+        error[:, :, 3:6] -= shared[ZERO]
+        error[:, :, 6:] -= self._time[None, :, None] * own[:, None, DRIFT]
+        return np.asarray((error / flying.scale)[:, :, self.present])
+
+    @cached_property
+    def _own(self) -> Array:
+        """Return what the numbers of a window do to what is left of it, (w, n, c, 12)."""
+        base = self.nominal
+        columns = np.zeros((*base.left.shape[:2], 9, 12))
+        sizes = np.concatenate(
+            [np.full(3, 0.005), 0.02 * np.array(self._model.vehicle.inertia_kg_m2), np.full(3, 0.005)]
+        )
+        for numbers in np.arange(9).reshape((3, 3) if self._by_axis else (9, 1)).tolist():
+            own = base.own.copy()
+            own[:, numbers] += sizes[numbers]
+            change = np.zeros((*base.left.shape[:2], 9))
+            change[:, :, self.present] = self.fly(base.change, base.sense, own, base.shared).left - base.left
+            for number in numbers:
+                channels = [number % 3, 6 + number % 3] if self._by_axis else slice(None)
+                columns[:, :, channels, number] = change[:, :, channels] / sizes[number]
+        for axis in range(3):
+            columns[:, :, 6 + axis, DRIFT.start + axis] = -self._time / self.flying.scale[6 + axis]
+        return columns[:, :, self.present]
+
+    @cached_property
+    def _shared(self) -> Array:
+        """Return what the numbers of the flight do, (w, n, c, 5)."""
+        base = self.nominal
+        columns = np.zeros((*base.left.shape[:2], 9, 5))
+        for axis in range(3):
+            columns[:, :, 3 + axis, axis] = -1.0 / self.flying.scale[3 + axis]
+        columns = columns[:, :, self.present]
+        for axis in range(2):
+            shared = base.shared.copy()
+            shared[WIND.start + axis] += 1.0
+            columns[..., WIND.start + axis] = self.fly(base.change, base.sense, base.own, shared).left - base.left
+        return columns
+
+    def slope(self, point: Point, change: Change, by: float) -> Array:
+        """Return what a unit of a number does: ``change`` is the point's with the number ``by`` larger."""
+        return (self.fly(change, point.sense, point.own, point.shared).left - point.left) / by
+
+    def foreseen(self, slopes: Array, values: Array, own: Array, shared: Array) -> Array:
+        """Return by how much what is left changes with numbers, in a straight line."""
+        by_windows = np.einsum("wncj,wj->wnc", self._own, own)
+        return np.asarray(slopes @ values + by_windows + self._shared @ shared)
+
+    def solve(self, point: Point, slopes: Array | None = None, deviation: Array | None = None) -> Step:
+        """Return the step from a point that leaves least; ``slopes`` (w, n, c, k) of the numbers that are free.
+
+        ``deviation`` (k,): how far these are off in a vehicle, at a guess; infinite where nothing is taken for known.
+        """
+        slopes = np.zeros((*point.left.shape, 0)) if slopes is None else slopes
+        windows, count = len(point.left), slopes.shape[-1]
+        weights, costs = self.weights[:-COSTS], self.weights[-COSTS:]
+        # Rows of all channels of a window stand in one column.
+        left = (weights * point.left).reshape(windows, -1, 1)
+        free = weights[:, None] * np.concatenate([slopes, self._shared], axis=-1)
+        own, free = (weights[:, None] * self._own).reshape(windows, -1, 12), free.reshape(windows, left.shape[1], -1)
+        known = np.concatenate([np.full(count, np.inf) if deviation is None else deviation, self._shared_deviation])
+        priors = known**-2.0
+        priors[count : count + 3] *= costs[3:] ** 2
+        now = np.concatenate([np.zeros(count), point.shared])
+        normal, cross = own.mT @ own + self._held, own.mT @ free
+        by_free, by_left = np.linalg.solve(normal, cross), np.linalg.solve(normal, own.mT @ left)[..., 0]
+        # A window's moment, as it follows from the numbers, is one observation more.
+        size = costs[:3] / self._moment_deviation
+        moments = point.sense[:3] * self.flying.starts.moment + point.own[:, MOMENT]
+        moments = size * (moments - by_left[:, MOMENT])
+        moved = -size[:, None] * by_free[:, MOMENT]
+        hessian = np.sum(free.mT @ free - cross.mT @ by_free + moved.mT @ moved, axis=0) + np.diag(priors)
+        score = np.sum((free.mT @ left - cross.mT @ by_left[..., None] + moved.mT @ moments[..., None])[..., 0], axis=0)
+        score += priors * now
+        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+        step = -inverse @ score
+        own_step = -by_left - by_free @ step
+        after = left[..., 0] + free @ step + (own @ own_step[..., None])[..., 0]
+        of_priors = priors**2 * np.where(np.isfinite(known), known, 0.0) ** 2
+        moments = moments + moved @ step
+        rows = ((free - own @ by_free) * after[..., None]).reshape(*slopes.shape[:3], -1).sum(axis=2)
+        after = after.reshape(point.left.shape)
+        bounds = _bounds(rows, np.einsum("wai,wa->wi", moved, moments), inverse, of_priors)[:count]
+        costly = [(moments / costs[:3]) ** 2]
+        costly.append(np.tile((((now + step) / known)[count : count + 3]) ** 2 / windows, (windows, 1)))
+        squares = np.concatenate([np.sum((after / weights) ** 2, axis=1), *costly], axis=1)
+        wind = float(np.sum(((now + step) / known)[count + 3 :] ** 2))
+        loss = float(np.sum(squares * self.weights**2)) + wind
+        return Step(step[:count], bounds, own_step, step[count:], squares, after / weights, loss)
+
+    def fit_windows(self, share: float = 1.0) -> Array:
+        """Return the step of the windows' numbers alone (w, 12) that leaves least of their first part."""
+        rows = max(round(share * len(self._time)), 8)
+        windows = len(self.nominal.left)
+        own, left = self._own[:, :rows].reshape(windows, -1, 12), self.nominal.left[:, :rows].reshape(windows, -1, 1)
+        return np.asarray(-np.linalg.solve(own.mT @ own + self._held, own.mT @ left)[..., 0])
+
+    def follow(self, point: Point, step: Step, change: Change | None = None) -> Point:
+        """Fly the windows a step on."""
+        return self.fly(change or point.change, point.sense, point.own + step.own, point.shared + step.shared)
+
+
+def settle(model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)) -> Flying:
+    """Return the flight with the starts and moments that suit the vehicle as stated.
+
+    The first of the ``shares`` of a window are looked at alone: a moment that the model lacks leads the whole of it far
+    away at first.
+    """
+    for share in shares:
+        misfit = Misfit(model, flying, wind, by_axis=True)
+        own = misfit.fit_windows(share)
+        rate, angles, moment = flying.starts
+        flying = replace(flying, starts=Starts(rate + own[:, RATE], angles + own[:, ANGLE], moment + own[:, MOMENT]))
+    return flying
+
+
+def _bounds(rows: Array, windows: Array, inverse: Array, of_priors: Array) -> Array:
+    """Return half of the 95 % intervals, by scores of rows (w, n, k) and of windows (w, k), whichever is more.
+
+    Rows are taken for alike over a quarter of a window (Newey and West, 1987), windows for independent (Student's t).
+    """
+    from scipy.stats import t
+
+    count, lags = len(rows), max(rows.shape[1] // 4, 1)
+    by_rows = np.sum(rows.mT @ rows, axis=0) + windows.T @ windows
+    for lag in range(1, lags):
+        late = np.sum(rows[:, lag:].mT @ rows[:, :-lag], axis=0)
+        by_rows += (1.0 - lag / lags) * (late + late.T)
+    whole = rows.sum(axis=1) + windows
+    by_windows = whole.T @ whole * count / (count - 1.0)
+
+    def half(scores: Array, quantile: float) -> Array:
+        return quantile * np.sqrt(np.maximum(np.diag(inverse @ (scores + np.diag(of_priors)) @ inverse), 0.0))
+
+    return np.maximum(half(by_rows, 1.96), half(by_windows, float(t.ppf(0.975, count - 1))))
+
+
+def _delayed(values: Array, rows: float) -> Array:
+    """Return signals (w, n, c) later by so many rows, in a straight line between them and beyond the ends."""
+    count = values.shape[1]
+    at = np.arange(count) - rows
+    before = np.clip(np.floor(at).astype(int), 0, count - 2)
+    part = (at - before)[None, :, None]
+    return np.asarray((1.0 - part) * values[:, before] + part * values[:, before + 1])

@@ -34,18 +34,18 @@ BANDS_SHOWN: Final = (
 )  # fmt: skip
 OPEN_LOOP: Final = (
     "Open loop, in windows of {:g} s: a vehicle that hovers is not stable without its controller, so the model is "
-    "started anew from the recorded state at the beginning of each. What a window starts with is corrected once by "
-    "what the model was off by in its mean."
+    "started anew from the recorded state at the beginning of each. The state at a window's start is fitted to it."
 )
 CLOSED_LOOP: Final = "Closed loop, by the set-points, from the recorded start."
 ENVELOPE: Final = (
     "The envelope is that of {} draws and twice the noise; a channel is explained that is within it for 90 % of the "
     "time. Theil's U is 0 for equal and 1 for useless, about the mean measured in each window."
 )
+TABLE: Final = ("number", "stated", "explains best", "95 %", "removes of the misfit")
 CAUSES: Final = (
-    "Each number was fitted alone, then the most promising two at once. One is named where it removes half of the "
-    "misfit or more and the windows agree on that by three standard errors, two where windows that are held back bear "
-    "both out; another that comes as near is named beside it. An inertia about an axis looks like the levers about it."
+    "Each number alone, beside the start and the constant moment of the windows and the accelerometer's zero; cases "
+    "as they are. What is named removes half of the misfit or more and leaves the rest in the envelope; what explains "
+    "the flight about as well is named beside it. An inertia about an axis looks like the levers about it."
 )
 RATIO: Final = (
     "A gain that is flat and not 0 dB is an inertia, a lever or a thrust; a phase that falls with frequency is a delay."
@@ -101,12 +101,22 @@ def _describe_comparison(result: Replay) -> str:
 
 
 def _causes_card(result: Replay) -> Card:
-    """Return what was tried, one cause a row and two; the reason where nothing was."""
-    title, causes = "What may be wrong with the model", result.causes
-    rows = [(one.text, f"{100.0 * one.removed:.0f} %", f"{one.sure:.1f}") for one in (*causes.tried, *causes.pairs)]
-    if not rows:
+    """Return the table of numbers and cases; the reason alone where there is none."""
+    title, causes = "What each number would explain", result.causes
+    if not causes.tried:
         return Card(title, text=f"{causes.reason}.")
-    return Card(title, ("alone, or two at once", "removes of the misfit", "standard errors, by windows"), rows, CAUSES)
+    return Card(title, TABLE, cause_rows(result), CAUSES)
+
+
+def cause_rows(result: Replay) -> list[tuple[str, ...]]:
+    """Return the table: number or case, stated and best value, its bounds, and the share that it removes."""
+    rows: list[tuple[str, ...]] = []
+    for row in result.causes.tried:
+        share = f"{100.0 * max(row.removed, 0.0):.0f} %" if result.causes.is_off else ""
+        rows += [(part.name, *part.texts, share) for part in row.parts]
+        if not row.parts:
+            rows.append((row.name, "", "", "", share))
+    return rows
 
 
 def channel_rows(result: Replay) -> list[tuple[str, ...]]:

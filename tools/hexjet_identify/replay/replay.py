@@ -9,20 +9,21 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.signals import ZERO3, Vector3
+from cosim.base.signals import ZERO3
 from cosim.engine import EngineSpec
 from cosim.engine.fmu.uncertainty import CUT, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, NOT_TOLD, Judgement, shared_record
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
-from hexjet_identify.replay.candidates import INERTIA, MASS, THRUST
-from hexjet_identify.replay.causes import Causes, find_causes, without_windows
+from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
+from hexjet_identify.replay.causes import Causes, Part, find_causes
 from hexjet_identify.replay.closed_loop import cut_whole, fly_setpoints
-from hexjet_identify.replay.flown import Change, Flown, Model, Starts
+from hexjet_identify.replay.flown import Change, Flown, Model
 from hexjet_identify.replay.gyro import without_gyro_offset
 from hexjet_identify.replay.measures import (
     LEVEL,
+    NEEDED,
     Band,
     ChannelMeasures,
     Envelope,
@@ -30,19 +31,19 @@ from hexjet_identify.replay.measures import (
     measure_channels,
     measure_ratio,
 )
-from hexjet_identify.replay.misfit import Part
-from hexjet_identify.replay.reach import Reach, find_reach
+from hexjet_identify.replay.misfit import settle
 from hexjet_identify.replay.recorded import RecordedFlight
 from hexjet_identify.replay.wind import Wind, estimate_wind
-from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
+from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut
 
-NEEDED: Final = 0.9  # share of the time within the envelope with which a channel is explained
 FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
 SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
+# Standard deviation of the centre of gravity, as a share of the span.
+CENTRE_SHARE: Final = 0.005
+ENGINES: Final = "of the engines"
 USELESS: Final = 0.5  # Theil's U from where on a model that is coherent in no band does not do what was measured
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
-CORRECTIONS: Final = 2  # of the starts
 
 CLOSED: Final = (
     "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
@@ -82,7 +83,6 @@ class Replay:
     draws_engine: bool  # by an [uncertainty] of the engine
     tolerances: tuple[str, ...]
     notes: tuple[str, ...]
-    reach: Reach | None = None  # of a log that finds nothing wrong, in open loop
     log_sha256: str = ""
     simulated: bool = False  # the log is of this program, so that no flight was recorded
 
@@ -115,11 +115,13 @@ class Replay:
         told, unless thrust over mass is off; nor where all that is off was moved by something else than the commands.
         """
         moved = [channel for channel in self.channels if channel.excited]
-        if are_beyond(self.causes, self.choices, self.draws_engine):
+        if are_beyond(self.causes, self.choices, self.draws_engine, self.vehicle.aero.span_m):
             return NOT_EXPLAINED
         if not are_explained(moved, self.causes):
             return NOT_TOLD if all(is_foreign(c) for c in self._off) else NOT_EXPLAINED
-        told = any(channel.name != LEVEL for channel in moved) and (self.reach is None or self.reach.tells_inertia)
+        told = any(channel.name != LEVEL for channel in moved) and (
+            self.flying.flight.setpoints is not None or self.causes.tells_inertia
+        )
         return EXPLAINED if told else NOT_TOLD
 
     @property
@@ -151,7 +153,8 @@ class Replay:
         lines += [text for c in moved for b in c.bands if (text := _describe_band(c.name, b))]
         if self.causes.named and self.verdict != NOT_EXPLAINED:
             lines.append(f"nearer still, within the tolerances: {' or '.join(one.text for one in self.causes.named)}")
-        lines += self.reach.lines if self.reach else ()
+        if self.verdict != NOT_EXPLAINED and self.flying.flight.setpoints is None:
+            lines += describe_reach(self.causes)
         still = [c.name for c in self.channels if not c.excited]
         if still:
             lines.append(f"not told, for it moves no more than its noise: {', '.join(still)}")
@@ -184,6 +187,7 @@ class Replay:
         channels = (command, ", ".join(channel.name for channel in self.channels))
         units = ("1" if self.flying.flight.setpoints is None else "rad", ", ".join(c.unit for c in self.channels))
         refused = [self.fault] if self.fault else []
+        told, hidden = self.causes.reach
         return {
             **shared_record(self.aircraft, channels, units, self.judgement, refused, self.notes),
             "estimates": [fitted.to_dict() for fitted in self.causes.named],
@@ -205,7 +209,7 @@ class Replay:
             "moment_rms_n_m": list(self.moment_rms),
             "wind": self.wind.to_dict(),
             "causes": self.causes.to_dict(),
-            "reach": self.reach.to_dict() if self.reach else None,
+            "reach": {"told": [part.to_dict() for part in told], "not_told": hidden},
         }
 
 
@@ -232,20 +236,18 @@ def replay(
 ) -> Replay:
     """Fly a recorded flight again with its engines' commands, or by its set-points where it has none.
 
-    Each window is flown several times: what the rates and angles are off by in their mean corrects its start, what the
-    rates are off by in their slope is a constant moment, of the air or of a centre of gravity that stands elsewhere.
-    Then the vehicle is drawn, and what may be wrong with it is tried.  Raises InputError and FlightError.
+    The start of each window, and a constant moment of the air on it, are fitted to what was recorded.  Then the vehicle
+    is drawn, and each of its numbers is fitted.  Raises InputError and FlightError.
     """
     model, count = Model(scenario), choices.draws + 2
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
     if flight.setpoints is None:
-        as_recorded = flying = without_gyro_offset(cut(model, flight, length), log)
+        flying = without_gyro_offset(cut(model, flight, length), log)
         wind = estimate_wind(model, flying)
-        for _ in range(CORRECTIONS):
-            flying = _correct(model, flying, wind.velocity)
+        flying = settle(model, flying, wind.velocity)
     else:
-        as_recorded = flying = cut_whole(model, flight, length)
+        flying = cut_whole(model, flight, length)
         wind = Wind(ZERO3, None, "not looked for where the loop is closed: taken for still air")
     flight = flying.flight
 
@@ -268,16 +270,14 @@ def replay(
     tell("causes", count - 1, count)
     causes = Causes(float("nan"), (), (), CLOSED)
     if flight.setpoints is None:
-        causes = without_windows(find_causes(model, as_recorded, wind.velocity))
+        low, high = envelope.ends
+        causes = find_causes(model, flying, wind.velocity, (low - modelled, high - modelled))
     engine = model.engine
     assert engine is not None
-    uncertain, reach = engine.uncertainty is not None, None
-    if flight.setpoints is None and are_explained(channels, causes) and not are_beyond(causes, choices, uncertain):
-        reach = find_reach(model, as_recorded, wind.velocity)
     return Replay(
         log, model.vehicle, engine.name, choices, flying, modelled, *envelope.ends, flown, channels,
-        _ratios(flying, modelled, channels), wind, causes, uncertain, _tolerances(engine, choices), _notes(flight),
-        reach,
+        _ratios(flying, modelled, channels), wind, causes, engine.uncertainty is not None,
+        _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip
 
 
@@ -298,21 +298,41 @@ def is_foreign(channel: ChannelMeasures) -> bool:
     return channel.theil.u > USELESS and not is_level and not alike
 
 
-def are_beyond(causes: Causes, choices: Choices, draws_engine: bool) -> bool:
-    """Return whether causes are named, and each of them is further off than the draws are: two standard deviations."""
+def are_beyond(causes: Causes, choices: Choices, draws_engine: bool, span_m: float) -> bool:
+    """Return whether causes are named, and each is further off than vehicles are taken to be: two standard deviations.
+
+    An attitude that is late is no fault of the vehicle.
+    """
     return bool(causes.named) and not any(
-        all(_is_drawn(part, choices, draws_engine) for part in one.parts) for one in causes.named
+        row.parts and all(_is_drawn(part, choices, draws_engine, span_m) for part in row.parts) for row in causes.named
     )
 
 
-def _is_drawn(part: Part, choices: Choices, draws_engine: bool) -> bool:
-    if part.value is None or part.begin is None:
-        return False
-    if draws_engine and (part.unit == "s" or part.name == THRUST):
+def _is_drawn(part: Part, choices: Choices, draws_engine: bool, span_m: float) -> bool:
+    if part.name.endswith(SENSORS[2]) or (draws_engine and (ENGINES in part.name or part.name == THRUST)):
         return True
     deviations = {MASS: choices.mass, THRUST: choices.thrust}
     deviation = deviations.get(part.name, choices.inertia if INERTIA in part.name else 0.0)
-    return abs(part.value - part.begin) <= 2.0 * deviation
+    if CENTRE in part.name:
+        deviation = CENTRE_SHARE * span_m
+    return abs(part.value - part.stated) <= 2.0 * deviation
+
+
+def describe_reach(causes: Causes) -> list[str]:
+    """Return what the log would have shown, were it off, and what not."""
+    told, hidden = causes.reach
+    lines = []
+    if told:
+        lines.append(f"off by 30 %, 20 ms or 5 % of the span these would show: {_join([part.name for part in told])}")
+    return [*lines, *([f"these would not: {_join(hidden)}"] if hidden else [])]
+
+
+def _join(names: Sequence[str]) -> str:
+    """Return names in a row; of engines their numbers."""
+    engine = "thrust of engine "
+    numbers = ", ".join(name.removeprefix(engine) for name in names if name.startswith(engine))
+    others = [name for name in names if not name.startswith(engine)]
+    return "; ".join([*others, *([engine + numbers] if numbers else [])])
 
 
 def _ratios(flying: Flying, modelled: Array, channels: tuple[ChannelMeasures, ...]) -> dict[str, Ratio]:
@@ -328,21 +348,6 @@ def _ratios(flying: Flying, modelled: Array, channels: tuple[ChannelMeasures, ..
 def usual_window(vehicle: Vehicle) -> float:
     """Return the length of a window, s: times of vehicles that are alike go with the root of their size (Froude)."""
     return float(round(min(max((vehicle.aero.span_m / SPAN_M) ** 0.5, 0.3), 3.0), 1))
-
-
-def _correct(model: Model, flying: Flying, wind: Vector3) -> Flying:
-    """Return the flight with better starts, and with the constant moment of each window that the model lacks."""
-    flight, starts = flying.flight, flying.starts
-    flown = model.fly(flight, flying.windows, starts, None, wind)
-    error = np.nan_to_num(flying.measured() - flying.modelled(flown))
-    slope = slopes(error[:, :, :3], flight.step)
-    half = 0.5 * flight.step * error.shape[1]
-    rate = error[:, :, :3].mean(axis=1) - half * slope  # at the start, with the moment in place
-    # what a wrong rate and the moment have made of the angles, about level, is not their own error
-    own = error[:, :, 6:].mean(axis=1) - half * rate - slope * (2.0 * half) ** 2 / 6.0
-    angles = starts.angles + (own if flight.has_angles else 0.0)
-    moment = starts.moment + slope * np.array(model.vehicle.inertia_kg_m2)
-    return Flying(flight, flying.windows, Starts(starts.rate + rate, angles, moment), flying.noise)
 
 
 def draw(model: Model, choices: Choices) -> Iterator[Change]:

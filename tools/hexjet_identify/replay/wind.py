@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,46 +11,42 @@ from cosim.base.signals import ZERO3, Vector3
 from hexjet_identify.replay.flown import Model
 from hexjet_identify.replay.windows import Flying
 
-ROUNDS: Final = 6  # of Gauss and Newton: drag goes with the square of the wind
-STEP_M_S: Final = 8.0  # in one of them: in still air the slope tells little
-CLOSE_M_S: Final = 0.1
-MOST_WINDOWS: Final = 10  # that are looked at
-PROBE_M_S: Final = 1.0
-SURE: Final = 0.9772  # quantile: twice its standard deviation, were that known; a smaller wind is not told from none
-WORSE: Final = 1.2  # times the squares of what rates are off by in still air
-MOST_M_S: Final = 30.0
-
 
 class Wind(NamedTuple):
-    """The wind that the windows are flown in: m/s NED, where the air moves to; and how well it is known."""
+    """The wind that the windows are flown in, m/s NED, where the air moves to, and how well it is known.
+
+    ``deviation`` is of the component that is told less well, None where none was estimated; ``reason`` says why a wind
+    is zero.
+    """
 
     velocity: Vector3
-    deviation: float | None  # m/s, of the component that is told less well; None: not estimated
-    reason: str  # of a wind that is zero
+    deviation: float | None
+    reason: str
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
         return {"ned_m_s": list(self.velocity), "deviation_m_s": self.deviation, "reason": self.reason}
 
 
-def estimate_wind(model: Model, flying: Flying) -> Wind:
-    """Estimate a wind from the changes of velocity within the windows; none where the log has none.
+def estimate_wind(
+    model: Model, flying: Flying, most_windows: int = 10, rounds: int = 6, step_m_s: float = 8.0, most_m_s: float = 30.0
+) -> Wind:
+    """Estimate a wind from the changes of velocity within some windows; none where the log has none.
 
     Where the log has an attitude the model's forces act along the measured one: what turns the vehicle otherwise than
-    the model, such as a wrong moment of inertia, is no wind.
+    the model, such as a wrong moment of inertia, is no wind.  Drag goes with the square of the wind, so that it takes
+    ``rounds`` of Gauss and Newton with steps of ``step_m_s`` at most.
     """
     from scipy.stats import t
 
     if not flying.flight.has_velocity:
         return Wind(ZERO3, None, "no velocity in the log: taken for still air")
-    flying = flying.only(
-        np.linspace(0, len(flying.windows) - 1, min(len(flying.windows), MOST_WINDOWS)).astype(int).tolist()
-    )
+    count = len(flying.windows)
+    flying = flying.only(np.linspace(0, count - 1, min(count, most_windows)).astype(int).tolist())
     wind, deviation = np.zeros(2), np.inf
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         base = _drift(model, flying, wind)
-        slopes = np.stack([_drift(model, flying, wind + PROBE_M_S * axis) - base for axis in np.eye(2)], axis=-1)
-        slopes /= PROBE_M_S
+        slopes = np.stack([_drift(model, flying, wind + axis) - base for axis in np.eye(2)], axis=-1)
         normal = np.einsum("wci,wcj->ij", slopes, slopes)
         if not np.linalg.cond(normal) < 1e12:
             return Wind(ZERO3, None, "the model has no drag: taken for still air")
@@ -60,15 +56,16 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
         few = len(scores) / (len(scores) - 1.0)
         deviation = float(np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse).max(initial=0.0)))
         size = float(np.linalg.norm(move))
-        wind = wind + move * min(1.0, STEP_M_S / max(size, 1e-9))
-        if not np.linalg.norm(wind) < MOST_M_S:
-            return Wind(ZERO3, None, f"beyond {MOST_M_S:g} m/s: drag tells too little; taken for still air")
-        if size < CLOSE_M_S:
+        wind = wind + move * min(1.0, step_m_s / max(size, 1e-9))
+        if not np.linalg.norm(wind) < most_m_s:
+            return Wind(ZERO3, None, f"beyond {most_m_s:g} m/s: drag tells too little; taken for still air")
+        if size < 0.1:
             break
-    if float(np.linalg.norm(wind)) < float(t.ppf(SURE, len(flying.windows) - 1)) * deviation:
+    # Twice its standard deviation, were that known.
+    if float(np.linalg.norm(wind)) < float(t.ppf(0.9772, len(flying.windows) - 1)) * deviation:
         return Wind(ZERO3, deviation, "too small for its standard deviation: taken for still air")
     found = (float(wind[0]), float(wind[1]), 0.0)
-    if _rates_off(model, flying, found) > WORSE * _rates_off(model, flying, ZERO3):
+    if _rates_off(model, flying, found) > 1.2 * _rates_off(model, flying, ZERO3):
         return Wind(ZERO3, deviation, "in it the rates are further off than in still air, which is taken")
     return Wind(found, deviation, "")
 

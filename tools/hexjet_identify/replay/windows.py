@@ -168,10 +168,3 @@ def slopes(error: Array, step: float) -> Array:
     """Return the slope (w, 3), 1/s, of errors (w, n, 3) within each window."""
     time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
     return np.asarray(np.einsum("n,wnc->wc", time, error) / float(time @ time))
-
-
-def without_start(error: Array, step: float) -> Array:
-    """Return errors of rates (w, n, 3) without what a start and a constant moment may make: mean and slope."""
-    time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
-    line = time[None, :, None] * slopes(error, step)[:, None, :]
-    return np.asarray(error - error.mean(axis=1, keepdims=True) - line)
