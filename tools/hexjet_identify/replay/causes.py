@@ -20,7 +20,7 @@ from cosim.base.signals import AXES, Vector3
 from hexjet_identify.replay.candidates import INERTIA, Candidate, Number, list_candidates
 from hexjet_identify.replay.flown import Change, Model
 from hexjet_identify.replay.measures import EXCITED, NEEDED
-from hexjet_identify.replay.misfit import COSTS, MOMENT, Misfit, Point, Step
+from hexjet_identify.replay.misfit import COSTS, MOMENT, Misfit, Point, Slopes, Step
 from hexjet_identify.replay.windows import CHANNELS, Flying
 
 # A channel whose mean square is so many times that of its noise is off.
@@ -181,7 +181,8 @@ class _Table:
     def __init__(self, misfit: Misfit, margins: tuple[Array, Array]) -> None:
         self._misfit, flying = misfit, misfit.flying
         self._margins = [ends[:, :, misfit.present] / flying.scale[misfit.present] for ends in margins]
-        step = misfit.solve(misfit.nominal)
+        around = self._around = misfit.linearise(misfit.nominal)
+        step = misfit.solve(misfit.nominal, around)
         windows, rows = flying.rows.shape
         count = step.squares.shape[1]
         # The mean square that noise leaves of each; of three standard deviations in a zero nothing is made.
@@ -201,10 +202,10 @@ class _Table:
         if self.told.any():
             # Each channel counts by the root of its misfit, so that the largest does not hide the others.
             misfit.weights = np.where(self.told, 1.0, 0.2) / np.maximum(1.0, off) ** 0.25
-            step = misfit.solve(misfit.nominal)
+            step = misfit.solve(misfit.nominal, around)
         self._nominal = step.squares
         self._start = misfit.follow(misfit.nominal, step) if self.told.any() else misfit.nominal
-        self.windows = self._misfits(misfit.solve(self._start).squares)
+        self.windows = self._misfits(misfit.solve(self._start, around).squares)
 
     def _misfits(self, squares: Array) -> Array:
         """Return the misfit above the noise of each window; channels that are not off count where they get worse."""
@@ -215,37 +216,43 @@ class _Table:
         before = float(np.mean(self.windows))
         return 1.0 - float(np.mean(self._misfits(squares))) / before if before > 0.0 else 0.0
 
-    def fit(self, one: Candidate, promising: float = 0.1, rounds: int = 5) -> Row | None:
+    def fit(self, one: Candidate, promising: float = 0.1, contends: float = 0.3, rounds: int = 8) -> Row | None:
         """Return the row of a candidate; None where it cannot be flown.
 
-        What removes less than the share ``promising`` in a straight line is not flown again.
+        What removes less than the share ``promising`` in a straight line is not flown again, what removes less than
+        ``contends`` when it is flown no more than once.  Of all others the slopes are those around the last value,
+        also of the windows' numbers, as long as it moves: a moment of inertia changes what a moment does.
         """
-        misfit, begin = self._misfit, self._start
+        misfit, point, around = self._misfit, self._start, self._around
         values = np.array([_inward(number, number.stated) for number in one.numbers])
         deviation = np.array([number.deviation for number in one.numbers])
         try:
-            point = begin if one.numbers else self._fly_case(one)
+            point = point if one.numbers else self._fly_case(one)
             slopes = self._slopes(one, values, point)
         except (FlightError, EngineError, InputError):
             return None
-        shift = (point.left - begin.left)[:, :, self._moves]
+        shift = (point.left - self._start.left)[:, :, self._moves]
         changes = float(np.max(np.mean(shift**2, axis=(0, 1)), initial=0.0))
-        step = misfit.solve(point, slopes, deviation)
+        last = step = misfit.solve(point, around, slopes, deviation)
         if self.told.any() and self._removed(step.squares) > promising:
             for _ in range(rounds):
-                better = self._better(one, values, point, step)
+                better = self._better(one, values, point, step, around)
                 if better is None:
                     break
-                slopes = slopes + self._secant(point, better[1], slopes, better[0] - values)
                 values, point = better
-                step = misfit.solve(point, slopes, deviation)
+                if self._removed(misfit.solve(point, around).squares) < contends:
+                    step = step._replace(values=np.zeros_like(values))
+                    break
+                around = around._replace(own=misfit.slopes_of_windows(point))
+                slopes = self._slopes(one, values, point)
+                step = misfit.solve(point, around, slopes, deviation)
                 if np.all(np.abs(step.values) < 0.1 * step.bounds):
                     break
-            last = misfit.solve(point)
-        else:
-            last, values = step, values + step.values
+            last = misfit.solve(point, around)
         parts, at_limit = [], False
-        for number, value, bound in zip(one.numbers, values.tolist(), step.bounds.tolist(), strict=True):
+        for number, value, bound in zip(
+            one.numbers, (values + step.values).tolist(), step.bounds.tolist(), strict=True
+        ):
             outward = _outward(number, value)
             at_limit |= outward in (number.low, number.high) and outward != number.stated
             half = bound * outward**2 if number.inverse else bound
@@ -266,13 +273,15 @@ class _Table:
         slopes = []
         for n, number in enumerate(one.numbers):
             moved = values.copy()
-            moved[n] = _inward(number, number.stated + number.probe)
+            moved[n] = _inward(number, _outward(number, values[n]) + number.probe)
             slopes.append(self._misfit.slope(point, _change(one, moved), moved[n] - values[n]))
         return np.stack(slopes, axis=-1) if slopes else np.zeros((*point.left.shape, 0))
 
-    def _better(self, one: Candidate, values: Array, point: Point, step: Step) -> tuple[Array, Point] | None:
+    def _better(
+        self, one: Candidate, values: Array, point: Point, step: Step, around: Slopes
+    ) -> tuple[Array, Point] | None:
         """Return values that leave less, by the step or a part of it, with their flight; None where no part does."""
-        before = self._misfit.solve(point).loss
+        before = self._misfit.solve(point, around).loss
         for part in (1.0, 0.5, 0.25):
             tried = values + part * step.values
             tried = np.array([_inward(n, _outward(n, v)) for n, v in zip(one.numbers, tried.tolist(), strict=True)])
@@ -280,17 +289,9 @@ class _Table:
                 after = self._misfit.follow(point, step, _change(one, tried))
             except (FlightError, EngineError, InputError):
                 continue
-            if self._misfit.solve(after).loss < before:
+            if self._misfit.solve(after, around).loss < before:
                 return tried, after
         return None
-
-    def _secant(self, point: Point, after: Point, slopes: Array, moved: Array) -> Array:
-        """Return what slopes are to be corrected by, after two flights (Broyden, 1965)."""
-        size = float(moved @ moved)
-        if not size:
-            return np.zeros_like(slopes)
-        foreseen = self._misfit.foreseen(slopes, moved, after.own - point.own, after.shared - point.shared)
-        return np.asarray((after.left - point.left - foreseen)[..., None] * moved / size)
 
     def _lies_in_envelope(self, left: Array) -> bool:
         low, high = self._margins

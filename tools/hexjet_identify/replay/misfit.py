@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -43,8 +42,7 @@ class Point:
     left: Array
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A step of Gauss and Newton: of ``values`` with half of their 95 % intervals, of the windows and of the flight.
 
     ``squares`` (w, c + 6) are what it leaves of each window, by channels and costs; ``loss`` is their weighted sum.
@@ -57,6 +55,13 @@ class Step:
     squares: Array
     left: Array
     loss: float
+
+
+class Slopes(NamedTuple):
+    """What a unit of each number beside those of the vehicle does: ``own`` (w, n, c, 12), ``shared`` (w, n, c, 5)."""
+
+    own: Array
+    shared: Array
 
 
 class Misfit:
@@ -112,10 +117,12 @@ class Misfit:
         error[:, :, 6:] -= self._time[None, :, None] * own[:, None, DRIFT]
         return np.asarray((error / flying.scale)[:, :, self.present])
 
-    @cached_property
-    def _own(self) -> Array:
-        """Return what the numbers of a window do to what is left of it, (w, n, c, 12)."""
-        base = self.nominal
+    def linearise(self, point: Point) -> Slopes:
+        """Return what the numbers of the windows and of the flight do around a point."""
+        return Slopes(self.slopes_of_windows(point), self._slopes_of_flight(point))
+
+    def slopes_of_windows(self, base: Point) -> Array:
+        """Return what the numbers of the windows do around a point, (w, n, c, 12)."""
         columns = np.zeros((*base.left.shape[:2], 9, 12))
         sizes = np.concatenate(
             [np.full(3, 0.005), 0.02 * np.array(self._model.vehicle.inertia_kg_m2), np.full(3, 0.005)]
@@ -132,10 +139,7 @@ class Misfit:
             columns[:, :, 6 + axis, DRIFT.start + axis] = -self._time / self.flying.scale[6 + axis]
         return columns[:, :, self.present]
 
-    @cached_property
-    def _shared(self) -> Array:
-        """Return what the numbers of the flight do, (w, n, c, 5)."""
-        base = self.nominal
+    def _slopes_of_flight(self, base: Point) -> Array:
         columns = np.zeros((*base.left.shape[:2], 9, 5))
         for axis in range(3):
             columns[:, :, 3 + axis, axis] = -1.0 / self.flying.scale[3 + axis]
@@ -150,23 +154,19 @@ class Misfit:
         """Return what a unit of a number does: ``change`` is the point's with the number ``by`` larger."""
         return (self.fly(change, point.sense, point.own, point.shared).left - point.left) / by
 
-    def foreseen(self, slopes: Array, values: Array, own: Array, shared: Array) -> Array:
-        """Return by how much what is left changes with numbers, in a straight line."""
-        by_windows = np.einsum("wncj,wj->wnc", self._own, own)
-        return np.asarray(slopes @ values + by_windows + self._shared @ shared)
-
-    def solve(self, point: Point, slopes: Array | None = None, deviation: Array | None = None) -> Step:
+    def solve(self, point: Point, around: Slopes, slopes: Array | None = None, deviation: Array | None = None) -> Step:
         """Return the step from a point that leaves least; ``slopes`` (w, n, c, k) of the numbers that are free.
 
-        ``deviation`` (k,): how far these are off in a vehicle, at a guess; infinite where nothing is taken for known.
+        ``around`` are those of the others.  ``deviation`` (k,): how far numbers are off in a vehicle, at a guess;
+        infinite where nothing is taken for known.
         """
         slopes = np.zeros((*point.left.shape, 0)) if slopes is None else slopes
         windows, count = len(point.left), slopes.shape[-1]
         weights, costs = self.weights[:-COSTS], self.weights[-COSTS:]
         # Rows of all channels of a window stand in one column.
         left = (weights * point.left).reshape(windows, -1, 1)
-        free = weights[:, None] * np.concatenate([slopes, self._shared], axis=-1)
-        own, free = (weights[:, None] * self._own).reshape(windows, -1, 12), free.reshape(windows, left.shape[1], -1)
+        free = weights[:, None] * np.concatenate([slopes, around.shared], axis=-1)
+        own, free = (weights[:, None] * around.own).reshape(windows, -1, 12), free.reshape(windows, left.shape[1], -1)
         known = np.concatenate([np.full(count, np.inf) if deviation is None else deviation, self._shared_deviation])
         priors = known**-2.0
         priors[count : count + 3] *= costs[3:] ** 2
@@ -202,7 +202,8 @@ class Misfit:
         """Return the step of the windows' numbers alone (w, 12) that leaves least of their first part."""
         rows = max(round(share * len(self._time)), 8)
         windows = len(self.nominal.left)
-        own, left = self._own[:, :rows].reshape(windows, -1, 12), self.nominal.left[:, :rows].reshape(windows, -1, 1)
+        left = self.nominal.left[:, :rows].reshape(windows, -1, 1)
+        own = self.slopes_of_windows(self.nominal)[:, :rows].reshape(windows, -1, 12)
         return np.asarray(-np.linalg.solve(own.mT @ own + self._held, own.mT @ left)[..., 0])
 
     def follow(self, point: Point, step: Step, change: Change | None = None) -> Point:
