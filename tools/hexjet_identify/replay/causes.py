@@ -78,7 +78,7 @@ class Row:
     """A number of the table, numbers that go together, or a case (no parts), with the share that it removes.
 
     ``windows`` (w,): the misfit of each window; ``over_noise``: of the channel that is left worst, in squares of its
-    noise; ``fits``: what is left lies in the envelope.
+    noise, of one that was not off in what it was; ``fits``: what is left lies in the envelope.
     """
 
     name: str
@@ -204,6 +204,8 @@ class _Table:
             misfit.weights = np.where(self.told, 1.0, 0.2) / np.maximum(1.0, off) ** 0.25
             step = misfit.solve(misfit.nominal, around)
         self._nominal = step.squares
+        # A channel that is not off may be left as it was.
+        self._limits = np.where(self.told, self._floor, np.maximum(self._nominal.mean(axis=0), self._floor))
         self._start = misfit.follow(misfit.nominal, step) if self.told.any() else misfit.nominal
         self.windows = self._misfits(misfit.solve(self._start, around).squares)
 
@@ -237,30 +239,27 @@ class _Table:
         if self.told.any() and self._removed(step.squares) > promising:
             for _ in range(rounds):
                 better = self._better(one, values, point, step, around)
-                if better is None:
-                    break
-                values, point = better
-                if self._removed(misfit.solve(point, around).squares) < contends:
-                    step = step._replace(values=np.zeros_like(values))
+                if better is not None:
+                    values, point = better
+                last = misfit.solve(point, around)
+                is_settled = better is None or bool(np.all(np.abs(step.values) < 0.1 * step.bounds))
+                if is_settled or self._removed(last.squares) < contends:
                     break
                 around = around._replace(own=misfit.slopes_of_windows(point))
                 slopes = self._slopes(one, values, point)
                 step = misfit.solve(point, around, slopes, deviation)
-                if np.all(np.abs(step.values) < 0.1 * step.bounds):
-                    break
-            last = misfit.solve(point, around)
+        else:
+            values = values + step.values
         parts, at_limit = [], False
-        for number, value, bound in zip(
-            one.numbers, (values + step.values).tolist(), step.bounds.tolist(), strict=True
-        ):
+        for number, value, bound in zip(one.numbers, values.tolist(), step.bounds.tolist(), strict=True):
             outward = _outward(number, value)
             at_limit |= outward in (number.low, number.high) and outward != number.stated
             half = bound * outward**2 if number.inverse else bound
             parts.append(Part(number.name, number.unit, number.stated, outward, half, number.off))
-        noise = (last.squares.mean(axis=0) / self._floor)[self.told]
+        worst = float(np.max(last.squares.mean(axis=0) / self._limits))
         return Row(
             one.name, tuple(parts), self._removed(last.squares), self._misfits(last.squares),
-            float(np.max(noise, initial=0.0)), self._lies_in_envelope(last.left), changes, at_limit,
+            worst, self._lies_in_envelope(last.left), changes, at_limit,
         )  # fmt: skip
 
     def _fly_case(self, one: Candidate) -> Point:
