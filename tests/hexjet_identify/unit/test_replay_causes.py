@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from cosim.base.frames import from_euler, multiply, rotate, to_euler
 from hexjet_identify.replay import Choices
 from hexjet_identify.replay.causes import Causes, Part, Row, name_rows
 from hexjet_identify.replay.gyro import euler_rates
-from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, Envelope, measure_bands, theil
+from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, measure_bands, theil
 from hexjet_identify.replay.replay import are_beyond, is_foreign
 from hexjet_identify.replay.wind import level_part
 
@@ -80,7 +79,7 @@ def test_what_no_command_moves_is_foreign() -> None:
     blown, flown = (x - x.mean(axis=1, keepdims=True) for x in rng.standard_normal((2, 20, 100)).cumsum(axis=2))
 
     def channel(measured: np.ndarray, modelled: np.ndarray, name: str = "rate_p") -> ChannelMeasures:
-        bands = measure_bands(measured, modelled, 0.004, 0.01, np.zeros(3))
+        bands = measure_bands(measured, modelled, 0.004, 0.01)
         return ChannelMeasures(name, "rad/s", 0.1, 1.0, 1.0, 0.01, theil(measured, modelled), bands, True)
 
     assert is_foreign(channel(blown, 0.01 * flown))
@@ -102,23 +101,3 @@ def test_a_turn_is_the_sum_of_its_euler_rates() -> None:
         turned = multiply(from_euler(*angles), (1.0, *(0.5 * small * axis)))
         change = (np.array(to_euler(turned)) - angles) / small
         np.testing.assert_allclose(euler_rates(angles) @ axis, change, atol=1e-5)
-
-
-def test_a_band_is_judged_by_its_own_envelope() -> None:
-    """What is off at 15 Hz alone is outside there, and inside below 8 Hz; noise alone is inside 95 % of the time."""
-    step, rows, noise = 0.004, 250, np.array([1.0])
-    times = step * np.arange(rows)[None, :, None]
-    rng = np.random.default_rng(1)
-    measured = rng.standard_normal((40, rows, 1)) + 20.0 * np.sin(2.0 * np.pi * 15.0 * times)
-    envelope = Envelope(np.zeros_like(measured), step, noise, np.zeros(1))
-    _, low, middle, high = envelope.within(measured)[:, 0]
-    assert low > 0.95  # without its line there is less of it
-    assert middle == pytest.approx(0.954, abs=0.02)
-    assert high < 0.2
-    envelope.include(measured - 0.01)
-    envelope.include(measured + 0.01)
-    assert envelope.within(measured).min() == 1.0
-    lag = 0.02
-    slow = lfilter([1.0 - np.exp(-step / lag)], [1.0, -np.exp(-step / lag)], rng.standard_normal((80, rows)), axis=1)
-    envelope = Envelope(np.zeros((80, rows, 1)), step, np.array([slow[:, 50:].std()]), np.array([lag]))
-    np.testing.assert_allclose(envelope.within(slow[:, :, None])[2:, 0], 0.954, atol=0.02)

@@ -158,7 +158,7 @@ def replay(
     from cosim.base.storage.files import check_results_folder
     from cosim.results.run import SCENARIO
     from hexjet_identify.logs import read_flight_log
-    from hexjet_identify.replay import Choices, ThrottleChannels, has_commands, hash_log, is_simulated, record_flight
+    from hexjet_identify.replay import Choices, ThrottleChannels, hash_log, is_simulated, record_flight
     from hexjet_identify.replay import replay as fly_again
 
     hears, path = progress or Progress(), Path(log)
@@ -170,8 +170,8 @@ def replay(
     if scenario is None:
         scenario = path / SCENARIO if path.is_dir() else "hover"
     channels = ThrottleChannels(dict(throttle or {}), throttle_range)
-    controller = "baseline" if has_commands(read, channels) else None  # then no controller flies, and none is loaded
-    chosen = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
+    # No controller flies, and none of the scenario's is loaded.
+    chosen = choose(scenario, "baseline", aircraft, engine, settings, note=hears.note)
     vehicle, _ = chosen.resolved_vehicle()
     flight = record_flight(read, vehicle, chosen.step_s, channels, (begin, end))
     choices = Choices(window_s, draws, inertia_tolerance, mass_tolerance, thrust_tolerance, seed)

@@ -100,8 +100,6 @@ def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
     for sensor, (name, here) in enumerate(zip(SENSORS, (True, flight.has_force, flight.has_angles), strict=True)):
         if here:
             yield _delay(f"further delay of the {name}", step, _sensor(sensor))
-    if model.vehicle.model is None:
-        yield Number("further damping of roll and pitch", "1/s", 0.0, 0.0, 50.0, 0.5, lambda v: Change(damping=v))
 
 
 def _list_centre(model: Model) -> list[Number]:

@@ -129,7 +129,7 @@ class Causes:
     @property
     def finds_nothing(self) -> bool:
         """Whether no rate or force that moves is off by more than noise."""
-        return isfinite(self.misfit) and not self.is_off
+        return not self.is_off
 
     @property
     def tells_inertia(self) -> bool:
@@ -147,7 +147,7 @@ class Causes:
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
         return {
-            "misfit_over_noise_squared": self.misfit if isfinite(self.misfit) else None,
+            "misfit_over_noise_squared": self.misfit,
             "named": [row.to_dict() for row in self.named],
             "tried": [row.to_dict() for row in self.tried],
             "reason": self.reason,

@@ -52,7 +52,6 @@ class Change:
     servo_lag_s: float = 0.0  # by which the lag of every servo and hinge is larger
     order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
-    damping: float = 0.0  # 1/s, of roll and pitch, beside that of the vehicle's [aero]
 
 
 class Loads(NamedTuple):
@@ -174,16 +173,11 @@ class Model:
 
 
 def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
-    """Return the vehicle with another mass, centre of gravity, inertia and damping."""
+    """Return the vehicle with another mass, centre of gravity and inertia."""
     if any(change.centre):
         vehicle = apply_mismatch(vehicle, Mismatch(centre_m=change.centre))
     inertia = tuple(factor * value for factor, value in zip(change.inertia, vehicle.inertia_kg_m2, strict=True))
-    update: dict[str, Any] = {"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg}
-    if change.damping:
-        (roll, pitch, yaw), (jx, jy, _) = vehicle.aero.damping_n_m_s, vehicle.inertia_kg_m2
-        damping = (roll + change.damping * jx, pitch + change.damping * jy, yaw)
-        update["aero"] = vehicle.aero.model_copy(update={"damping_n_m_s": damping})
-    return vehicle.model_copy(update=update)
+    return vehicle.model_copy(update={"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg})
 
 
 def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:

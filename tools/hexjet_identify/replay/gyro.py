@@ -32,7 +32,7 @@ def without_gyro_offset(flying: Flying, log: str) -> Flying:
     drift = slopes(angles - turned, flight.step)
     offsets = -np.linalg.solve(matrices.mean(axis=1), drift[:, :, None])[:, :, 0]
     offset = offsets.mean(axis=0)
-    off = np.abs(offset) > np.maximum(_bound(offsets), flying.noise.angles / (flight.step * angles.shape[1]))
+    off = np.abs(offset) > np.maximum(_bound(offsets), flying.scale[6:] / (flight.step * angles.shape[1]))
     if not off.any():
         return flying
     offset = np.where(off, offset, 0.0)
@@ -40,7 +40,7 @@ def without_gyro_offset(flying: Flying, log: str) -> Flying:
     note = f"the gyro is off, as the attitude of the log says: {told} rad/s; taken off before the model is compared"
     corrected = replace(flight, rate=flight.rate - offset, notes=(*flight.notes, note))
     starts = flying.starts._replace(rate=flying.starts.rate - offset)
-    return Flying(corrected, flying.windows, starts, flying.noise)
+    return replace(flying, flight=corrected, starts=starts)
 
 
 def euler_rates(angles: Array) -> Array:

@@ -16,7 +16,6 @@ LEVEL: Final = "specific_force_z"  # whose level is thrust over mass, and says s
 COHERENT: Final = 0.6  # from here on a ratio of the two says something
 EXCITED: Final = 2.0  # times its noise that a channel moves, rms, from where on it says something
 NEEDED: Final = 0.9  # share of the time within the envelope with which a channel is explained
-SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 
 
 class Theil(NamedTuple):
@@ -46,7 +45,6 @@ class Band(NamedTuple):
 
     low_hz: float
     high_hz: float
-    within: float  # share of the time within the envelope of this band
     measured_rms: float
     error_rms: float
     u: float
@@ -85,35 +83,6 @@ class FrequencyBand(NamedTuple):
     high_hz: float
     inside: Flags
 
-    def of(self, values: Array) -> Array:
-        """Return what of signals (w, n, c) is in the band, by Hann's window, each without its line there."""
-        count = values.shape[1]
-        taper, time, values = _hann(count), np.arange(count) - 0.5 * (count - 1), np.nan_to_num(values)
-        mean = np.einsum("n,wnc->wc", taper, values)[:, None] / taper.sum()
-        slope = np.einsum("n,wnc->wc", taper * time, values)[:, None] / (taper @ time**2)
-        return self._pass(taper[:, None] * (values - mean - time[:, None] * slope))
-
-    def pass_noise(self, count: int, step: float, lags: Array) -> Array:
-        """Return what of noise of one behind lags (c,) [s] is in the band, (n, c): its standard deviation.
-
-        Noise behind a lag is slow: of its power more is in a low band than of white noise.
-        """
-        white = np.sqrt(self._pass(np.eye(count)[None])[0] ** 2 @ _hann(count) ** 2)
-        memory = np.exp(-step / np.maximum(lags, 1e-9))
-        angle = 2.0 * np.pi * np.arange(len(self.inside))[:, None] / count
-        power = np.abs((1.0 - memory) / (1.0 - memory * np.exp(-1j * angle))) ** 2
-        share = power[self.inside].mean(axis=0) * (1.0 + memory) / (1.0 - memory)
-        return np.asarray(white[:, None] * np.sqrt(share))
-
-    def _pass(self, values: Array) -> Array:
-        spectrum = np.fft.rfft(values, axis=1)
-        spectrum[:, ~self.inside] = 0.0
-        return np.asarray(np.fft.irfft(spectrum, values.shape[1], axis=1))
-
-
-def _hann(count: int) -> Array:
-    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
-
 
 def band_parts(count: int, step: float) -> Iterator[FrequencyBand]:
     """Yield the bands of windows of so many rows; those above what the rows can tell are left out."""
@@ -123,42 +92,6 @@ def band_parts(count: int, step: float) -> Iterator[FrequencyBand]:
         inside = (hertz >= low_hz - 1e-9) & (hertz < high_hz) & (hertz <= 0.4 / step)
         if inside.any():
             yield FrequencyBand(low_hz, min(high_hz, 0.4 / step), inside)
-
-
-class Envelope:
-    """What the draws span of each channel (w, n, c), as it is and band by band, and twice the noise around it.
-
-    ``lags`` (c,) [s] are the filters that the ``noise`` (c,) has passed.
-    """
-
-    def __init__(self, modelled: Array, step: float, noise: Array, lags: Array) -> None:
-        self.parts, self._step = tuple(band_parts(modelled.shape[1], step)), step
-        self._noise, self._lags = noise, lags
-        self._whole, self._bands = (modelled, modelled), [(part.of(modelled),) * 2 for part in self.parts]
-
-    def include(self, drawn: Array) -> None:
-        """Widen it by what a drawn vehicle does."""
-        self._whole = _widened(self._whole, drawn)
-        self._bands = [_widened(ends, part.of(drawn)) for ends, part in zip(self._bands, self.parts, strict=True)]
-
-    @property
-    def ends(self) -> tuple[Array, Array]:
-        """The lower and the upper end, (w, n, c)."""
-        return self._whole[0] - SPREAD * self._noise, self._whole[1] + SPREAD * self._noise
-
-    def within(self, measured: Array) -> Array:
-        """Return the shares of the time for which signals (w, n, c) are within, (bands + 1, c): as they are first."""
-        low, high = self.ends
-        shares = [np.mean((measured >= low) & (measured <= high), axis=(0, 1))]
-        for part, (low, high) in zip(self.parts, self._bands, strict=True):
-            values, margin = part.of(measured), part.pass_noise(measured.shape[1], self._step, self._lags)
-            margin = SPREAD * self._noise * margin
-            shares.append(np.mean((values >= low - margin) & (values <= high + margin), axis=(0, 1)))
-        return np.stack(shares)
-
-
-def _widened(ends: tuple[Array, Array], values: Array) -> tuple[Array, Array]:
-    return np.minimum(ends[0], values), np.maximum(ends[1], values)
 
 
 def theil(measured: Array, modelled: Array) -> Theil:
@@ -189,56 +122,45 @@ def measure_ratio(measured: Array, modelled: Array, step: float, noise: float) -
     return Ratio(hertz, value, coherence, of_x > 2.0 * step * noise**2)
 
 
-def measure_bands(measured: Array, modelled: Array, step: float, noise: float, within: Array) -> tuple[Band, ...]:
-    """Return the bands of a channel (w, n); ``within``: shares of the time in which it is inside, band by band."""
+def measure_bands(measured: Array, modelled: Array, step: float, noise: float) -> tuple[Band, ...]:
+    """Return the bands of a channel (w, n)."""
     from scipy.signal import welch
 
     ratio = measure_ratio(measured, modelled, step, noise)
     count = measured.shape[1]
     kind = {"fs": 1.0 / step, "nperseg": count, "noverlap": 0, "detrend": "linear"}
     of = [welch(signal.ravel(), **kind)[1] for signal in (measured, modelled, measured - modelled)]
+    width = float(ratio.hertz[1])
     bands = []
-    for part, share in zip(band_parts(count, step), within.tolist(), strict=True):
-        inside = part.inside
-        width = float(ratio.hertz[1])
+    for low_hz, high_hz, inside in band_parts(count, step):
         y, x, e = (float(np.sqrt(width * np.sum(power[inside]))) for power in of)
         power = of[1][inside]
-        coherence = float(np.sum(ratio.coherence[inside] * power) / np.sum(power)) if np.sum(power) > 0.0 else 0.0
-        excited = y > EXCITED * noise * np.sqrt(2.0 * step * width * np.sum(inside))
-        tells = excited and coherence >= COHERENT
-        mean = complex(np.sum(ratio.value[inside] * power) / np.sum(power)) if tells else 1.0
-        bands.append(
-            Band(
-                part.low_hz,
-                part.high_hz,
-                share,
-                y,
-                e,
-                e / (x + y) if x + y > 0.0 else 0.0,
-                coherence,
-                float(20.0 * np.log10(abs(mean))) if tells and abs(mean) > 0.0 else None,
-                float(np.degrees(np.angle(mean))) if tells else None,
-                bool(excited),
-            )
-        )
+        moves = bool(np.sum(power) > 0.0)
+        coherence = float(np.average(ratio.coherence[inside], weights=power)) if moves else 0.0
+        excited = bool(y > EXCITED * noise * np.sqrt(2.0 * step * width * np.sum(inside)))
+        gain = phase = None
+        if excited and moves and coherence >= COHERENT:
+            mean = complex(np.average(ratio.value[inside], weights=power))
+            gain, phase = float(20.0 * np.log10(max(abs(mean), 1e-6))), float(np.degrees(np.angle(mean)))
+        bands.append(Band(low_hz, high_hz, y, e, e / (x + y) if x + y > 0.0 else 0.0, coherence, gain, phase, excited))
     return tuple(bands)
 
 
-def measure_channels(flying: Flying, modelled: Array, envelope: Envelope) -> tuple[ChannelMeasures, ...]:
-    """Return the measures of each channel that the log has; ``modelled`` is (w, n, 9)."""
+def measure_channels(flying: Flying, modelled: Array, low: Array, high: Array) -> tuple[ChannelMeasures, ...]:
+    """Return the measures of each channel that the log has, of a model (w, n, 9) and the ends of its envelope."""
     measured, step, noise = flying.measured(), flying.flight.step, flying.scale
-    shares = envelope.within(measured)
+    shares = np.mean((measured >= low) & (measured <= high), axis=(0, 1))
     channels = []
     for c, (name, unit) in enumerate(CHANNELS):
         y, x = measured[:, :, c], modelled[:, :, c]
         if not np.isfinite(y).all():
             continue
         moved = float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2)))
-        bands = measure_bands(y, x, step, float(noise[c]), shares[1:, c])
+        bands = measure_bands(y, x, step, float(noise[c]))
         error = float(np.sqrt(np.mean((y - x) ** 2)))
         level = float(np.sqrt(np.mean(y**2))) if name == LEVEL else moved
         excited = level > EXCITED * float(noise[c])
         channels.append(
-            ChannelMeasures(name, unit, float(shares[0, c]), error, moved, float(noise[c]), theil(y, x), bands, excited)
+            ChannelMeasures(name, unit, float(shares[c]), error, moved, float(noise[c]), theil(y, x), bands, excited)
         )
     return tuple(channels)

@@ -30,13 +30,12 @@ CHANNELS_SHOWN: Final = (
     "channel", "time within", "error, rms", "movement, rms", "Theil's U", "bias / variance / covariance, %", "told",
 )  # fmt: skip
 BANDS_SHOWN: Final = (
-    "channel", "Hz", "time within", "Theil's U", "coherence", "measured over modelled, dB", "deg",
+    "channel", "Hz", "Theil's U", "coherence", "measured over modelled, dB", "deg",
 )  # fmt: skip
 OPEN_LOOP: Final = (
     "Open loop, in windows of {:g} s: a vehicle that hovers is not stable without its controller, so the model is "
     "started anew from the recorded state at the beginning of each. The state at a window's start is fitted to it."
 )
-CLOSED_LOOP: Final = "Closed loop, by the set-points, from the recorded start."
 ENVELOPE: Final = (
     "The envelope is that of {} draws and twice the noise; a channel is explained that is within it for 90 % of the "
     "time. Theil's U is 0 for equal and 1 for useless, about the mean measured in each window."
@@ -67,7 +66,7 @@ def page(result: Replay) -> Page:
     drawn, runs = figures(result), _flights(result)
     cards = [
         Card("Channels", CHANNELS_SHOWN, channel_rows(result), _describe_comparison(result)),
-        _causes_card(result),
+        Card("What each number would explain", TABLE, cause_rows(result), CAUSES),
         *([Card("Bands", BANDS_SHOWN, bands)] if (bands := band_rows(result)) else []),
         Card("Measured over modelled, by frequency", text=RATIO, figure="ratio"),
         *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
@@ -87,7 +86,7 @@ def page(result: Replay) -> Page:
 
 def _describe_comparison(result: Replay) -> str:
     """Return how both were compared: how the model was driven, the envelope, what was drawn, moments and wind."""
-    how = OPEN_LOOP.format(result.window_s) if result.flying.flight.setpoints is None else CLOSED_LOOP
+    how = OPEN_LOOP.format(result.window_s)
     x, y, z = result.moment_rms
     wind = result.wind
     blows = wind.reason or (
@@ -98,14 +97,6 @@ def _describe_comparison(result: Replay) -> str:
         f"constant moment beside what the engines make, of {x:.2g}, {y:.2g}, {z:.2g} N m (rms) about x, y, z: of the "
         f"air, or of a centre of gravity or engines that are not where they are stated. Wind: {blows}."
     )
-
-
-def _causes_card(result: Replay) -> Card:
-    """Return the table of numbers and cases; the reason alone where there is none."""
-    title, causes = "What each number would explain", result.causes
-    if not causes.tried:
-        return Card(title, text=f"{causes.reason}.")
-    return Card(title, TABLE, cause_rows(result), CAUSES)
 
 
 def cause_rows(result: Replay) -> list[tuple[str, ...]]:
@@ -141,7 +132,6 @@ def band_rows(result: Replay) -> list[tuple[str, ...]]:
         (
             c.name,
             f"{b.low_hz:.2g} to {b.high_hz:.2g}",
-            f"{100.0 * b.within:.1f} %",
             f"{b.u:.3f}",
             f"{b.coherence:.2f}",
             "" if b.gain_db is None else f"{b.gain_db:+.1f}",

@@ -23,7 +23,6 @@ from hexjet_identify.logs.log_columns import LEFT_AND_UP, match_columns
 XYZ: Final = ("x", "y", "z")
 NED: Final = ("north", "east", "down")
 SLOWEST_COMMAND_S = 0.03  # between two commands: what engines do between slower ones is not in the log
-SLOWEST_SETPOINT_S = 0.11  # between two set-points of the attitude, which autopilots log ten times a second
 LONGEST_GAP = 5.0  # control steps, or rows of the log, without a row: nothing is flown across a longer one
 MOST_THROTTLE = 1.5  # beyond it they are no throttles from 0 to 1
 LEAST_S = 2.0  # of commands and measurements, for a verdict of any kind
@@ -86,7 +85,6 @@ class RecordedFlight:
     altitude: Array
     usable: Flags
     notes: tuple[str, ...]
-    setpoints: Array | None = None  # (n, 3 or 4): roll, pitch, yaw [rad] and height [m], where there are no commands
 
     @property
     def has_force(self) -> bool:
@@ -102,19 +100,6 @@ class RecordedFlight:
     def has_velocity(self) -> bool:
         """Whether the log has a velocity over the ground."""
         return bool(np.isfinite(self.velocity).any())
-
-
-def has_commands(log: FlightLog, mapping: ThrottleChannels) -> bool:
-    """Return whether the commands of engines are flown: the log has some, often enough, or nothing in their place."""
-    if mapping.throttles:
-        return True
-    name = _motor(log, 1, mapping)
-    return name is not None and (_apart(log.channels[name]) <= SLOWEST_COMMAND_S or not _setpoints(_all_columns(log)))
-
-
-def _all_columns(log: FlightLog) -> dict[str, Channel]:
-    """Return what a log has, by its own names and as far as they are known by ours."""
-    return match_columns(log) | dict(log.channels)
 
 
 def is_simulated(log: FlightLog) -> bool:
@@ -136,37 +121,25 @@ def record_flight(
 ) -> RecordedFlight:
     """Put a log on the clock of a vehicle's control steps, between the times ``part`` [s].
 
-    A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Without
-    commands of engines, or with slow ones, the set-points are taken.  Raises InputError for a log that lacks both, or
-    rates, or has commands of another number of engines.
+    A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Raises
+    InputError for a log that lacks commands of engines or rates, has slow ones, or those of another number of engines.
     """
     notes: list[str] = list(log.remarks)
-    columns = _all_columns(log)
+    columns = match_columns(log) | dict(log.channels)
     gyros = _gyros(log, columns, notes)
-    slow: list[Channel] = []  # commands that say no more than when the engines run
-    if has_commands(log, mapping) or not (setpoints := _setpoints(columns)):
-        throttles, tilts, setpoints = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle), []
-    else:
-        throttles, tilts = [], []
-        slow = _throttles(log, vehicle, mapping, notes) if _motor(log, 1, mapping) else []
-        notes.append(f"{_why_setpoints(log, mapping)}: its set-points are flown, by the controller of the vehicle here")
-    clock = _clock(log, [*(throttles or setpoints[:1]), *gyros], step, part)
-    _check_command_rate(log, (throttles or setpoints)[0], SLOWEST_COMMAND_S if throttles else SLOWEST_SETPOINT_S)
-    throttle, tilt, wanted = (_held(channels, clock, step) for channels in (throttles, tilts, setpoints))
-    if throttles and (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
+    throttles, tilts = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle)
+    clock = _clock(log, [*throttles, *gyros], step, part)
+    _check_command_rate(log, throttles[0])
+    throttle, tilt = (_held(channels, clock, step) for channels in (throttles, tilts))
+    if (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
         raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are (throttle_range)")
     rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
     ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
-    commanded = (throttle if throttles else wanted[:, :3]), rate
-    usable = np.isfinite(np.concatenate(commanded, axis=1)).all(axis=1) & ~(ground > 0.5)
-    for channel in ((throttles or setpoints)[0], gyros[0]):
-        usable &= _near_rows(channel, clock, step)
-    if slow:
-        usable &= np.nan_to_num(_held(slow, clock, step)).max(axis=1) > 0.0
+    usable = np.isfinite(np.concatenate([throttle, rate], axis=1)).all(axis=1) & ~(ground > 0.5)
+    usable &= _near_rows(throttles[0], clock, step) & _near_rows(gyros[0], clock, step)
     if (seconds := float(np.sum(usable)) * step) < LEAST_S:
         raise InputError(
-            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, off the ground and with engines that "
-            f"run; at least {LEAST_S:g} s are needed"
+            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, in the air; {LEAST_S:g} s are needed"
         )
     return RecordedFlight(
         step,
@@ -180,7 +153,6 @@ def record_flight(
         _optional(columns, ("altitude_m", "altitude_measured_m"), clock, step),
         usable,
         tuple(notes),
-        wanted if setpoints else None,
     )
 
 
@@ -198,19 +170,6 @@ def _gyros(log: FlightLog, columns: Table[str, Channel], notes: list[str]) -> li
         have = ", ".join(sorted(log.channels)[:12])
         raise InputError(f"{log.path}: no angular rates, such as rate_p_measured_rad_s; it has {have}"[:400])
     return [rate for rate in rates if rate is not None]
-
-
-def _setpoints(columns: Table[str, Channel]) -> list[Channel]:
-    """Return the set-points of roll, pitch and yaw, and of the height if there is one; none without the first three."""
-    wanted = [_find(columns, (f"{axis}_setpoint_rad", f"ATT.Des{axis.title()}"), []) for axis in AXES]
-    if any(channel is None for channel in wanted):
-        return []
-    angles = [channel for channel in wanted if channel is not None]
-    if "ATT.DesRoll" in columns and "roll_setpoint_rad" not in columns:
-        angles = [channel._replace(values=np.radians(channel.values)) for channel in angles]
-    angles = [channel._replace(values=np.unwrap(channel.values)) for channel in angles]
-    height = _find(columns, ("altitude_setpoint_m", "hexjet_height.setpoint_m"), [])
-    return [*angles, *([height] if height is not None else [])]
 
 
 def _held(channels: Sequence[Channel], clock: Array, step: float) -> Array:
@@ -329,31 +288,15 @@ def _clock(log: FlightLog, channels: Sequence[Channel], step: float, part: tuple
     return np.asarray(begin + step * np.arange(steps + 1), np.float64)
 
 
-def _apart(channel: Channel) -> float:
-    """Return the time between two rows [s]; infinite where there are no two."""
-    return float(np.median(np.diff(channel.times))) if len(channel.times) > 1 else np.inf
-
-
-def _why_setpoints(log: FlightLog, mapping: ThrottleChannels) -> str:
-    """Return why no commands of engines are flown."""
-    name = _motor(log, 1, mapping)
-    if name is None:
-        return "no commands of engines in the log"
-    return f"{name} and the like are {1e3 * _apart(log.channels[name]):.3g} ms apart{_hint(log)}"
-
-
-def _check_command_rate(log: FlightLog, command: Channel, slowest: float) -> None:
-    apart = _apart(command)
-    if apart > slowest:
+def _check_command_rate(log: FlightLog, command: Channel) -> None:
+    apart = float(np.median(np.diff(command.times)))
+    if apart > SLOWEST_COMMAND_S:
+        # How commands are logged oftener, where that is known of a kind of log.
+        hint = f" ({_FASTER[log.kind]})" if log.kind in _FASTER else ""
         raise InputError(
-            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * slowest:g} ms tell what they did"
-            f"{_hint(log)}"
+            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * SLOWEST_COMMAND_S:g} ms tell "
+            f"what they did{hint}"
         )
-
-
-def _hint(log: FlightLog) -> str:
-    """Return in brackets how commands are logged oftener, where that is known of a kind of log."""
-    return f" ({_FASTER[log.kind]})" if log.kind in _FASTER else ""
 
 
 def _hold(channel: Channel, clock: Array, step: float) -> Array:

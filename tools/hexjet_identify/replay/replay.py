@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.signals import ZERO3
 from cosim.engine import EngineSpec
 from cosim.engine.fmu.uncertainty import CUT, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
@@ -18,7 +17,6 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
 from hexjet_identify.replay.causes import Causes, Part, find_causes
-from hexjet_identify.replay.closed_loop import cut_whole, fly_setpoints
 from hexjet_identify.replay.flown import Change, Flown, Model
 from hexjet_identify.replay.gyro import without_gyro_offset
 from hexjet_identify.replay.measures import (
@@ -26,7 +24,6 @@ from hexjet_identify.replay.measures import (
     NEEDED,
     Band,
     ChannelMeasures,
-    Envelope,
     Ratio,
     measure_channels,
     measure_ratio,
@@ -37,6 +34,7 @@ from hexjet_identify.replay.wind import Wind, estimate_wind
 from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut
 
 FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
+SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
 # Standard deviation of the centre of gravity, as a share of the span.
@@ -44,11 +42,6 @@ CENTRE_SHARE: Final = 0.005
 ENGINES: Final = "of the engines"
 USELESS: Final = 0.5  # Theil's U from where on a model that is coherent in no band does not do what was measured
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
-
-CLOSED: Final = (
-    "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
-    "log the engines' commands"
-)
 
 
 @dataclass(frozen=True)
@@ -103,11 +96,6 @@ class Replay:
         return self.vehicle.name
 
     @property
-    def way(self) -> str:
-        """What drives the model."""
-        return "engines' commands, open loop in windows" if self.flying.flight.setpoints is None else "set-points"
-
-    @property
     def verdict(self) -> str:
         """Whether the model explains what the log excites: every such channel is inside the envelope.
 
@@ -119,9 +107,7 @@ class Replay:
             return NOT_EXPLAINED
         if not are_explained(moved, self.causes):
             return NOT_TOLD if all(is_foreign(c) for c in self._off) else NOT_EXPLAINED
-        told = any(channel.name != LEVEL for channel in moved) and (
-            self.flying.flight.setpoints is not None or self.causes.tells_inertia
-        )
+        told = any(channel.name != LEVEL for channel in moved) and self.causes.tells_inertia
         return EXPLAINED if told else NOT_TOLD
 
     @property
@@ -134,10 +120,7 @@ class Replay:
         """What the verdict rests on, and what the log does not tell, one line each."""
         flying = self.flying
         count, window = len(flying.windows), self.window_s
-        how = "each started from the recorded state"
-        if flying.flight.setpoints is not None:
-            how = "flown as one, by the set-points, with the controller here"
-        lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, {how}"]
+        lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, each started from the recorded state"]
         outside = [c for c in self.channels if c.excited and c.within < NEEDED]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
         moved = [c for c in self.channels if c.excited]
@@ -153,7 +136,7 @@ class Replay:
         lines += [text for c in moved for b in c.bands if (text := _describe_band(c.name, b))]
         if self.causes.named and self.verdict != NOT_EXPLAINED:
             lines.append(f"nearer still, within the tolerances: {' or '.join(one.text for one in self.causes.named)}")
-        if self.verdict != NOT_EXPLAINED and self.flying.flight.setpoints is None:
+        if self.verdict != NOT_EXPLAINED:
             lines += describe_reach(self.causes)
         still = [c.name for c in self.channels if not c.excited]
         if still:
@@ -183,9 +166,8 @@ class Replay:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
-        command = "throttle" if self.flying.flight.setpoints is None else "attitude set-point"
-        channels = (command, ", ".join(channel.name for channel in self.channels))
-        units = ("1" if self.flying.flight.setpoints is None else "rad", ", ".join(c.unit for c in self.channels))
+        channels = ("throttle", ", ".join(channel.name for channel in self.channels))
+        units = ("1", ", ".join(c.unit for c in self.channels))
         refused = [self.fault] if self.fault else []
         told, hidden = self.causes.reach
         return {
@@ -196,7 +178,6 @@ class Replay:
             "simulated": self.simulated,
             "aircraft": self.aircraft,
             "engine": self.engine,
-            "way": self.way,
             "fault": self.fault,
             "seconds": self.flying.seconds,
             "windows": len(self.flying.windows),
@@ -234,7 +215,7 @@ def replay(
     choices: Choices,
     tell: Callable[[str, int, int], None] = lambda part, done, of: None,
 ) -> Replay:
-    """Fly a recorded flight again with its engines' commands, or by its set-points where it has none.
+    """Fly a recorded flight again with its engines' commands.
 
     The start of each window, and a constant moment of the air on it, are fitted to what was recorded.  Then the vehicle
     is drawn, and each of its numbers is fitted.  Raises InputError and FlightError.
@@ -242,18 +223,12 @@ def replay(
     model, count = Model(scenario), choices.draws + 2
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
-    if flight.setpoints is None:
-        flying = without_gyro_offset(cut(model, flight, length), log)
-        wind = estimate_wind(model, flying)
-        flying = settle(model, flying, wind.velocity)
-    else:
-        flying = cut_whole(model, flight, length)
-        wind = Wind(ZERO3, None, "not looked for where the loop is closed: taken for still air")
+    flying = without_gyro_offset(cut(model, flight, length), log)
+    wind = estimate_wind(model, flying)
+    flying = settle(model, flying, wind.velocity)
     flight = flying.flight
 
     def fly(change: Change) -> Flown:
-        if flight.setpoints is not None:
-            return fly_setpoints(model, flight, change)
         return model.fly(flight, flying.windows, flying.starts, change, wind.velocity)
 
     flown = fly(Change())
@@ -261,21 +236,19 @@ def replay(
     zero = np.zeros(len(CHANNELS))
     zero[FORCES] = accelerometer_zero((flying.measured() - modelled)[:, :, FORCES], model.vehicle)
     modelled = modelled + zero
-    lags = np.repeat([model.vehicle.sensors.gyro.filter_s, 0.0], [FORCES.start, len(CHANNELS) - FORCES.start])
-    envelope = Envelope(modelled, flight.step, flying.scale, lags)
+    low = high = modelled
     for number, change in enumerate(draw(model, choices)):
         tell("draws", number + 1, count)
-        envelope.include(flying.modelled(fly(change)) + zero)
-    channels = measure_channels(flying, modelled, envelope)
+        drawn = flying.modelled(fly(change)) + zero
+        low, high = np.minimum(low, drawn), np.maximum(high, drawn)
+    low, high = low - SPREAD * flying.scale, high + SPREAD * flying.scale
+    channels = measure_channels(flying, modelled, low, high)
     tell("causes", count - 1, count)
-    causes = Causes(float("nan"), (), (), CLOSED)
-    if flight.setpoints is None:
-        low, high = envelope.ends
-        causes = find_causes(model, flying, wind.velocity, (low - modelled, high - modelled))
+    causes = find_causes(model, flying, wind.velocity, (low - modelled, high - modelled))
     engine = model.engine
     assert engine is not None
     return Replay(
-        log, model.vehicle, engine.name, choices, flying, modelled, *envelope.ends, flown, channels,
+        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels,
         _ratios(flying, modelled, channels), wind, causes, engine.uncertainty is not None,
         _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip

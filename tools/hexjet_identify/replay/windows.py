@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -27,22 +27,14 @@ CHANNELS: Final = (
 )
 
 
-class Noise(NamedTuple):
-    """Standard deviations of what the log measures, (3,) each: rad/s, m/s^2, rad."""
-
-    rate: Array
-    force: Array
-    angles: Array
-
-
 @dataclass(frozen=True)
 class Flying:
-    """A flight cut into windows of one length, and what the model starts each of them with."""
+    """A flight cut into windows of one length, what the model starts each with, and the noise of each channel (9,)."""
 
     flight: RecordedFlight
     windows: tuple[Window, ...]
     starts: Starts
-    noise: Noise
+    scale: Array
 
     @property
     def rows(self) -> Array:
@@ -68,15 +60,10 @@ class Flying:
         values: Array = np.concatenate([flown.rate, flown.force, angles], axis=1)[self.rows]
         return values
 
-    @property
-    def scale(self) -> Array:
-        """The noise of every channel, (9,)."""
-        return np.concatenate(self.noise)
-
     def only(self, chosen: Sequence[int]) -> Flying:
         """Return the same flight with some of the windows."""
         starts = Starts(*(values[list(chosen)] for values in self.starts))
-        return Flying(self.flight, tuple(self.windows[n] for n in chosen), starts, self.noise)
+        return replace(self, windows=tuple(self.windows[n] for n in chosen), starts=starts)
 
 
 def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
@@ -134,7 +121,7 @@ def _smoothing_rows(step: float) -> int:
     return max(5, 2 * round(0.5 * SMOOTH_S / step) + 1)
 
 
-def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
+def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Array:
     """Return each channel's noise, by what a parabola leaves of it, or what the vehicle states if that is more."""
     from scipy.signal import savgol_coeffs
 
@@ -149,7 +136,7 @@ def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
         rest = (values - _smoothed(values, flight.step))[flies]
         spread = np.nanstd(rest, axis=0) / left if np.isfinite(rest).any() else np.zeros(3)
         levels.append(np.maximum(np.nan_to_num(spread), max(least * share, 1e-6)))
-    return Noise(*levels)
+    return np.concatenate(levels)
 
 
 def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
