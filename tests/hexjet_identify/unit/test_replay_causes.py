@@ -10,7 +10,7 @@ from cosim.base.frames import from_euler, multiply, rotate, to_euler
 from hexjet_identify.replay import Choices
 from hexjet_identify.replay.causes import Causes, Part, Row, name_rows
 from hexjet_identify.replay.gyro import euler_rates
-from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, measure_bands, theil
+from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, measure_bands, measure_ratio, theil
 from hexjet_identify.replay.replay import are_beyond, is_foreign
 from hexjet_identify.replay.wind import level_part
 
@@ -79,8 +79,9 @@ def test_what_no_command_moves_is_foreign() -> None:
     blown, flown = (x - x.mean(axis=1, keepdims=True) for x in rng.standard_normal((2, 20, 100)).cumsum(axis=2))
 
     def channel(measured: np.ndarray, modelled: np.ndarray, name: str = "rate_p") -> ChannelMeasures:
-        bands = measure_bands(measured, modelled, 0.004, 0.01)
-        return ChannelMeasures(name, "rad/s", 0.1, 1.0, 1.0, 0.01, theil(measured, modelled), bands, True)
+        ratio = measure_ratio(measured, modelled, 0.004, 0.01)
+        bands = measure_bands(measured, modelled, ratio, 0.004, 0.01)
+        return ChannelMeasures(name, "rad/s", 0.1, 1.0, 1.0, 0.01, theil(measured, modelled), bands, True, ratio)
 
     assert is_foreign(channel(blown, 0.01 * flown))
     assert not is_foreign(channel(blown, 0.4 * blown))

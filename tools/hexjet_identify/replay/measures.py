@@ -66,14 +66,13 @@ class ChannelMeasures(NamedTuple):
     theil: Theil
     bands: tuple[Band, ...]
     excited: bool
+    ratio: Ratio
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything, for JSON."""
-        return {
-            **self._asdict(),
-            "theil": self.theil._asdict(),
-            "bands": [band._asdict() for band in self.bands],
-        }
+        """Return everything but the ratio, for JSON."""
+        values = {**self._asdict(), "theil": self.theil._asdict(), "bands": [band._asdict() for band in self.bands]}
+        del values["ratio"]
+        return values
 
 
 class FrequencyBand(NamedTuple):
@@ -122,11 +121,10 @@ def measure_ratio(measured: Array, modelled: Array, step: float, noise: float) -
     return Ratio(hertz, value, coherence, of_x > 2.0 * step * noise**2)
 
 
-def measure_bands(measured: Array, modelled: Array, step: float, noise: float) -> tuple[Band, ...]:
+def measure_bands(measured: Array, modelled: Array, ratio: Ratio, step: float, noise: float) -> tuple[Band, ...]:
     """Return the bands of a channel (w, n)."""
     from scipy.signal import welch
 
-    ratio = measure_ratio(measured, modelled, step, noise)
     count = measured.shape[1]
     kind = {"fs": 1.0 / step, "nperseg": count, "noverlap": 0, "detrend": "linear"}
     of = [welch(signal.ravel(), **kind)[1] for signal in (measured, modelled, measured - modelled)]
@@ -156,11 +154,11 @@ def measure_channels(flying: Flying, modelled: Array, low: Array, high: Array) -
         if not np.isfinite(y).all():
             continue
         moved = float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2)))
-        bands = measure_bands(y, x, step, float(noise[c]))
+        ratio = measure_ratio(y, x, step, float(noise[c]))
+        bands = measure_bands(y, x, ratio, step, float(noise[c]))
         error = float(np.sqrt(np.mean((y - x) ** 2)))
         level = float(np.sqrt(np.mean(y**2))) if name == LEVEL else moved
         excited = level > EXCITED * float(noise[c])
-        channels.append(
-            ChannelMeasures(name, unit, float(shares[c]), error, moved, float(noise[c]), theil(y, x), bands, excited)
-        )
+        values = (float(shares[c]), error, moved, float(noise[c]), theil(y, x), bands, excited, ratio)
+        channels.append(ChannelMeasures(name, unit, *values))
     return tuple(channels)

@@ -215,9 +215,8 @@ def _ratio(result: Replay) -> Figure:
     """Return measured over modelled: gain, phase and coherence of the channels that move."""
     data = []
     colours = iter((ORANGE, BLUE, "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d", GREY))
-    moved = [channel.name for channel in result.channels if channel.excited] or [c.name for c in result.channels[:3]]
-    for name in moved:
-        ratio, colour = result.ratios[name], next(colours)
+    for channel in [c for c in result.channels if c.excited] or result.channels[:3]:
+        name, ratio, colour = channel.name, channel.ratio, next(colours)
         use = (ratio.hertz > 0.0) & (ratio.hertz <= 0.4 / result.flying.flight.step) & ratio.excited
         value = ratio.value[use]
         gain = 20.0 * np.log10(np.maximum(np.abs(value), 1e-6))

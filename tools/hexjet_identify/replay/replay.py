@@ -24,9 +24,7 @@ from hexjet_identify.replay.measures import (
     NEEDED,
     Band,
     ChannelMeasures,
-    Ratio,
     measure_channels,
-    measure_ratio,
 )
 from hexjet_identify.replay.misfit import settle
 from hexjet_identify.replay.recorded import RecordedFlight
@@ -70,7 +68,6 @@ class Replay:
     high: Array
     flown: Flown
     channels: tuple[ChannelMeasures, ...]
-    ratios: dict[str, Ratio]
     wind: Wind
     causes: Causes
     draws_engine: bool  # by an [uncertainty] of the engine
@@ -249,7 +246,7 @@ def replay(
     assert engine is not None
     return Replay(
         log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels,
-        _ratios(flying, modelled, channels), wind, causes, engine.uncertainty is not None,
+        wind, causes, engine.uncertainty is not None,
         _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip
 
@@ -306,16 +303,6 @@ def _join(names: Sequence[str]) -> str:
     numbers = ", ".join(name.removeprefix(engine) for name in names if name.startswith(engine))
     others = [name for name in names if not name.startswith(engine)]
     return "; ".join([*others, *([engine + numbers] if numbers else [])])
-
-
-def _ratios(flying: Flying, modelled: Array, channels: tuple[ChannelMeasures, ...]) -> dict[str, Ratio]:
-    """Return measured over modelled by frequency of each channel."""
-    measured, step, shown = flying.measured(), flying.flight.step, {channel.name for channel in channels}
-    return {
-        name: measure_ratio(measured[:, :, c], modelled[:, :, c], step, float(flying.scale[c]))
-        for c, (name, _) in enumerate(CHANNELS)
-        if name in shown
-    }
 
 
 def usual_window(vehicle: Vehicle) -> float:
