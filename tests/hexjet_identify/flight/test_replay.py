@@ -192,7 +192,7 @@ def test_a_reversed_axis_is_named(doublet: Path) -> None:
     flight = recorded(doublet)
     turned = np.array([-1.0, 1.0, 1.0])
     result = replayed(replace(flight, rate=flight.rate * turned, angles=flight.angles * turned))
-    assert [one.name for one in result.causes.named] == ["roll rate reversed"]
+    assert [one.name for one in result.causes.named] == ["roll rate and roll angle reversed"]
 
 
 def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:

@@ -104,7 +104,7 @@ def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
 
 def _list_centre(model: Model) -> list[Number]:
     span = model.vehicle.aero.span_m
-    known, probe, most = 0.05 * span, 0.0005 * span, 0.5 * span
+    known, probe, most = 0.05 * span, 1e-5 * span, 0.5 * span
     return [
         Number(f"{CENTRE} {letter}", "m", 0.0, -most, most, probe, _move_along_z, deviation=known, off=known)
         for letter in "xyz"
@@ -137,7 +137,7 @@ def _list_lags(model: Model) -> Iterator[Number]:
 
 
 def _lag(value: float, change: Callable[[float], Change]) -> Number:
-    return Number("lag of the engines", "s", value, 0.1 * value, 10.0 * value, 0.1 * value, change, off=0.02)
+    return Number("lag of the engines", "s", value, 0.1 * value, 10.0 * value, 1e-3 * value, change, off=0.02)
 
 
 def _delay(name: str, step: float, change: Callable[[float], Change]) -> Number:
@@ -145,7 +145,7 @@ def _delay(name: str, step: float, change: Callable[[float], Change]) -> Number:
 
 
 def _factor(name: str, change: Callable[[float], Change], inverse: bool = False) -> Number:
-    return Number(name, "", 1.0, 0.2, 5.0, 0.005, change, inverse)
+    return Number(name, "", 1.0, 0.2, 5.0, 1e-4, change, inverse)
 
 
 def _inertia(axis: int) -> Callable[[float], Change]:

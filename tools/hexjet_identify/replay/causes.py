@@ -272,7 +272,8 @@ class _Table:
         slopes = []
         for n, number in enumerate(one.numbers):
             moved = values.copy()
-            moved[n] = _inward(number, _outward(number, values[n]) + number.probe)
+            outward = _outward(number, values[n])
+            moved[n] = _inward(number, outward + (number.probe if outward < number.high else -number.probe))
             slopes.append(self._misfit.slope(point, _change(one, moved), moved[n] - values[n]))
         return np.stack(slopes, axis=-1) if slopes else np.zeros((*point.left.shape, 0))
 

@@ -20,7 +20,7 @@ from cosim.engine import EngineSpec
 from cosim.simulation.build import build
 from cosim.simulation.script.mismatch import apply_mismatch
 from cosim.spec.scenario import Initial, Mismatch, Scenario
-from cosim.spec.vehicle import Vehicle
+from cosim.spec.vehicle import Sensors, Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.sensors import SensorSuite
 from hexjet_identify.replay.recorded import RecordedFlight
@@ -96,6 +96,7 @@ class Model:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario.replace(sensor_noise=False, expect=[])
         self.vehicle, self._folder = self.scenario.resolved_vehicle()
+        self._sensors = _without_resolution(self.vehicle.sensors)
         self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
         self._loads: dict[tuple[object, ...], Loads] = {}
         self.engine: EngineSpec | None = None  # known when its engines have run
@@ -161,7 +162,7 @@ class Model:
         airframe = Airframe(
             vehicle, self._folder, scenario.environment, flight.step, scenario.substeps, scenario.seed, rotors
         )
-        sensors = SensorSuite(self.vehicle.sensors, flight.step, scenario.seed, noisy=False)
+        sensors = SensorSuite(self._sensors, flight.step, scenario.seed, noisy=False)
         try:
             windowed = _WindowFlight(airframe, sensors, flight, acting)
             for window, rate, angles, moment in zip(windows, *starts, strict=True):
@@ -170,6 +171,13 @@ class Model:
         finally:
             airframe.close()
         return windowed.flown
+
+
+def _without_resolution(sensors: Sensors) -> Sensors:
+    """Return sensors whose values are not rounded, so that small changes of the vehicle show."""
+    gyro = sensors.gyro.model_copy(update={"resolution_rad_s": 0.0})
+    accelerometer = sensors.accelerometer.model_copy(update={"resolution_m_s2": 0.0})
+    return sensors.model_copy(update={"gyro": gyro, "accelerometer": accelerometer})
 
 
 def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:

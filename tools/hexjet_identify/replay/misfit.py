@@ -124,9 +124,8 @@ class Misfit:
     def slopes_of_windows(self, base: Point) -> Array:
         """Return what the numbers of the windows do around a point, (w, n, c, 12)."""
         columns = np.zeros((*base.left.shape[:2], 9, 12))
-        sizes = np.concatenate(
-            [np.full(3, 0.005), 0.02 * np.array(self._model.vehicle.inertia_kg_m2), np.full(3, 0.005)]
-        )
+        # So small that a moment, and a number that makes the same moment, do the same down to the noise.
+        sizes = 1e-4 * np.concatenate([np.ones(3), np.array(self._model.vehicle.inertia_kg_m2), np.ones(3)])
         for numbers in np.arange(9).reshape((3, 3) if self._by_axis else (9, 1)).tolist():
             own = base.own.copy()
             own[:, numbers] += sizes[numbers]
@@ -139,15 +138,16 @@ class Misfit:
             columns[:, :, 6 + axis, DRIFT.start + axis] = -self._time / self.flying.scale[6 + axis]
         return columns[:, :, self.present]
 
-    def _slopes_of_flight(self, base: Point) -> Array:
+    def _slopes_of_flight(self, base: Point, by: float = 0.01) -> Array:
         columns = np.zeros((*base.left.shape[:2], 9, 5))
         for axis in range(3):
             columns[:, :, 3 + axis, axis] = -1.0 / self.flying.scale[3 + axis]
         columns = columns[:, :, self.present]
         for axis in range(2):
             shared = base.shared.copy()
-            shared[WIND.start + axis] += 1.0
-            columns[..., WIND.start + axis] = self.fly(base.change, base.sense, base.own, shared).left - base.left
+            shared[WIND.start + axis] += by
+            after = self.fly(base.change, base.sense, base.own, shared)
+            columns[..., WIND.start + axis] = (after.left - base.left) / by
         return columns
 
     def slope(self, point: Point, change: Change, by: float) -> Array:
