@@ -137,7 +137,7 @@ class Layout:
             right: Vector3 = (0.0, 1.0, 0.0)
             sine = sqrt(x * x + y * y)
             if sine > 1e-12:
-                # the turn from -z to the axis is about (-z) x axis
+                # The turn from -z to the axis is about (-z) x axis.
                 about, angle = (y / sine, -x / sine, 0.0), atan2(sine, -z)
                 forward, right = rotate_about(about, angle, forward), rotate_about(about, angle, right)
             elif z > 0.0:

@@ -11,24 +11,24 @@ Outcome = Literal["completed", "crashed", "diverged", "failed"]
 class Verdict(StrEnum):
     """The verdict on a flight.  Its value is the word in files and on pages."""
 
-    # of a run, by its limits and by what its scenario expects and requires
+    # Of a run, by its limits and by what its scenario expects and requires.
     AS_PLANNED = "as planned"
     NOTHING_CHECKED = "completed, nothing checked"
     UNMET = "not as expected"
     BROKEN = "requirement broken"
     BEYOND_LIMITS = "beyond limits"
     NOT_COMPLETED = "not completed"
-    # of a flight with a fault: level to a few degrees, or neither crashed nor diverged and no more than that
+    # Of a flight with a fault: level to a few degrees, or neither crashed nor diverged and no more than that.
     HELD = "held"
     AIRBORNE = "airborne"
-    # of a flight with a failsafe: on the ground, in the air, or not begun
+    # Of a flight with a failsafe: on the ground, in the air, or not begun.
     LANDED = "landed"
     SLID = "slid"
     STANDS_ARMED = "stands armed"
     HOLDS = "holds"
     FLIES_ON = "flies on"
     REFUSED = "refused"
-    # of both
+    # Of both.
     CRASHED = "crashed"
     LOST = "lost"
 

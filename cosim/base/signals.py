@@ -24,7 +24,7 @@ JETS = 6  # columns in every log
 MOST_JETS = 16  # servo outputs that MAVLink has
 ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # no engine is known to have failed
 NO_JETS: Final[frozenset[int]] = frozenset()
-# every jet of the log; left and right servo; gyro, attitude, GNSS, barometer
+# Every jet of the log; left and right servo; gyro, attitude, GNSS, barometer.
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 

@@ -50,7 +50,7 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
     """
     of_rate = _impulse(predictor(), model, (1.0, 0.0))
     of_command = _impulse(predictor(), model, (0.0, 1.0))
-    # the predictor is told the command of the step before: its first answer to it belongs to u / z
+    # The predictor is told the command of the step before: its first answer to it belongs to u / z.
     return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
 
 

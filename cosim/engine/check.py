@@ -171,7 +171,7 @@ class _Check:
     def _load(self) -> None:
         """Validate the description, and load the library and instantiate it."""
         archive, report = self._source.archive, self._report
-        # an archive with harmless violations was validated when it was read
+        # An archive with harmless violations was validated when it was read.
         complaints = [] if archive.harmless_violations else validate(read_bytes(archive.path))
         report.notes += note_unusual_names(archive.path)
         report.notes += [text for text in complaints if is_harmless_violation(text)]

@@ -115,7 +115,7 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
-    # a function each, that none holds columns which another reads: those of an hour are 7 MB each
+    # A function each, that none holds columns which another reads: those of an hour are 7 MB each.
     merged: dict[str, float | None] = {
         "height_error_m": HEIGHT_SPANS * measure.span_m
         + height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s),

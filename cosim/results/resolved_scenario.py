@@ -52,7 +52,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         controller["controller_parameters"] = _floats(custom_parameters)
     aircraft, vehicle, names = copy_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
-    # each part was checked when the scenario was read, so nothing is checked once more
+    # Each part was checked when the scenario was read, so nothing is checked once more.
     return scenario.resolved(
         **{
             **controller,

@@ -22,7 +22,7 @@ class SmallStepResponse(NamedTuple):
     delay: float | None  # control steps at low frequency, or None
     speed: float  # rad/s; 0 where it has none
     speed_per_n: float  # rad/s per N of thrust at rest
-    # thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above
+    # Thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above.
     response: tuple[float, ...] = ()
 
 
@@ -116,11 +116,11 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None
         if lag is None or delay is None:
-            # about hover; chosen by us: wide enough for the lag and not for the limits
+            # About hover; chosen by us: wide enough for the lag and not for the limits.
             measured, begins = _measure_response(bank, 0.4, 0.6, step)
             delay = begins if delay is None else delay
             if lag is None:
-                # the time to 63 % counts from the throttle, so that it holds with the delay that is used
+                # The time to 63 % counts from the throttle, so that it holds with the delay that is used.
                 lag = max(step, measured + begins - delay)
                 others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHER_STEPS]
                 lags = max(step, min(lag, *others)), max(lag, *others)

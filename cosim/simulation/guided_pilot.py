@@ -173,7 +173,7 @@ class GuidedPilot:
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
-        # a model's class is asked once a command: it takes as long as half a step's law
+        # A model's class is asked once a command: it takes as long as half a step's law.
         self._waypoints = aim if isinstance(aim, WaypointsCommand) else None
         self._velocity = (aim.north_m_s, aim.east_m_s) if isinstance(aim, VelocityCommand) else None
         if self._climb is not None:  # comes to rest as soon as it can

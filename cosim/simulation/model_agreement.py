@@ -201,7 +201,7 @@ def _compare(
     omega, thrust = response
     z = np.exp(1j * omega * step)
     own = gain * _actuators(parts, thrust, z, step) * _airframe(scenario, vehicle, damping, z)
-    # without the integral, which is 1 / (j omega + damping)
+    # Without the integral, which is 1 / (j omega + damping).
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
     at = 0.5 * _first_radian(late, omega)
     ratio = delayed_response(model, z) / own
@@ -293,7 +293,7 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Respo
 def _transform(course: tuple[float, ...], step: float, points: int = 96) -> Response:
     """Return the frequency response of a course after a step of the throttle, from 0.02 rad/s on."""
     omega = np.geomspace(0.02, 0.8 * np.pi / step, points)
-    # the thrust of a step's end acts over all of it; the command of that step is known one sample before its end
+    # The thrust of a step's end acts over all of it; the command of that step is known one sample before its end.
     back, value = np.exp(-1j * omega * step), np.zeros(points, complex)
     for push in np.diff(np.array(course), prepend=0.0)[::-1]:
         value = (value + push) * back

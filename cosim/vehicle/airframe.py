@@ -85,7 +85,7 @@ class _Read:
     """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
-        # stated as what gives a float: else compiled code makes an object of the unit, too, to multiply with
+        # Stated as what gives a float: else compiled code makes an object of the unit, too, to multiply with.
         x, y, z = [node(name.format(part)).get_double_value for part in parts]
         self._x: Get = x
         self._y: Get = y
@@ -276,7 +276,7 @@ class Airframe:
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
-        # while JSBSim settles no time passes, by which its turbulence divides where there is a speed
+        # While JSBSim settles no time passes, by which its turbulence divides where there is a speed.
         self._set("atmosphere/turb-type", 0.0 if any(initial.velocity_ned_m_s) else turbulence)
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
@@ -348,7 +348,7 @@ class Airframe:
             size = 2.0 * self._mass / self._dt
             shift = _extrapolate(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
         jolt = (size * x, size * y, size * z)
-        # at the centre of gravity as built, and with no moment about the present one
+        # At the centre of gravity as built, and with no moment about the present one.
         self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
         self._mass_change.shift_centre(rotate(self._read().attitude, shift))
         self._mass_change.evaluate(self._run)
@@ -492,7 +492,7 @@ class Airframe:
         motion = self._motion()
         if motion is None:
             raise FlightError("the airframe's state is not finite")
-        # as objects: nothing of them is taken apart that need not be
+        # As objects: nothing of them is taken apart that need not be.
         place: tuple[Any, Any, float] = motion[0]
         euler: Any = motion[2]
         north, east, up = place

@@ -42,7 +42,7 @@ PRODUCTS = ("ixy", "ixz", "iyz")
 # its structural axes, x aft and z up (negated_crossproduct_inertia="true", the default).
 PRODUCT_SIGN = {"ixy": 1.0, "ixz": -1.0, "iyz": 1.0}
 _INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # per unit of JSBSim's for positions
-# parts in the order in which JSBSim's schema has them; it reads them in any
+# Parts in the order in which JSBSim's schema has them; it reads them in any.
 _PARTS = (
     "metrics", "mass_balance", "ground_reactions", "external_reactions", "propulsion", "flight_control", "aerodynamics",
 )  # fmt: skip

@@ -56,7 +56,7 @@ class MassChange:
         radius = hypot(x, y, z)
         self._latitude.set_double_value(asin(z / radius))
         self._longitude.set_double_value(atan2(y, x))
-        # the height is the radius less that of the sea at this latitude
+        # The height is the radius less that of the sea at this latitude.
         self._height.set_double_value(self._height.get_double_value() + radius - get("position/radius-to-vehicle-ft"))
 
     def evaluate(self, run: Callable[[], bool]) -> bool:

@@ -35,7 +35,7 @@ ACTING: Final = tuple(
 # Of one file; the largest of JSBSim's own aircraft has 0.4.
 MAX_MB: Final = 64.0
 _NONE: Final = b"<fdm_config/>"
-# may name other files, or has an encoding or definitions that hide it
+# May name other files, or has an encoding or definitions that hide it.
 _HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)
 _cache: RecentCache[bytes] = RecentCache(64)  # files that name no others

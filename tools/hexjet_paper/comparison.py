@@ -141,7 +141,7 @@ _DERIVED: dict[str, Callable[[], float]] = {
 _INPUT_PREFIXES = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
 _STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"
 _TWO = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'
-# computed from what we chose: gains and lengths, the sticks; in flight the lags and inertia behind the roll response
+# Computed from what we chose: gains and lengths, the sticks; in flight the lags and inertia behind the roll response.
 _CHOSEN, _CHOSEN_IN_FLIGHT = ("hexjet-doublet.", "hexjet-manual."), ("roll.", "hexjet.delay")
 _NOTES = {
     "frequency.dc_gain": "ours at 1 Hz: with an integral the gain has no end towards 0 Hz",
@@ -190,7 +190,7 @@ def _row(
     value = _computed(key, evidence)
     in_flight = extra.get(key, _computed(key, flight) if flight else None)
     origin: Origin = "predicted"
-    # the state predictor's numbers were used with the matrices as printed
+    # The state predictor's numbers were used with the matrices as printed.
     if printed.key in used and (".state." not in printed.key or key != printed.key):
         origin = "calibrated"
     elif printed.key in _DERIVED:

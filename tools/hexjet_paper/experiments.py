@@ -27,7 +27,7 @@ Gains = Literal["calibrated", "vehicle"]
 CONTROLLERS = ("baseline", "smith", "state", STATE_AS_PRINTED, "filtered-smith", "state-model", "state-disturbance")
 COMPARED = ("baseline", "smith", "state", STATE_AS_PRINTED)  # of the paper
 
-# length of either half and of the run, s; neither is printed.  At the vehicle's gains as in the scenario roll-doublet,
+# Length of either half and of the run, s; neither is printed.  At the vehicle's gains as in the scenario roll-doublet,
 # at the calibrated ones long enough for the baseline to settle, whose settling time is printed.
 HEXJET_LENGTHS: dict[Gains, tuple[float, float]] = {"vehicle": (3.0, 12.0), "calibrated": (6.0, 22.0)}
 PAYLOAD_POSITION = [0.0, 0.0, 0.03]  # m, body: below the frame; chosen by us
@@ -311,6 +311,6 @@ def hexjet_ratios(
 ) -> dict[str, float]:
     """Return how much less overshoot and how much faster settling Smith's predictor gives, percent."""
     less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
-    # a baseline that has not settled by the next edge settles at least that much slower: no ratio
+    # A baseline that has not settled by the next edge settles at least that much slower: no ratio.
     faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0
     return {"hexjet.less_overshoot": less, "hexjet.faster_settling": faster}

@@ -27,7 +27,7 @@ class Calibration(BaseModel):
     # Hex-Jet, found; rate integral in proportion to vehicle.toml
     hexjet_p: float
     hexjet_attitude_gain_1_s: float
-    # the same with the turbojet's dynamics in the plant and the printed gain (hexjet_paper.readings)
+    # The same with the turbojet's dynamics in the plant and the printed gain (hexjet_paper.readings).
     corrected_p: float
     corrected_attitude_gain_1_s: float
     # chosen

@@ -215,7 +215,7 @@ def doublet(amplitude: float, start: float, width: float, step: float) -> Signal
     edges = [t / step for t in (start, start + width, start + 2.0 * width)]
 
     def since(edge: float, k: int) -> float:
-        # the part of step k that lies after the edge; lengths are decimal, steps are not
+        # The part of step k that lies after the edge; lengths are decimal, steps are not.
         part = k + 1.0 - edge
         return 0.0 if part < 1e-9 else (1.0 if part > 1.0 - 1e-9 else part)
 

@@ -59,7 +59,7 @@ _ROWS: list[Printed] = [
     Printed("quadrotor.payload", 0.230, "kg", PAYLOAD, "added load"),
     Printed("quadrotor.payload_percent", 40, "%", PAYLOAD, "the load as a part of the take-off weight"),
     Printed("quadrotor.rate", 400, "Hz", SETUP, "rate controller's frequency"),
-    # identified models
+    # Identified models.
     Printed("turbojet.gain", 0.01866, "kgf", IDENTIFICATION, "numerator of G_turbo(z)"),
     Printed("turbojet.pole", 0.9879, "-", IDENTIFICATION, "pole of G_turbo(z)"),
     Printed("turbojet.time_constant", 0.33, "s", IDENTIFICATION, "time constant of the turbojet"),
@@ -88,7 +88,7 @@ _ROWS: list[Printed] = [
     Printed("step-10.state.rmse", 0.0690, "rad", TRACKING, "tracking error, 10 samples, state predictor"),
     Printed("step-25.smith.rmse", 0.0787, "rad", TRACKING, "tracking error, 25 samples, Smith"),
     Printed("step-25.smith.increase", 11, "%", TRACKING, "growth of Smith's tracking error at 25 samples"),
-    # frequency response, 5 samples
+    # Frequency response, 5 samples.
     Printed("frequency.dc_gain", 10, "dB", FREQUENCY, "gain of C G* at the low end, all controllers"),
     Printed("frequency.baseline.cutoff", 4.74, "Hz", FREQUENCY, "cut-off frequency, baseline"),
     Printed("frequency.state.cutoff", 4.49, "Hz", FREQUENCY, "cut-off frequency, state predictor"),

@@ -247,8 +247,8 @@ def identify() -> Identified:
         values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":
             values["turbojet.delay"] = model.delay_samples * model.sample_time_s
-    # one lag stands for the engine's and the gyro filter's: the paper's split of lag and delay is one of many, so the
-    # lag is found behind the paper's delay and the delay beside the paper's lag
+    # One lag stands for the engine's and the gyro filter's: the paper's split of lag and delay is one of many, so the
+    # lag is found behind the paper's delay and the delay beside the paper's lag.
     delay, step = numbers.value("hexjet.delay"), numbers.value("hexjet.step")
     roll = identify_axis("roll", hold={"delay_samples": delay})
     values["roll.pole_slow"], values["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)

@@ -154,7 +154,7 @@ class ArduPilot(Autopilot):
         self._socket = self._begin(socket.SOCK_DGRAM, self._port)
         log = self._folder / "ardupilot.log"
         if self.program is not None:
-            # it would not say that it hears no sticks
+            # It would not say that it hears no sticks.
             listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
             self._program = Program(self._command(), self._folder, log, {})
         timer = AnswerTimer(self.name, 60.0, self._program, f"sent nothing to port {self._port}")

@@ -124,7 +124,7 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
         return [*lines, *[f"mmix {index} 1.0 {_mix(jet)}" for index, jet in enumerate(jets)]]
     forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # of nose down: see TiltAllocator
     lines += [f"mmix {index} 1.0 {-_sign(jet.position_m[1]):.1f} 0.0 0.0" for index, jet in enumerate(jets)]
-    # its mixer takes yaw with the sign of the nose to the right; the left bank tilts forward for that
+    # Its mixer takes yaw with the sign of the nose to the right; the left bank tilts forward for that.
     tilts = [(forward * TILT_WEIGHT, TILT_WEIGHT), (forward * TILT_WEIGHT, -TILT_WEIGHT)]
     return lines + [
         f"mmix {len(jets) + index} 1.0 0.0 {pitch:.3f} {yaw:.3f}" for index, (pitch, yaw) in enumerate(tilts)

@@ -171,7 +171,7 @@ def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmwa
         )
     if autopilot == "px4":
         return Firmware(autopilot, common_filter=True)
-    # what its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting)
+    # What its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting).
     return Firmware(autopilot, output_delay=0 if vehicle.servo is None else 1)
 
 

@@ -53,7 +53,7 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
     ratio = radius / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
     radial = south = east = 0.0
     for m in range(degree + 1):
-        # of this order the functions of all degrees, and what they grow by with t, each of the two before it
+        # Of this order the functions of all degrees, and what they grow by with t, each of the two before it.
         value, slope, older, older_slope = *_sectoral(m, ct, st), 0.0, 0.0
         for n in range(m, degree + 1):
             if n > m:

@@ -124,7 +124,7 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
             f"CA_ROTOR{index}_PY": y,
             f"CA_ROTOR{index}_PZ": z,
         }
-        # positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right
+        # Positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right.
         parameters[f"CA_ROTOR{index}_KM"] = jet.reaction_m
         if vehicle.servo:
             parameters[f"CA_ROTOR{index}_TILT"] = 1 if (jet.servo == "left") != tilts_back else 2

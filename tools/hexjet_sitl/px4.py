@@ -65,7 +65,7 @@ _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver
 
 def invert_yaw_curve(turn: float) -> float:
     """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
-    # the one real root of x^3 + p x = q with p > 0
+    # The one real root of x^3 + p x = q with p > 0.
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 

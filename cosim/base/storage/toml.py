@@ -276,7 +276,7 @@ def _meant(key: str, unknown: Sequence[str]) -> str:
 def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     errors = error.errors()
     if not _is_not_false(errors[0]):
-        # a table that may also be false: nobody who states one means that
+        # A table that may also be false: nobody who states one means that.
         errors = [item for item in errors if not _is_not_false(item)]
     first = errors[0]
     key = ".".join(_path(model, first["loc"]))
@@ -376,7 +376,7 @@ def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> li
                 submodels += _models_in(candidate.model_fields[str(part)].annotation)
             elif _tag(candidate) == part:
                 submodels.append(candidate)
-        # an index into a list, or a key of a mapping, stays at the same models
+        # An index into a list, or a key of a mapping, stays at the same models.
         models = submodels or models
     return sorted({name for candidate in models for name in candidate.model_fields})
 

@@ -25,7 +25,7 @@ from cosim.spec.vehicle import AllocationLimits, Jet
 LEAST_SHARE: Final = 0.25
 # A jet whose throttle changes by less than this per collective counts as constant.
 _MIN_SLOPE: Final = 1e-9
-# compiled code finds these without looking in a dictionary
+# Compiled code finds these without looking in a dictionary.
 _ACTUATION: Final = Actuation
 _UNALLOCATED: Final = Unallocated
 
@@ -69,7 +69,7 @@ class TiltAllocator:
             raise InputError(
                 "vehicle.jets: with all jets at the height of the centre of gravity, tilting gives no pitch"
             )
-        # a forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity
+        # A forward tilt pushes forward at z: nose up where the jets stand below the centre of gravity.
         self.pitch_sign = 1.0 if lever > 0.0 else -1.0
         self._lever = lever
         self._hover_thrust = hover + idle

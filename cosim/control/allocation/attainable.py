@@ -87,7 +87,7 @@ class Hull:
 
         equal = np.vstack([objective.rows @ self.columns / scale, self._sets])
         values = np.concatenate([objective.values / scale, np.ones(len(self._sets))])
-        # without whole numbers this is a linear program, with less around it than linprog has
+        # Without whole numbers this is a linear program, with less around it than linprog has.
         result = milp(
             -(objective.goal @ self.columns) / scale,
             constraints=LinearConstraint(equal, values, values),

@@ -221,7 +221,7 @@ class Reach:
             effects, turns = self._linear(x[:jets] * scale, x[jets:])
             return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
 
-        # what nothing changes is no constraint that a program could meet: looked at here, in the middle and beside it
+        # What nothing changes is no constraint that a program could meet: looked at here, in the middle and beside it.
         middle = 0.5 * (low + high)
         offset = middle + OFFSET * (high - low) * np.cos(np.arange(len(middle)))
         changes = np.hstack([rows @ wrench_of(x)[1] * (high > low) for x in (start, middle, offset)])
@@ -263,7 +263,7 @@ class Reach:
             axis, twist = axes[group], layout.stations[jet].twist
             columns.append([*axis, *_moment(positions[jet], axis, twist)])
             for hinge in layout.hinge_axes(angles, jet):
-                # the thrust turns with the hinge, and the station where it is carried
+                # The thrust turns with the hinge, and the station where it is carried.
                 fx, fy, fz = cross(hinge.axis, axis)
                 force = (hinge.effect * fx, hinge.effect * fy, hinge.effect * fz)
                 change = np.array([*force, *_moment(positions[jet], force, twist)])

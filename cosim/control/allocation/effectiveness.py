@@ -37,7 +37,7 @@ from cosim.base.signals import (
 )
 from cosim.control.allocation._effectiveness import Solver
 
-# indices of the rows
+# Indices of the rows.
 ROLL: Final = 0
 PITCH: Final = 1
 LIFT: Final = 2
@@ -152,7 +152,7 @@ class EffectivenessAllocator:
         self.hover = (self._weight / self._jets - low) / span
         gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
         force, moment = 1.0 / self._weight, 1.0 / (self._weight * gyration)
-        # scales of the rows; a list, of which compiled code reads one without making objects of all
+        # Scales of the rows; a list, of which compiled code reads one without making objects of all.
         self._norms: list[float] = [moment, moment, force, moment, force, force]
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
@@ -178,7 +178,7 @@ class EffectivenessAllocator:
         """Start with all engines healthy and hinges at rest."""
         self._use([JetHealth()] * self._jets)
         self._settle()
-        # commands begin where servos stand
+        # Commands begin where servos stand.
         self._last = [*self._preferred, *(effector.rest for effector in self._effectors)]
 
     def _use(self, health: Sequence[JetHealth]) -> None:

@@ -106,7 +106,7 @@ class EngineMonitor:
     def resume(self, throttle: Sequence[float]) -> None:
         """Monitor again after engines were off on purpose: settled at ``throttle``, in the health that they had."""
         at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
-        # thrust that the commands ask for at rest, oldest first
+        # Thrust that the commands ask for at rest, oldest first.
         self._past = [at_rest] * (self._sudden + self._latest + 1)
         self._reports = [at_rest] * max(2, self._confirm)  # oldest first
         self._window = [at_rest] * (2 * self._sudden + 1)  # reports, oldest first

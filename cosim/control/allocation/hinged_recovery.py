@@ -53,7 +53,7 @@ from cosim.control.allocation.effectiveness import (
 
 # Lift deficit over the weight from which on hinges are kept near the most lift; chosen by us.
 MAX_LIFT_DEFICIT: Final = 0.01
-# what hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust
+# What hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust.
 TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
 DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
 
@@ -97,7 +97,7 @@ class HingedRecovery(EffectivenessAllocator):
         """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
-        # the speed of a rotor without fire stands for thrust that is not there
+        # The speed of a rotor without fire stands for thrust that is not there.
         given = [
             0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
         ]
@@ -119,7 +119,7 @@ class HingedRecovery(EffectivenessAllocator):
         """
         if not self._reported:
             return super().allocate(collective, torque, added)
-        # the pressure of the speed over the ground is wrong in wind, and far off where no heading is held
+        # The pressure of the speed over the ground is wrong in wind, and far off where no heading is held.
         self.pressure = 0.0
         lift = self.total_thrust(collective)
         wanted = self._wanted(lift, torque, added)

@@ -154,7 +154,7 @@ def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
         columns[:jets, 1:] = allocator.signs
     else:
         raise InputError(f"{type(allocator).__name__}: its torques are not those of banks or rotors")
-    # what is left of rounding is no coupling
+    # What is left of rounding is no coupling.
     return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
 
 

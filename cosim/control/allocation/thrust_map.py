@@ -54,7 +54,7 @@ class ThrustMap:
         ]
         self.identity = not any(self.stations)
         self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: a straight line
-        # thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle
+        # Thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle.
         self.idle = self.low / self.span if abs(self.low) > MAX_BEND * self.span else 0.0
 
     def fraction(self, thrust: float) -> float:

@@ -79,7 +79,7 @@ class Energy:
         fastest, slow = min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"]), p["HJ_LAND_SLOW_H"]
         end = min(p["MPC_LAND_SPEED"], fastest)
         above = height - slow
-        # braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv
+        # Braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv.
         v = min(fastest, descent_rate(above, limits.braking, limits.response_time, end))
         braking = (v - end) * limits.response_time + (v * v - end * end) / (2.0 * limits.braking)
         steady = max(0.0, above - braking) / v

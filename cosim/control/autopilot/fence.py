@@ -39,7 +39,7 @@ def edge_distance(zone: FenceZone, north: float, east: float) -> float:
     inside, nearest = False, float("inf")
     (n0, e0) = zone.points[-1]
     for n1, e1 in zone.points:
-        # whether a ray to the north crosses this edge
+        # Whether a ray to the north crosses this edge.
         if (e0 > east) != (e1 > east) and north < n0 + (east - e0) / (e1 - e0) * (n1 - n0):
             inside = not inside
         nearest = min(nearest, _to_edge(north, east, n0, e0, n1, e1))

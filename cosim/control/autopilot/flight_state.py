@@ -104,11 +104,11 @@ class FlightState:
         # A flight that begins in the air assumes the ground at height 0, where the vehicle would stand on its legs.
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
         self._leg_height = max(legs, default=0.0) if self._airborne else 0.0
-        # whether hinges that turn engines push it aside after a loss, before throttles have followed
+        # Whether hinges that turn engines push it aside after a loss, before throttles have followed.
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._is_pushed_by_hinges = catch and vehicle.layout().moves
         self._push_steps = round(self.pushed_s / step)
-        # whether it cannot hold its heading without an engine
+        # Whether it cannot hold its heading without an engine.
         self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
         self._home_delay = round(self.home_delay_s / step)
         self.reset()
@@ -117,14 +117,14 @@ class FlightState:
         """Start a flight where the sensors read ``measured``; parameters, mission, fence and rally points stay."""
         self.mode = Mode.HOLD
         self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
-        # the reason of the acting failsafe; empty where none acts
+        # The reason of the acting failsafe; empty where none acts.
         self.failsafe = ""
-        # the last messages to ground stations
+        # The last messages to ground stations.
         self.messages: deque[Message] = deque(maxlen=200)
         self._message_count = 0
         self.k = -1
         self.report = Report(not self._airborne, 0.0)
-        # the last step with all engines
+        # The last step with all engines.
         self._last_healthy_step = 0
         self.estimates.reset(measured)
         self.landmarks.reset(self._leg_height)

@@ -154,7 +154,7 @@ def _gain(name: str, default: float, unit: str, group: str, text: str, most: flo
 
 def _loops(control: Control) -> Iterator[Parameter]:
     rate = (control.rate.roll, control.rate.pitch, control.rate.yaw)
-    # commands are in throttle on roll, in rad of tilt on pitch and yaw
+    # Commands are in throttle on roll, in rad of tilt on pitch and yaw.
     units = (("s/rad", "1/rad", "s^2/rad"), ("s", "1", "s^2"), ("s", "1", "s^2"))
     for axis, law, (of_p, of_i, of_d) in zip(AXES, rate, units, strict=True):
         name = f"HJ_{axis.upper()}"

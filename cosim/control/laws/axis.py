@@ -95,7 +95,7 @@ class Actuators:
     def __init__(self, samples: int, pole: float) -> None:
         self._pole, self.samples = pole, samples
         powers = [pole**j for j in range(samples + 1)]
-        # summed over the delay: of where the lag is, and of each command on its way, the oldest first
+        # Summed over the delay: of where the lag is, and of each command on its way, the oldest first.
         self._of_lag = sum(powers[1:])
         self._weights = [sum((1.0 - pole) * power for power in powers[: samples - i]) for i in range(samples)]
         self.reset()

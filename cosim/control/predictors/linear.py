@@ -288,7 +288,7 @@ class ObserverSpace:
         self._observer = (A, B[:, :2], B[:, 2], C[0], C[1])
         samples, f = modes.whole, modes.delay - modes.whole
         poles, residues = np.array(modes.poles), np.array(modes.residues)
-        # newest first: one a whole step, then over the fraction
+        # Newest first: one a whole step, then over the fraction.
         on_the_way = [np.sum(residues * poles**j).real for j in range(samples)]
         part_of = np.array([f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles])
         on_the_way.append(np.sum(residues * poles**samples * part_of).real)

@@ -64,7 +64,7 @@ class DiscreteModel:
 
     def update(self, applied: float) -> float:
         """Return the output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
-        # transposed direct form: past[i] is the part of the output i steps ahead that is known now
+        # Transposed direct form: past[i] is the part of the output i steps ahead that is known now.
         past = self._past
         value = past[0] + self.b[0] * applied
         last = len(past) - 1
@@ -187,7 +187,7 @@ def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[floa
     p, h = max(model.poles), model.delay_samples
     at_one = (1.0 - a) ** 2
     if abs(1.0 - p) < 1e-9:
-        # derivative of (b0 z^2 + b1 z) = F (z - a)^2 at 1
+        # Derivative of (b0 z^2 + b1 z) = F (z - a)^2 at 1.
         b0 = h * at_one + 2.0 * (1.0 - a) - at_one
     else:
         b0 = (p**h * (p - a) ** 2 / p - at_one) / (p - 1.0)

@@ -145,14 +145,14 @@ class StatePredictor:
         f = model.delay_samples - n
         A, B = state_model.A, state_model.B
         self.f = f
-        # a command given n + f samples ago takes over from the one before it when f of the step has gone by
+        # A command given n + f samples ago takes over from the one before it when f of the step has gone by.
         phi, new = state_model.fraction(1.0 - f)
         old = phi @ state_model.fraction(f)[1]
         self.push = (float(old[0]), float(new[0]), float(old[1]), float(new[1]))
         phi, gamma = state_model.fraction(f)
         row = np.linalg.matrix_power(A, n)[0]
         self.of_state = tuple(float(v) for v in row @ phi)
-        # oldest first: for the observer alone, over the fraction, then one a step
+        # Oldest first: for the observer alone, over the fraction, then one a step.
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
         self.weights = weights
         self.of_disturbance = sum(weights)
@@ -298,7 +298,7 @@ class ModalPredictor:
         self.state_weights = modes.state_weights()
         self.command_weight = modes.command_weight()
         n, f = modes.whole, modes.delay - modes.whole
-        # oldest first: for the observer alone, over the fraction, then one a step
+        # Oldest first: for the observer alone, over the fraction, then one a step.
         over_fraction: list[complex] = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
         residues, poles = modes.residues, modes.poles
         late = [c * p**n for c, p in zip(residues, poles, strict=True)]

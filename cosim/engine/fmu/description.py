@@ -35,7 +35,7 @@ HARMLESS_VIOLATIONS = tuple(
         r"contains an illegal (carriage return|line feed|tab) character",
         r"is not a legal variable name",
         r"and must be declared as a local or output",  # of a state, which is not read
-        # of the schema: what is not read here
+        # Of the schema: what is not read here.
         r"The attribute '\w+' is not allowed",
         r"Element 'fmiModelDescription', attribute '(generationDateAndTime|variableNamingConvention|version)'",
         r"Element '(ModelStructure|Outputs|Derivatives|InitialUnknowns|Unknown|Output|InitialUnknown|LogCategories|"

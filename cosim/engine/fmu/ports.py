@@ -192,7 +192,7 @@ def _of_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Ma
 def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
     """Return whether a variable's declared unit is of another quantity than the port's."""
     if v.unit is None or port in ("throttle", "run", "start"):
-        # a lever may be in degrees, in volts, in anything that has a range
+        # A lever may be in degrees, in volts, in anything that has a range.
         return port == "throttle" and any(
             is_unit_of(v.unit, v.base, other) for other in (PRESSURE, TEMPERATURE, SPEED, FORCE)
         )

@@ -101,7 +101,7 @@ class Uncertainty(Model):
         from scipy.special import ndtr
 
         return [
-            # summed here and not by a matrix product, whose order of additions is the machine's
+            # Summed here and not by a matrix product, whose order of additions is the machine's.
             np.asarray(ndtr(sum(factors[column] * normal[:, column] for column in range(row + 1))))
             for row, factors in enumerate(self.factor)
         ]

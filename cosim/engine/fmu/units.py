@@ -134,7 +134,7 @@ def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, floa
         raise UnitError(f"is in {name}, which the FMU defines as something else than {quantity.name}")
     if base.exponents != quantity.exponents:
         raise UnitError(f"is in {name}; it must be {quantity.name}, such as {quantity.si}")
-    # a thousandth: what is left out of a conversion factor is less, a wrong unit is more
+    # A thousandth: what is left out of a conversion factor is less, a wrong unit is more.
     if known and not (
         isclose(base.factor, known[0], rel_tol=1e-3) and isclose(base.offset, known[1], rel_tol=1e-3, abs_tol=0.1)
     ):

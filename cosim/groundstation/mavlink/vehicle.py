@@ -71,7 +71,7 @@ class MavlinkVehicle:
         self.services = list(services)
         self.on_request = dict(on_request or {})
         self.shutdown_requests = shutdown_requests
-        # ground stations by their ids, with the time when each was last heard; the longest silent comes first
+        # Ground stations by their ids, with the time when each was last heard; the longest silent comes first.
         self.stations: dict[tuple[int, int], float] = {}
         # Number of local pages that are open, each of which counts as a ground station.
         self.page_count: Callable[[], int] = lambda: 0

@@ -79,7 +79,7 @@ TYPES = {  # content types by file ending
 }
 
 
-# the requests that the page offers; missions and faults are left to ground stations
+# The requests that the page offers; missions and faults are left to ground stations.
 ALLOWED = (
     rq.Arm,
     rq.Disarm,

@@ -47,7 +47,7 @@ def _yaw(w: Array, x: Array, y: Array, z: Array) -> Array:
     return angle
 
 
-# of a quaternion, as cosim.base.frames.to_euler; whole blocks at once, by numpy, whose arctan2 is not the C library's
+# Of a quaternion, as cosim.base.frames.to_euler; whole blocks at once, by numpy, whose arctan2 is not the C library's.
 ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _roll, "pitch": _pitch, "yaw": _yaw}
 
 

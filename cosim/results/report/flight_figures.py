@@ -36,7 +36,7 @@ from cosim.results.report.plot import BLUE, Figure, run_colour
 from cosim.results.report.requirements import MarginOverTime, margin_panels
 from cosim.results.summary import Summary
 
-# of a flight less another: subtract_first()
+# Of a flight less another: subtract_first().
 _LESS = "_less"
 LESS_NAMES = (*(f"{axis}_rad{_LESS}" for axis in AXES), f"altitude_m{_LESS}", "apart_m")
 LESS_COLUMNS = (

@@ -115,7 +115,7 @@ def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
         if contact.kind == "leg":
             view.line("leg", (x, y, min(0.0, z)), contact.position_m)
         view.circle("hull", contact.position_m, 2.5 if contact.kind == "leg" else 1.5)
-    # a jet in front hides the one behind it, so the names of both are written in one place
+    # A jet in front hides the one behind it, so the names of both are written in one place.
     named: dict[tuple[float, float], list[str]] = {}
     layout, rest = vehicle.layout(), list(vehicle.rest)
     for jet in range(len(vehicle.jets)):

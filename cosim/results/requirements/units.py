@@ -40,7 +40,7 @@ UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and the factor to it
     "1": ("1", 1.0),
     "%": ("1", 1e-2),
 }
-# what a name ends with, where it is not the unit with _ for / and blank; the longest that fits counts
+# What a name ends with, where it is not the unit with _ for / and blank; the longest that fits counts.
 _ENDINGS = {f"_{unit.replace('/', '_').replace(' ', '_').replace('^', '')}": unit for unit in UNITS if unit != "%"}
 _ENDINGS |= {"_percent": "%"}
 _LONGEST_FIRST = sorted(_ENDINGS, key=len, reverse=True)

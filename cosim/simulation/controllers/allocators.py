@@ -62,7 +62,7 @@ def _by_effectiveness(
         curves = [StaticCurve(spec.name, *spec.rising_curve) for spec in stations]
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
-    # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
+    # Where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over.
     layout = vehicle.layout()
     lead_factor = 0.0 if layout.moves else 1.0
     effectors = [

@@ -29,7 +29,7 @@ class Requirements(Model):
     max_sensitivity: float = 1.7
     delay_tolerance: NotNegative = 0.3  # of the delay, at least one sample
     gain_tolerance: NotNegative = 0.3
-    # of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance
+    # Of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance.
     engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
     # Of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet.
     min_bandwidth_hz: NotNegative = 0.16
@@ -97,7 +97,7 @@ class Purpose(Model):
 
     aircraft: str
     engine: str
-    # of an aircraft and an engine that are files, from the controller file's folder; None in a file of 0.2.0 too
+    # Of an aircraft and an engine that are files, from the controller file's folder; None in a file of 0.2.0 too.
     aircraft_path: str | None = None
     engine_path: str | None = None
     family: str  # what the models are filed under
@@ -184,7 +184,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     original, _ = load_vehicle(aircraft, folder=folder)
     control = file.vehicle.get("control", {})
     if "schedule" not in control and original.control.schedule:
-        # from before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them
+        # From before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them.
         without = merge(file.vehicle, {"control": {"schedule": False}})
         file = file.model_copy(update={"vehicle": without})
     if _older_than_banks(file, original):

@@ -190,7 +190,7 @@ class GuardedController(Guarded):
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
         self._all_jets = frozenset(range(jets))
         self._flying = True
-        # what the next update is told of the step before
+        # What the next update is told of the step before.
         self._throttle, self._tilt = self._idle, self._rest
         self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
         self.signals = self._control_signals(self._idle)

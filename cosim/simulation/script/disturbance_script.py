@@ -50,7 +50,7 @@ class DisturbanceScript:
             elif isinstance(entry, WindDisturbance):
                 self._winds.append((on, entry.velocity_ned_m_s))
             elif isinstance(entry, PayloadDisturbance):
-                # from the true centre of gravity, where the airframe's body axes start
+                # From the true centre of gravity, where the airframe's body axes start.
                 x, y, z = map(sub, entry.offset_m, scenario.mismatch.centre_m)
                 self._payloads.append((on, (entry.mass_kg, x, y, z)))
             else:

@@ -73,7 +73,7 @@ class HingeReactions(Effect):
         self._force_point: Vector3 = jets[0].position_m
         turns = layout_of(jets, hinges).turns
         self._parts = [_Part(hinge, number) for number, hinge in enumerate(hinges)]
-        # a hinge stands on those that carry one of its jets and are stated before it
+        # A hinge stands on those that carry one of its jets and are stated before it.
         for part in self._parts:
             jets_moved = {*turns[part.number].carries, *turns[part.number].deflects}
             before = reversed(self._parts[: part.number])

@@ -69,7 +69,7 @@ class IntakeDrag(Effect):
             drag = _across(air_velocity, e, -flow)
             damping = _across(cross(rate, outlet), e, -flow)
             total.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
-            # both forces act at the station
+            # Both forces act at the station.
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
             couple_x, couple_y, couple_z = cross(e, push)
             moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z

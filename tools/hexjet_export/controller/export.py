@@ -265,7 +265,7 @@ def _build_fmus(
     n, jets = labels.name, form["jets"]
     if form["loops"]:
         return [], "the loops alone are C for a mixer of yours"
-    # a vehicle without servos has no tilts
+    # A vehicle without servos has no tilts.
     tilts = form["allocation"]["kind"] in ("tilt", "effectiveness")
     outputs = [each for each in list_outputs(jets, form["servos"]) if tilts or not each[0].name.startswith("tilt_")]
     with temporary("export-") as build_folder:

@@ -25,7 +25,7 @@ from hexjet_export.controller.vectors import (
 )
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
-# whose headers are included, by the C or by the adapter of the FMUs
+# Whose headers are included, by the C or by the adapter of the FMUs.
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
 NO_LICENCE = "not stated (choose a licence)"

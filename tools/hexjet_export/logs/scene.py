@@ -136,7 +136,7 @@ def draw_vehicle(vehicle: Vehicle, time: int) -> SceneUpdate:
     """Draw hull, legs and jets: positions from ``vehicle.toml``, thicknesses as fractions of its size."""
     update, size = SceneUpdate(), vehicle_reach(vehicle)
     body = _entity(update, "body", "body", time)
-    # from the points that the hull touches with, or else the stations, to the centre of gravity
+    # From the points that the hull touches with, or else the stations, to the centre of gravity.
     positions = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
     positions = [*(positions or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
     low, high = np.min(positions, axis=0), np.max(positions, axis=0)
@@ -185,7 +185,7 @@ def _upwards_to(axis: Vector3) -> Quaternion:
     w = sqrt(max(0.0, 0.5 * (1.0 - z)))
     if w < 1e-9:
         return (0.0, 1.0, 0.0, 0.0)  # straight down: half a turn about x
-    # the cross product of -z and the axis, over 2 w
+    # The cross product of -z and the axis, over 2 w.
     return (w, 0.5 * y / w, -0.5 * x / w, 0.0)
 
 

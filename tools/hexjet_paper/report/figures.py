@@ -422,7 +422,7 @@ def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
 
 
 def _layout(height: int) -> Figure:
-    # above the panels' headings
+    # Above the panels' headings.
     legend = {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"}
     return layout(height, 60, 12, 66, 44, hovermode="x unified", legend=legend)
 

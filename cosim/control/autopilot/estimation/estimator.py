@@ -119,7 +119,7 @@ class Estimator:
 
     def reset(self, measured: Measured | None) -> None:
         """Start as if the vehicle had been at rest as ``measured``; None: as the first measurement says."""
-        # what the loops fly with
+        # What the loops fly with.
         self.measured = measured
         self.euler: Vector3 = ZERO3 if measured is None else to_euler(measured.attitude)
         self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0) if measured is None else measured.attitude
@@ -137,7 +137,7 @@ class Estimator:
         else:
             self.vertical.reset(measured.altitude, -measured.velocity[2])
             self._position.reset((measured.position[0], measured.position[1]))
-        # its bias changes too little within the receiver's latency to count
+        # Its bias changes too little within the receiver's latency to count.
         self.vertical.turn = 0.0
         self.fix = self._position.fix
         self._last_force: Vector3 | None = None

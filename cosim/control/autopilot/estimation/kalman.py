@@ -79,7 +79,7 @@ class Kalman:
 
     def take_reading(self, which: int, noise: float) -> tuple[complex, complex, complex]:
         """Reduce the covariance by a reading of ``p`` (0) or ``v`` (1) with a variance; return the gains."""
-        # the row of the covariance, E[y conj(x)] of the reading's y
+        # The row of the covariance, E[y conj(x)] of the reading's y.
         row: tuple[complex, complex, complex]
         row = (self.pp, self.pv, self.pu) if which == 0 else (self.pv.conjugate(), self.vv, self.vu)
         total = row[which].real + noise

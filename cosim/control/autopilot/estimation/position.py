@@ -63,7 +63,7 @@ class PositionEstimator:
         self._gains, self._deviations = settling_gains(gains, gnss, step)
         position_noise, velocity_noise, force_noise = trusted_noise(sensors)
         self._position_noise, self._velocity_noise = position_noise**2, velocity_noise**2
-        # white from step to step: its spectral density is the variance times the step
+        # White from step to step: its spectral density is the variance times the step.
         self._force_noise = step * (force_noise**2 + (GRAVITY * sensors.attitude.noise_rad) ** 2)
         self._lean = Kalman(step, self._latency, (0.0, 0.0, 0.0))
         # m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together.
@@ -112,7 +112,7 @@ class PositionEstimator:
             self._reckon(measured, acceleration)
         self._lean.move(acceleration, still)
         if k > self._latency and (k - self._latency) % self._period == 0:
-            # a receiver that has nothing new repeats itself to the last bit
+            # A receiver that has nothing new repeats itself to the last bit.
             fix = (*measured.position, *measured.velocity[:2])
             fresh = fix != self._last or (still and not self._noisy)
             self.silent = 0.0 if fresh else self.silent + self._period * self._step

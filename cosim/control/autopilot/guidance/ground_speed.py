@@ -31,7 +31,7 @@ class GroundSpeed:
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
         self._course, self._vehicle, self._parameters = course, vehicle, course.parameters
         self._catch_up, self._weight_step = catch_up, step / self.mean_s
-        # in hover every jet is taken to bear as much: what the air swallowed by them takes is a part of the drag
+        # In hover every jet is taken to bear as much: what the air swallowed by them takes is a part of the drag.
         self._thrust = [vehicle.mass_kg * GRAVITY / len(vehicle.jets)] * len(vehicle.jets)
         self.reset()
 

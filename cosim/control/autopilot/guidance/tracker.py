@@ -47,7 +47,7 @@ class Tracker:
         """Start the set-point from this position, at this velocity and without acceleration."""
         dt = self._step
         lead = 0.5 * dt * (self._count - 1)
-        # as if the point had always flown like this: then the mean of its past is where the set-point is
+        # As if the point had always flown like this: then the mean of its past is where the set-point is.
         self._p = [position[0] + lead * velocity[0], position[1] + lead * velocity[1]]
         self._v = [velocity[0], velocity[1]]
         n = self._count
@@ -69,7 +69,7 @@ class Tracker:
         distance = hypot(n, e)
         if distance == 0.0:
             return self._move(0.0, 0.0)
-        # the speed from which whole steps of braking end at the target
+        # The speed from which whole steps of braking end at the target.
         unit = self._b * self._step
         braking = self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5)
         scale = min(min(speed, braking), distance / self._step) / distance
@@ -94,7 +94,7 @@ class Tracker:
         n, e = (n / distance, e / distance) if distance > 0.0 else (1.0, 0.0)
         speed = min(speed, sqrt(0.5 * self._a / self._step * radius))
         radius_error = radius - distance
-        # inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle
+        # Inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle.
         across = copysign(
             min(speed, sqrt(0.5 * self._a / self._step * abs(radius_error)), abs(radius_error) / self._step),
             radius_error,

@@ -184,7 +184,7 @@ class MissionFlight:
         """Return the command of the next step of the circle, and go on to the next item where it is complete."""
         command = self._circle.fly()
         if self._circle.complete:
-            # an item without a position is flown from here, not from the circle's centre
+            # An item without a position is flown from here, not from the circle's centre.
             self._course.aim(None, self._course.height, None)
             self.advance(flying=True)
         return command

@@ -35,7 +35,7 @@ import os, pathlib
 from cosim.results.export import export_log
 if hasattr(os, "nice"):
     os.nice(10)  # the flight that is under way comes first
-# small enough to come down in a tenth of the flight's time
+# Small enough to come down in a tenth of the flight's time.
 export_log("ulog", *map(pathlib.Path, sys.argv[1:]), rates="px4")
 """
 

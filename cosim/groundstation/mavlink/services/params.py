@@ -124,7 +124,7 @@ class ParameterService(Service):
     def _set(self, message: Message, client: Client) -> list[Message]:
         name = decode_text(message.param_id)
         if name == HASH and self._personality == "px4":
-            # the ground station has the same set in its cache and wants no list any more
+            # The ground station has the same set in its cache and wants no list any more.
             if struct.pack("<f", message.param_value) == struct.pack("<f", self._hash_value().param_value):
                 self._lists.pop(client, None)
             return []
