@@ -212,7 +212,7 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     return parameters | ({"SDLOG_PROFILE": 1 + 8 + 16} if target == "sitl" else {})
 
 
-def leave_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
+def without_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return PX4's parameters without gains, rate limits and filters, so that these are as PX4 ships."""
     return {name: value for name, value in parameters.items() if not name.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO"))}
 
@@ -392,7 +392,7 @@ def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
     return {"FLTMODE6": 5, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), 0.125, 0.6875)}
 
 
-def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:
+def without_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return ArduPilot's parameters without gains, shaping, filters and thrust curve: these are as ArduCopter ships."""
     own = ("ATC_RA", "ATC_ANG_", "ATC_ACC", "INS_GYRO")
     kept = {name: value for name, value in parameters.items() if not name.startswith(own)}

@@ -30,8 +30,8 @@ def _mean_throttle(belief: Belief, fraction: float) -> float:
     return sum(throttle) / len(throttle)
 
 
-def let_go(fraction: float) -> float:
-    """Return the fraction of a stick, or 0 where it is within the autopilot's dead zone."""
+def apply_dead_zone(fraction: float) -> float:
+    """Return the fraction of a stick, or 0 within the autopilot's dead zone."""
     return fraction if abs(fraction) > LET_GO else 0.0
 
 
@@ -89,7 +89,9 @@ class StickPilot:
                     "the scenario asks for a lean; where the autopilot holds the place its sticks ask for speed"
                 )
             climb = clip(self._climb * (command.altitude - measured.altitude), -1.0, 1.0)
-            return StickPositions(yaw=let_go(turn), throttle=0.5 + 0.5 * let_go(climb), armed=True, holds_place=True)
+            return StickPositions(
+                yaw=apply_dead_zone(turn), throttle=0.5 + 0.5 * apply_dead_zone(climb), armed=True, holds_place=True
+            )
         collective = self._altitude.update(command, measured, Unallocated(), burnt)
         return StickPositions(
             roll / self._lean,

@@ -24,10 +24,10 @@ from hexjet_sitl.parameters import (
     ardupilot_parameters,
     ardupilot_script,
     ardupilot_sticks,
-    leave_ardupilot_gains,
-    leave_px4_gains,
     parameter_file,
     read_parameters,
+    without_ardupilot_gains,
+    without_px4_gains,
 )
 from hexjet_sitl.pilot import find_hover_throttle
 
@@ -154,7 +154,7 @@ def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: S
 def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
     parameters = list_px4_parameters(scenario, scenario.step_s)
     if setup.gains == "stock":
-        parameters = leave_px4_gains(parameters)
+        parameters = without_px4_gains(parameters)
     optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # who states one wants it
     setup = replace(setup, parameters=parameters | dict(setup.parameters))
     return px4.Px4(program, folder, *_surroundings(scenario), setup, optional)
@@ -195,7 +195,7 @@ def _ardupilot_parameters(
         return ardupilot_sticks(release) | hold | read_parameters(setup.defaults) | dict(setup.parameters)
     try:
         parameters = ardupilot_parameters(vehicle_in_throttle(scenario), scenario.step_s, release)
-        parameters = leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters
+        parameters = without_ardupilot_gains(parameters) if setup.gains == "stock" else parameters
         return parameters | hold | dict(setup.parameters)
     except InputError:
         if program is not None:
