@@ -44,20 +44,21 @@ def excite(kind, rate, seconds=60.0, seed=0):
     return times, 0.5 + 0.2 * np.sin(2 * np.pi * (0.05 * times + 1.95 * times**2 / (2 * seconds))), True
 
 
-def thrust(truth, times, command, straight):
-    """The thrust at these times, N, without noise."""
+def thrust(truth, times, course, straight):
+    """The thrust at these times, N, without noise; ``course``: times and values of the command."""
+    moments, command = course
     grid = np.arange(times[0] - 1.0, times[-1] + 2.0 * GRID_S, GRID_S)
     looked = grid - truth.delay
     if truth.interval:
         looked = np.floor(looked / truth.interval) * truth.interval
     if straight:
-        seen = np.interp(looked + 0.5 * GRID_S * (not truth.interval), times, command)
+        seen = np.interp(looked + 0.5 * GRID_S * (not truth.interval), moments, command)
     else:
-        seen = command[np.maximum(np.searchsorted(times, looked + 1e-9, side="right") - 1, 0)]
+        seen = command[np.maximum(np.searchsorted(moments, looked + 1e-9, side="right") - 1, 0)]
         moved = np.flatnonzero(np.diff(command)) + 1
         for row in moved if not truth.interval else ():
-            k = int(np.floor((times[row] + truth.delay - grid[0]) / GRID_S + 1e-9))
-            part = (times[row] + truth.delay - grid[k]) / GRID_S
+            k = int(np.floor((moments[row] + truth.delay - grid[0]) / GRID_S + 1e-9))
+            part = (moments[row] + truth.delay - grid[k]) / GRID_S
             seen[k] = part * command[row - 1] + (1.0 - part) * command[row]
     goal = truth.offset + truth.gain * seen**truth.exponent
     if truth.governor or truth.slew is not None:
@@ -89,4 +90,6 @@ def bench_log(kind, rate, truth=Truth(), seed=0, noise=0.5, seconds=60.0):
     """Times, command and noisy thrust, and whether the command is straight between rows."""
     times, command, straight = excite(kind, rate, seconds, seed)
     rng = np.random.default_rng([seed, 11])
-    return times, command, thrust(truth, times, command, straight) + noise * rng.standard_normal(len(times)), straight
+    # A command that moves on moves on between its rows too.
+    course = excite(kind, 200.0, seconds, seed)[:2] if straight else (times, command)
+    return times, command, thrust(truth, times, course, straight) + noise * rng.standard_normal(len(times)), straight

@@ -163,14 +163,6 @@ def test_a_slow_pole_at_its_end_leaves_the_gain_its_bounds() -> None:
     assert chosen.deviation(0) > 0.0
 
 
-@pytest.mark.long
-def test_wrong_stamps_are_told_from_jitter() -> None:
-    for stamps, jitter, clock in ((0.15, 0.0, "even clock"), (0.0, 0.15, "stamps")):
-        flaws = Flaws(gyro=0.001, turbulence=0.02, jitter=jitter, stamps=stamps, lost=0.0)
-        (log,) = closed_loops(1, seconds=8.0, size=0.5, flaws=flaws)
-        assert found(flight_log(log), lags=1).clock == clock
-
-
 def test_a_file_becomes_a_model_that_flies(hexjet: Hexjet, tmp_path: Path, logs: list[Log]) -> None:
     log = logs[1]
     rows = np.column_stack([1e3 * log.times, log.command, log.output, log.setpoint])
@@ -280,7 +272,6 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     done = hexjet("validate", "model", "1.csv", "--out", "beside", "--json")
     assert done.status == 0
     told_by = json.loads(done.out)
-    assert abs(told_by["better_delay_by_s"]) <= TRUTH.step
     assert told_by["fit_of_changes"] > 0.5
     assert 0.0 <= told_by["theil_u"] < 0.5
     assert told_by.keys() >= SHARED

@@ -39,6 +39,19 @@ def test_rows_that_share_the_stamp_of_a_whole_second_are_refused(tmp_path: Path,
         read_records([path])
 
 
+def test_rows_that_are_not_in_order_and_a_few_of_another_test_cost_nothing(tmp_path: Path) -> None:
+    """As public logs of thrust stands have them: rows of several threads, and the last ones of the test before."""
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
+    order = np.arange(len(times))
+    order[100:1000:9], order[101:1000:9] = order[101:1000:9].copy(), order[100:1000:9].copy()
+    rows = np.concatenate([[len(times) - 2, len(times) - 1], order])
+    (record,) = read_records([write(tmp_path / "bench.csv", *(one[rows] for one in (times, command, thrust)))])
+    assert np.array_equal(record.times, times)
+    np.testing.assert_allclose(record.output, thrust, rtol=1e-10)
+    assert "100 rows are not in the order of time, by up to 0.05 s; sorted" in record.notes
+    assert "2 rows stand where the time begins again; left out" in record.notes
+
+
 def test_frames_that_are_written_twice_are_no_rows_within_a_stamp(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("ramp", 20.0, TRUTH)
     (record,) = read_records([write(tmp_path / "bench.csv", *(np.repeat(one, 2) for one in (times, command, thrust)))])

@@ -1,5 +1,6 @@
 """The one fit: answers in closed form, exact numbers without noise, the rule of the verdict."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ from known_benches import Truth, bench_log
 from hexjet_identify.bench.engine_table import fit_power_law
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_small_movements
-from hexjet_identify.fit.answers import answer_of_a_lag, answer_of_limits, hats
+from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, hats
 from hexjet_identify.fit.estimate import fit
-from hexjet_identify.fit.evidence import Foretold, Verdict, describe_movements, hold_back
+from hexjet_identify.fit.evidence import Foretold, Verdict, describe_movements, hold_back, judge
 from hexjet_identify.fit.forms import Lags, Limits
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
@@ -27,11 +28,11 @@ def test_a_step_and_a_ramp_behind_a_lag_are_answered_in_closed_form() -> None:
     since = np.maximum(TIMES - 5.0 - 0.123, 0.0)
     step = Log(np.array([0.0, 5.0]), np.array([0.0, 1.0]), TIMES, TIMES, 0.01)
     np.testing.assert_allclose(
-        answer_of_a_lag(step, step.command[:, None], 0.123, 0.4)[:, 0], 1.0 - np.exp(-since / 0.4), atol=1e-12
+        answer_of_lags(step, step.command[:, None], 0.123, {0.4: 1.0})[:, 0], 1.0 - np.exp(-since / 0.4), atol=1e-12
     )
     ramp = Log(np.array([0.0, 5.0, 25.0]), np.array([0.0, 0.0, 20.0]), TIMES, TIMES, 0.01, True)
     np.testing.assert_allclose(
-        answer_of_a_lag(ramp, ramp.command[:, None], 0.123, 0.4)[:, 0],
+        answer_of_lags(ramp, ramp.command[:, None], 0.123, {0.4: 1.0})[:, 0],
         since - 0.4 * (1.0 - np.exp(-since / 0.4)),
         atol=1e-12,
     )
@@ -42,7 +43,20 @@ def test_limits_go_in_a_straight_line_until_the_lag_takes_over() -> None:
     step = Log(np.array([0.0, 5.0]), np.array([0.0, 1.0]), TIMES, TIMES, 0.01)
     since = np.maximum(TIMES - 5.1, 0.0)
     wanted = np.where(since < 2.0, 4.0 * since, 10.0 - 2.0 * np.exp(-(since - 2.0) / 0.5))
-    np.testing.assert_allclose(answer_of_limits(step, np.array([0.0, 10.0]), 0.1, 0.5, 4.0, 9.0), wanted, atol=1e-12)
+    levels = (np.eye(2), np.array([0.0, 10.0]))
+    np.testing.assert_allclose(answer_of_limits(step, *levels, 0.1, 0.5, 4.0, 9.0)[:, 0], wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("is_straight", [False, True])
+def test_slopes_of_limits_are_the_differences(is_straight: bool) -> None:
+    log = log_of(TIMES, 0.5 + 0.4 * np.sin(0.2 * TIMES**2), TIMES, is_straight)
+    knots = np.linspace(0.1, 0.9, 4)
+    at, shares = np.array([0.1037, 0.2, 150.0, 100.0, *(200.0 * knots**1.5)]), hats(log.command, knots)
+    slopes = answer_of_limits(log, shares, at[4:], *at[:4])[:, 1:]
+    for number, step in enumerate(np.diag(1e-6 * at)):
+        above, below = (answer_of_limits(log, shares, x[4:], *x[:4])[:, 0] for x in (at + step, at - step))
+        wanted = (above - below) / (2.0 * step[number])
+        np.testing.assert_allclose(slopes[:, number], wanted, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_shares_of_levels_are_hats() -> None:
@@ -85,6 +99,19 @@ def test_the_verdict_is_decided_by_what_is_left_over_and_by_times(
 ) -> None:
     assert verdict.is_explained is explained
     assert verdict.words == words
+
+
+def test_a_long_hold_hides_nothing_of_a_movement() -> None:
+    """A step that is a second late of ten, in a log that stands for a hundred more, is off as in a short one."""
+    offs = []
+    for seconds in (20.0, 120.0):
+        times = np.arange(0.0, seconds, 0.05)
+        problem = Problem([log_of(times, (times > 5.0) * 1.0, (times > 6.0) * 1.0)], np.array([0.0, 1.0]), 2.0)
+        fitted = fit(problem, Lags(1), np.array([1.0, np.log(0.05)]))
+        late = replace(fitted, residual=problem.output - (times > 7.0))
+        offs.append(judge(problem, late, 3.0, ()).off)
+    assert offs[0] == pytest.approx(offs[1], rel=0.01)
+    assert offs[0] > 0.2
 
 
 def test_each_movement_of_a_staircase_is_foretold_from_every_second_other_one() -> None:

@@ -15,6 +15,7 @@ from cosim.engine.fmu.variables import Variable
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.running import SPEED_UNITS
 from hexjet_identify.fit.answers import average_over_rows
+from hexjet_identify.fit.forms import Form
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
 
@@ -32,7 +33,7 @@ class EngineChoices(NamedTuple):
 
 
 @dataclass(frozen=True)
-class EngineForm:
+class EngineForm(Form):
     """An engine whose parameters change: ``x`` = delay [s], then the parameters.
 
     ``start``: where they begin; ``seconds``: delay and lags together, as lags alone would have them.  The output is the

@@ -10,11 +10,14 @@ import numpy as np
 
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 from hexjet_identify.bench.engine_form import EngineForm
-from hexjet_identify.bench.record import BenchRecord
+from hexjet_identify.bench.record import BenchRecord, next_step
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.evidence import Foretold, Verdict
 from hexjet_identify.fit.forms import Lags
 from hexjet_identify.fit.problem import Problem
+
+# What parameters of the forms are called in a sentence.
+WORDS = {"lag_s": "the lag", "second_lag_s": "the second lag", "rise": "the fastest rise", "fall": "the fastest fall"}
 
 
 @dataclass(frozen=True)
@@ -58,11 +61,25 @@ class Identification:
         return self.chosen.form != Lags(0)
 
     @property
+    def unknown(self) -> list[str]:
+        """The chosen form's parameters, but for the delay, whose 95 % bounds exceed the value."""
+        numbers = self.chosen.numbers.items()
+        return [name for name, (value, one) in numbers if name != "delay_s" and not 1.96 * one <= abs(value)]
+
+    @property
     def refused(self) -> list[str]:
         """Why the model is none of this engine, a line a reason; empty where it is."""
         if not self.is_explained:
             return ["the model does not explain the log"]
-        return [] if self.is_told else ["the log tells neither delay nor lag, the static line alone"]
+        if not self.is_told:
+            return ["the log tells neither delay nor lag, the static line alone"]
+        if not self.unknown:
+            return []
+        names, (total, off) = " and ".join(WORDS.get(name, name) for name in self.unknown), self.chosen.total
+        return [
+            f"the log does not tell {names}, whose 95 % bounds exceed the value; delay and lags together are "
+            f"{total:.3g} ±{1.96 * off:.2g} s. Next: {next_step(self.records, self.total)}"
+        ]
 
     @property
     def judgement(self) -> Judgement:
@@ -107,7 +124,8 @@ class Identification:
         if self.engine is not None:
             values, deviations = ({name: pair[k] for name, pair in chosen.numbers.items()} for k in (0, 1))
             record |= {"engine": self.engine.choices.engine, "set": dict(self.engine.choices.settings)}
-            record |= {"parameters": values, "standard_deviations": deviations}
+            record |= {"parameters": values}
+            record |= {"standard_deviations": {name: _finite(one) for name, one in deviations.items()}}
         return record
 
     def _estimate_dict(self, estimate: Estimate) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def as_log(record: BenchRecord, limits: tuple[float, float], is_straight: bool) 
         row = float(np.median(gap[1:]))
         unknown = (gap > 1.5 * row) & (np.diff(command, prepend=command[0]) != 0.0)
         times = times - np.where(unknown, 0.5 * (gap - row), 0.0)
-    return Log(times, command, record.times, record.output, record.step, is_straight, record.width)
+    return Log(times, command, record.times, record.output, record.step, is_straight)
 
 
 def moves_on(command: Array) -> bool:
@@ -183,13 +183,14 @@ def _fit_lags(
     ways = (True, False) if is_open else (choices.between == "straight",)
     first = make_problem([as_log(record, limits, ways[0]) for record in records], choices.longest_delay)
     start = find_start(first)
-    most = min(0.04 * Lags(1).total(start), len(first.output) / rows * first.step)
+    fine = 0.04 * Lags(1).total(start)
+    most = min(fine, len(first.output) / rows * first.step)
     found = []
     for straight in ways:
-        logs = [as_log(record, limits, straight).averaged(most) for record in records]
+        logs = [as_log(record, limits, straight).with_more_commands(fine).averaged(most) for record in records]
         problem, near = make_problem(logs, choices.longest_delay), start.copy()
         if is_open and not straight:
-            near[0] = max(start[0] - 0.5 * logs[0].command_row, 0.0)
+            near[0] = max(start[0] - 0.5 * records[0].command_row, 0.0)
         one = fit(problem, Lags(1), near)
         two = fit(problem, Lags(2), np.array([*one.x, 0.2]))
         found.append(_Fitted(problem, tuple(sorted((one, two), key=lambda each: each.bic)), two))
@@ -197,7 +198,7 @@ def _fit_lags(
     if not is_open:
         return found[0]
     best, other = found
-    row = max(float(np.median(np.diff(record.command_times))) for record in records)
+    row = max(record.command_row for record in records)
     # Of a command whose rows were averaged it cannot be seen.
     is_averaged = any(len(log.command) < len(record.command) for log, record in zip(logs, records, strict=True))
     is_doubtful = is_averaged or other.estimates[0].bic - best.estimates[0].bic < 20.0
@@ -226,10 +227,10 @@ def _fit_more(
     if off <= least or not any(len(log.command) > 3 for log in problem.logs):
         return fitted
     power = float(np.mean(best.residual**2))
-    limits = fit_limits(problem, _one_lag(fitted))
+    limits = fit_limits(problem, best)
+    left = np.inf if limits is None else float(np.mean(limits.residual**2))
     memory = problem.memory_of(best.residual)
     rows = len(problem.output) * (1.0 - memory) / (1.0 + memory)
-    left = float(np.mean(limits.residual**2))
     is_limited = left < 0.8 * power and rows * np.log(power / left) - 2.0 * np.log(rows) > clear
     span = max(float(np.ptp(log.times)) for log in problem.logs)
     since = np.concatenate([(log.times - log.times[0]) / span - 0.5 for log in problem.logs])
@@ -242,7 +243,7 @@ def _fit_more(
     slope, bend = found.linear[-2:]
     share = float(np.ptp(slope * since + bend * since**2))
     drifts = best.bic - found.bic > clear and drifted < 0.8 * power and share < largest_drift
-    if is_limited and not (drifts and drifted < left):
+    if limits is not None and is_limited and not (drifts and drifted < left):
         return fitted._replace(estimates=(limits, *fitted.estimates), is_doubtful=fitted.is_open)
     if not drifts:
         return fitted
@@ -253,7 +254,7 @@ def _fit_more(
 def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes: list[str]) -> tuple[float, float]:
     """Return 95 % bounds of the delay, s: those of two lags, which contain one, by their profile.
 
-    A held command may have moved a row before it is logged; half a row is not known where it may be held or straight.
+    A held command may have moved a row before it is logged; of one that may be held half a row is not known.
     """
     problem, best = fitted.problem, fitted.estimates[0]
     half = 1.96 * best.deviation(0)
@@ -261,10 +262,10 @@ def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes
     if not isinstance(best.form, Limits):
         ends = bound_delay(problem, fitted.two_lags)
         low, high = min(low, ends[0]), max(high, ends[1])
-    row = max(float(np.median(np.diff(record.command_times))) for record in records)
-    if fitted.is_doubtful:
+    row = max(record.command_row for record in records)
+    if problem.logs[0].is_straight and fitted.is_doubtful:
         low, high = low - 0.5 * row, high + 0.5 * row
-    if not fitted.is_open and not problem.logs[0].is_straight:
+    if not problem.logs[0].is_straight:
         wider = spread_of_delay(problem, best, total, row)
         low, high = low - wider, high + row + wider
         if wider > 0.1 * total:

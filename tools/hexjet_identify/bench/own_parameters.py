@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.base.errors import InputError
 from hexjet_identify.bench.engine_form import EngineChoices, EngineForm, make_form
 from hexjet_identify.bench.identification import Identification
 from hexjet_identify.bench.identify import (
@@ -30,8 +30,7 @@ from hexjet_identify.fit.problem import Problem
 def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: Choices | None = None) -> Identification:
     """Fit parameters of an engine, and the delay before it, to bench logs; each log begins at rest.
 
-    Raises InputError for an engine, a parameter or an output that does not serve, NotIdentifiedError where the logs
-    do not tell what is asked.
+    Raises InputError for an engine, a parameter or an output that does not serve.
     """
     choices, first, notes = choices or Choices(), records[0], list[str]()
     for record in records:
@@ -44,7 +43,7 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
             raise InputError(f"{first.path}: what throttle 0 and 1 are is not known: throttle_range LOW HIGH")
     is_open = choices.between == "auto" and any(moves_on(record.command) for record in records)
     if is_open:
-        half = 500.0 * max(float(np.median(np.diff(record.command_times))) for record in records)
+        half = 500.0 * max(record.command_row for record in records)
         notes.append(
             f"{first.command_name} moves from row to row: taken for straight between rows; if it is held, the delay is "
             f"{half:.3g} ms less (between held)"
@@ -54,7 +53,6 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
     problem = make_problem([replace(log, output=unit * log.output) for log in logs], choices.longest_delay)
     form = replace(form, seconds=Lags(1).total(find_start(problem)))
     estimate = fit(problem, form, form.start)
-    _check_told(first, estimate, form)
     held_back = hold_back(problem, estimate, form.seconds)
     row = max(log.command_row for log in logs)
     half = 1.96 * estimate.deviation(0) + spread_of_delay(problem, estimate, form.seconds, row)
@@ -68,17 +66,6 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
         tuple(records), problem, limits, True, (replace(estimate, delay_bounds=bounds),), form.seconds, verdict,
         held_back, tuple(dict.fromkeys(notes)), tuple(describe_small_movements(records, form.seconds)),
     )  # fmt: skip
-
-
-def _check_told(record: BenchRecord, estimate: Estimate, form: EngineForm) -> None:
-    """Raise NotIdentifiedError for parameters whose bounds exceed their value."""
-    numbers = estimate.numbers
-    unknown = [name for name in form.choices.fitted if not 1.96 * numbers[name][1] <= abs(numbers[name][0])]
-    if unknown:
-        raise NotIdentifiedError(
-            f"{record.path}: the log does not tell {' and '.join(unknown)} of {form.label}: the 95 % bounds exceed "
-            f"the value; leave {unknown[0]} out of fit, or log steps over the whole range, up and down"
-        )
 
 
 def _describe_beginning(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +71,11 @@ class BenchRecord:
     step: float  # s from row to row
     lost_fraction: float
     notes: tuple[str, ...] = ()
-    width: float = 0.0  # s, over which each row of the output is a mean
+
+    @property
+    def command_row(self) -> float:
+        """Time between two rows of the command, s."""
+        return float(np.median(np.diff(self.command_times)))
 
     @property
     def newtons(self) -> float | None:
@@ -102,6 +106,7 @@ def _read_records(path: Path, columns: Columns) -> list[BenchRecord]:
     command_name = columns.command or _find(log, COMMANDS, "", "command")
     output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "output")
     notes = list(log.remarks)
+    log = _put_in_order(log, notes)
     if columns.command is None or columns.output is None:
         notes.append(f"taken: {command_name} to {output_name}; command and output say otherwise")
     command, output = (_cut(log.signal(name, notes), columns) for name in (command_name, output_name))
@@ -153,13 +158,33 @@ def _cut(channel: Channel, columns: Columns) -> Channel:
 def _check(path: Path, name: str, channel: Channel) -> None:
     if len(channel.times) < LEAST_ROWS:
         raise InputError(f"{path}: {len(channel.times)} rows of {name} that can be used; at least {LEAST_ROWS}")
-    back = np.flatnonzero(np.diff(channel.times) < 0.0)
-    if back.size:
-        at = channel.times[back[0]]
-        raise InputError(
-            f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? begin and "
-            "end take a part"
-        )
+
+
+def _put_in_order(log: FlightLog, notes: list[str], restart_s: float = 1.0) -> FlightLog:
+    """Return a log whose rows are in the order of time, as stands that write them from several threads do not.
+
+    Where the time goes back by ``restart_s`` it begins again: a few rows of the test before or behind are left out, and
+    two tests in one file raise InputError.
+    """
+    channels, said = {}, list[str]()
+    for name, channel in log.channels.items():
+        times = channel.times
+        again = np.flatnonzero(np.diff(times) < -restart_s) + 1
+        rows = max(np.split(np.arange(len(times)), again), key=len)
+        if len(times) - len(rows) >= LEAST_ROWS:
+            raise InputError(
+                f"{log.path}: the time begins again after {times[again[0] - 1]:g} s: two tests in one file; a file each"
+            )
+        if again.size:
+            said.append(f"{len(times) - len(rows)} rows stand where the time begins again; left out")
+        back = np.diff(times[rows], prepend=-np.inf)
+        if (back < 0.0).any():
+            count, most = int((back < 0.0).sum()), -float(np.nanmin(back))
+            said.append(f"{count} rows are not in the order of time, by up to {most:.2g} s; sorted")
+        rows = rows[np.argsort(times[rows], kind="stable")]
+        channels[name] = channel._replace(times=times[rows], values=channel.values[rows])
+    notes += dict.fromkeys(said)
+    return replace(log, channels=channels)
 
 
 def _check_row(
@@ -184,9 +209,8 @@ def _clean(
     flagged: Array,
     notes: list[str],
     max_shared_stamps: float = 0.1,
-    most_rows: int = 20_000,
 ) -> BenchRecord:
-    """Return a record without repeated times and clipped rows, averaged where there are more than ``most_rows``.
+    """Return a record without repeated times and clipped rows.
 
     A share of ``max_shared_stamps`` may have the stamp of the row before and another value.  They are left out, and
     with more of them the command would seem to move later than it does.
@@ -219,18 +243,10 @@ def _clean(
     longest = float(np.diff(times).max())
     if longest > LONGEST_GAP * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
-    width, rows = 0.0, len(times)
-    if (many := -(-rows // most_rows)) > 1:
-        times, values = average_rows(times, values, step, many)
-        step = width = many * step
-        notes.append(
-            f"{output_name}: {rows} rows are averaged over {many} each, {1e3 * width:.3g} ms; {len(times)} are left. "
-            "The model is averaged alike, so that moves no delay"
-        )
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, step, lost, tuple(notes), width,
+        *commands, times, values, step, lost, tuple(notes),
     )  # fmt: skip
 
 
@@ -253,17 +269,11 @@ def _at_the_stop(values: Array, least: int = 5) -> NDArray[np.bool_]:
     return at
 
 
-def average_rows(times: Array, values: Array, step: float, many: int) -> tuple[Array, Array]:
-    """Return the means of times [s] and values over so many rows each, none of them across a gap in the rows.
-
-    ``step`` [s] is that from row to row.  Rows that are left before a gap or the end are fewer than ``many``, and left
-    out: each mean has the same noise.
-    """
-    gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP * step) + 1
-    length = np.diff([0, *gaps, len(times)])
-    place = np.arange(len(times)) - np.repeat(np.concatenate([[0], gaps]), length)
-    whole = place < np.repeat(length // many * many, length)
-    return times[whole].reshape(-1, many).mean(axis=1), values[whole].reshape(-1, many).mean(axis=1)
+def next_step(records: Sequence[BenchRecord], total: float) -> str:
+    """Describe the step that tells most of delay and lags, which are ``total`` s together."""
+    low = min(float(record.command.min()) for record in records)
+    high = max(float(record.command.max()) for record in records)
+    return f"a step from {low:.4g} to {high:.4g} and back, each held {max(5.0 * total, 2.0):.2g} s"
 
 
 def find_levels(record: BenchRecord) -> Mapping[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hexjet_identify.bench.engine_table import engine_parameters
 from hexjet_identify.bench.identification import Identification
-from hexjet_identify.bench.record import BenchRecord, find_levels
+from hexjet_identify.bench.record import BenchRecord, find_levels, next_step
 from hexjet_identify.bench.running import SPEED_UNITS
 
 
@@ -63,10 +63,7 @@ def describe_untold(found: Identification, wide: float = 0.3) -> Iterator[str]:
     """
     chosen, records, (total, deviation) = found.chosen, found.records, found.chosen.total
     row = max(record.step for record in records)
-    hold = max(5.0 * total, 2.0)
-    low = min(float(record.command.min()) for record in records)
-    high = max(float(record.command.max()) for record in records)
-    step = f"a step from {low:.4g} to {high:.4g} and back, each held {hold:.2g} s"
+    step = next_step(records, total)
     begin, end = chosen.delay_bounds
     if not found.is_told:
         yield f"delay and lag: so slow a command shows the static line alone. Next: {step}"
@@ -83,20 +80,20 @@ def describe_untold(found: Identification, wide: float = 0.3) -> Iterator[str]:
     if end >= found.problem.max_delay:
         yield f"whether the delay is longer than {found.problem.max_delay:g} s, the end of the search"
     lag, off = chosen.numbers["lag_s"]
-    if found.is_explained and 1.96 * off > wide * lag:
+    if found.is_explained and "lag_s" not in found.unknown and 1.96 * off > wide * lag:
         yield f"the lag: {lag:.3g} s, its bounds are ±{1.96 * off:.2g} s. Next: {step}"
     if lag < 5.0 * row:
         yield (
             f"whether it is one lag or several: a lag of {1e3 * lag:.3g} ms is {lag / row:.1f} rows long. "
             f"Next: the same logged every {100.0 * lag:.2g} ms"
         )
-    yield from _untold_levels(records, found.limits, (low, high), hold, 3.0 * total)
+    yield from _untold_levels(records, found.limits, total)
 
 
-def _untold_levels(
-    records: Sequence[BenchRecord], limits: tuple[float, float], ends: tuple[float, float], hold: float, settled: float
-) -> Iterator[str]:
-    """Yield what is missing of the levels; one that is held for ``settled`` s is told."""
+def _untold_levels(records: Sequence[BenchRecord], limits: tuple[float, float], total: float) -> Iterator[str]:
+    """Yield what is missing of the levels; one that is held for three times ``total`` s is told."""
+    commands = np.concatenate([record.command for record in records])
+    ends, hold, settled = (float(commands.min()), float(commands.max())), max(5.0 * total, 2.0), 3.0 * total
     levels = {level for record in records for level, seconds in find_levels(record).items() if seconds > settled}
     span = limits[1] - limits[0]
     stairs = ", ".join(f"{limits[0] + part * span:.4g}" for part in (0.2, 0.4, 0.6, 0.8, 1.0))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import exp
 
 import numpy as np
-from scipy.linalg import solve_banded
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from hexjet_identify.fit.logs import Log
+
+Rows = NDArray[np.int64]
 
 
 def hats(command: Array, knots: Array) -> Array:
@@ -24,54 +26,84 @@ def hats(command: Array, knots: Array) -> Array:
     return shares
 
 
-def answer_of_a_lag(log: Log, inputs: Array, delay: float, lag: float) -> Array:
-    """Return the answers of a lag to columns of ``inputs`` at the command's rows, at the output's rows.
+def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, float]) -> Array:
+    """Return answers to columns of ``inputs`` at the command's rows, at the output's rows: ``lags`` with their weights.
 
-    lag x' = u(t - delay) - x, exactly; before the first row x rests at its input.
+    Each is lag x' = u(t - delay) - x, exactly; before the first row x rests at its input.
     """
     times = log.command_times
-    gap = np.diff(times)
-    kept = np.exp(-gap / lag)[:, None]
-    slope = np.diff(inputs, axis=0) / gap[:, None] if log.is_straight else np.zeros((len(gap), inputs.shape[1]))
-    ahead = inputs[:-1] - lag * slope
-    end = inputs[1:] - lag * slope if log.is_straight else inputs[:-1]
-    bands = np.ones((2, len(times)))
-    bands[1, :-1] = -kept[:, 0]
-    state = solve_banded((1, 0), bands, np.vstack([inputs[:1], end - kept * ahead]), check_finite=False)
-    slope = np.vstack([slope, np.zeros((1, inputs.shape[1]))])
+    gap = np.diff(times)[:, None]
+    slope = np.diff(inputs, axis=0, append=inputs[-1:])
+    slope = slope / np.append(gap, 1.0)[:, None] if log.is_straight else np.zeros((len(inputs), 1))
+    ahead, behind = np.zeros_like(inputs), []
+    for lag, weight in lags.items():
+        own = inputs - lag * slope
+        kept = np.exp(-gap / lag)
+        state = _recur(kept[:, 0], np.vstack([inputs[:1], own[:-1] * (1.0 - kept) + gap * slope[:-1]]))
+        ahead += weight * own
+        behind.append((lag, weight * (state - own)))
+    slope = sum(lags.values()) * slope
 
     def answer(when: Array) -> Array:
         row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
         since = np.maximum(when - delay - times[row], 0.0)[:, None]
-        target = inputs[row] + slope[row] * (since - lag)
-        return np.asarray(target + (state[row] - inputs[row] + lag * slope[row]) * np.exp(-since / lag))
+        value = ahead[row]
+        if log.is_straight:
+            value += slope[row] * since
+        for lag, each in behind:
+            value += each[row] * np.exp(-since / lag)
+        return value
 
     return average_over_rows(log, answer)
 
 
-def answer_of_limits(log: Log, target: Array, delay: float, lag: float, rise: float, fall: float) -> Array:
-    """Return the answer of a lag with limits to the static output ``target`` at the command's rows.
+def _recur(kept: Array, added: Array) -> Array:
+    """Return what comes of each row as ``kept`` of the row before and what is ``added``."""
+    from scipy.linalg.lapack import dtbtrs
 
-    x' = (target(t - delay) - x) / lag within -fall and rise, exactly for a held command; one that goes straight is
-    taken for held from half a row before on.
+    bands = np.ones((2, len(added)))
+    bands[1, :-1] = -kept
+    return np.asarray(dtbtrs(bands, added, uplo="L", diag="U")[0])
+
+
+def answer_of_limits(
+    log: Log, shares: Array, levels: Array, delay: float, lag: float, rise: float, fall: float
+) -> Array:
+    """Return the answer of a lag with limits, and behind it its slopes by delay, lag, rise, fall and each level.
+
+    x' = (target(t - delay) - x) / lag within -fall and rise, exactly for a held command, whose static output is
+    ``shares @ levels``; one that goes straight is taken for held from half a row before on.
     """
-    times = log.command_times
+    times, target = log.command_times, shares @ levels
     if log.is_straight:
         times = 0.5 * (np.concatenate([times[:1], times[:-1]]) + times)
-    states = [float(target[0])]
-    for goal, seconds in zip(target.tolist(), np.diff(times).tolist(), strict=False):
+    gap, states = np.diff(times), [float(target[0])]
+    for goal, seconds in zip(target.tolist(), gap.tolist(), strict=False):
         states.append(_approach(states[-1], goal, seconds, lag, rise, fall))
     state = np.array(states)
 
+    def advance(row: Rows, since: Array) -> tuple[Array, Array, Array, Array]:
+        """Return output and rate so long after a row; what is kept of the state there; its own slopes."""
+        error = target[row] - state[row]
+        limit = np.where(error > 0.0, rise, -fall)
+        until = np.clip(error / limit - lag, 0.0, since)
+        kept = np.exp((until - since) / lag)
+        left = np.sign(error) * np.minimum(np.abs(error), np.abs(limit) * lag) * kept
+        is_straight = (until >= since) & (error / limit > lag)
+        value = np.where(is_straight, state[row] + limit * since, target[row] - left)
+        own = np.zeros((len(row), 3 + len(levels)))
+        own[:, 0] = -left * (since - until) / lag**2
+        own[:, 1], own[:, 2] = kept * until * (limit > 0.0), -kept * until * (limit < 0.0)
+        own[:, 3:] = (1.0 - kept)[:, None] * shares[row]
+        return value, np.where(is_straight, limit, left / lag), kept, own
+
+    _, _, kept, own = advance(np.arange(len(gap)), gap)
+    slopes = _recur(kept, np.vstack([np.concatenate([np.zeros(3), shares[0]]), own]))
+
     def answer(when: Array) -> Array:
         row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
-        since = np.maximum(when - delay - times[row], 0.0)
-        error = target[row] - state[row]
-        limit = np.where(error > 0.0, rise, fall)
-        until = np.maximum(np.abs(error) / limit - lag, 0.0)
-        line = state[row] + np.sign(error) * limit * since
-        left = np.minimum(np.abs(error), limit * lag) * np.exp(-np.maximum(since - until, 0.0) / lag)
-        return np.asarray(np.where(since < until, line, target[row] - np.sign(error) * left))
+        value, rate, kept, own = advance(row, np.maximum(when - delay - times[row], 0.0))
+        return np.column_stack([value, -rate, kept[:, None] * slopes[row] + own])
 
     return average_over_rows(log, answer)
 

@@ -128,6 +128,9 @@ def solve(problem: Problem, form: Form, start: Array, memory: float, held: int |
 
     def slopes(values: Array) -> Array:
         base = left(values)
+        if (known := form.slopes(problem, x)) is not None:
+            bound = np.pad(problem.binding, ((0, 0), (len(x) - len(problem.knots), 0)))
+            return np.asarray(-np.concatenate([problem.whiten(known, memory), bound])[:, free] / size)
         widths = form.widths(problem, x)[free]
         widths = np.where(values + widths <= high[free], widths, -widths)
         return np.column_stack(
@@ -137,7 +140,7 @@ def solve(problem: Problem, form: Form, start: Array, memory: float, held: int |
     if len(free):
         scale = 1e3 * form.widths(problem, x)[free]
         found = least_squares(
-            left, x[free], slopes, bounds=(low[free], high[free]), x_scale=scale, xtol=1e-7, ftol=1e-9, max_nfev=40
+            left, x[free], slopes, bounds=(low[free], high[free]), x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=40
         )
         x[free] = found.x
     rest = project(problem, form, x, memory)[1]
@@ -190,18 +193,23 @@ def find_start(problem: Problem) -> Array:
     return min((solve(coarse, form, x, 0.0) for _, x in likeliest), key=lambda each: each[1])[0]
 
 
-def fit_limits(problem: Problem, lags: Estimate) -> Estimate:
-    """Fit limits of rise and fall, from several starts: where they rule, the lag is far shorter than one alone."""
+def fit_limits(problem: Problem, lags: Estimate, share: float = 0.9) -> Estimate | None:
+    """Fit limits of rise and fall, from several starts: where they rule, the lag is far shorter than one alone.
+
+    None where they leave more than a ``share`` of what lags leave of thinned rows: they are not clearly better.
+    """
     rates = np.concatenate([_rates(log) for log in problem.logs])
     rise = max(float(np.percentile(rates, 97.0)), 1e-3 * problem.swing)
     fall = max(float(-np.percentile(rates, 3.0)), 1e-3 * problem.swing)
-    total, levels = Lags(1).total(lags.x), lags.levels(problem)
+    total, levels = lags.form.total(lags.x), lags.levels(problem)
     coarse, form = thin(problem), Limits()
     starts = [
         np.array([delay * total, np.log(lag * total), np.log(rise), np.log(fall), *levels])
         for delay, lag in ((0.3, 0.5), (0.3, 0.15), (0.1, 0.3))
     ]
-    near = min((solve(coarse, form, start, 0.0) for start in starts), key=lambda each: each[1])[0]
+    near, loss = min((solve(coarse, form, start, 0.0) for start in starts), key=lambda each: each[1])
+    if loss > share * solve(coarse, lags.form, lags.x, 0.0)[1]:
+        return None
     return fit(problem, form, near)
 
 
@@ -243,6 +251,8 @@ def invert(matrix: Array) -> Array:
 
 def _slopes(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
     """Return by how much the answer changes with each of ``x``, a column each."""
+    if (known := form.slopes(problem, x)) is not None:
+        return known
     low, high = form.limits(problem)
     columns = []
     for number, width in enumerate(form.widths(problem, x)):
@@ -268,27 +278,40 @@ def _newey_west(jacobian: Array, white: Array, inverse: Array) -> Array:
     return np.asarray(inverse @ middle @ inverse)
 
 
-def bound_delay(problem: Problem, estimate: Estimate, tries: int = 10, deviations: float = 1.96) -> tuple[float, float]:
+def find_end(
+    value: float, limit: float, width: float, wanted: float, risen: Callable[[float], float], near: float = 0.08
+) -> float:
+    """Return where a profile has risen by ``wanted`` deviations, about ``width`` from ``value`` towards a ``limit``.
+
+    ``risen``: the root of twice by how much the logarithm of the likelihood has fallen there; ``near`` is near enough.
+    """
+    inside, outside = value, limit
+    at = value + float(np.copysign(min(width, abs(limit - value)), limit - value))
+    for _ in range(12):
+        by = risen(at)
+        if by < wanted:
+            inside = at
+        else:
+            outside = at
+        if abs(by - wanted) < near * wanted or inside == limit:
+            break
+        guess = value + (at - value) * wanted / max(by, 0.3 * wanted)
+        between = min(inside, outside) < guess < max(inside, outside)
+        at = guess if between else (limit if outside == limit else 0.5 * (inside + outside))
+    return at
+
+
+def bound_delay(problem: Problem, estimate: Estimate, deviations: float = 1.96) -> tuple[float, float]:
     """Return 95 % bounds of the delay [s] by its profile, as much wider as its robust deviation is."""
-    low, high = estimate.form.limits(problem)
-    wanted = deviations * estimate.widening
     width = max(1.96 * estimate.deviation(0) / estimate.widening, 1e-3 * problem.step)
     ends = []
-    for sign, limit in ((-1.0, float(low[0])), (1.0, float(high[0]))):
-        inside, outside, x = estimate.delay, limit, estimate.x
-        at = float(np.clip(estimate.delay + sign * width, low[0], high[0]))
-        for _ in range(tries):
-            start = np.concatenate([[at], x[1:]])
-            found, loss = solve(problem, estimate.form, start, estimate.memory, 0)
-            risen = float(np.sqrt(max(len(estimate.residual) * np.log(loss / estimate.loss), 0.0)))
-            if risen < wanted:
-                inside, x = at, found
-            else:
-                outside = at
-            if abs(risen - wanted) < 0.08 * wanted or inside == limit:
-                break
-            near = estimate.delay + (at - estimate.delay) * wanted / max(risen, 0.3 * wanted)
-            between = min(inside, outside) < near < max(inside, outside)
-            at = near if between else (limit if outside == limit else 0.5 * (inside + outside))
-        ends.append(at)
+    for limit in (end[0] for end in estimate.form.limits(problem)):
+        x = estimate.x
+
+        def risen(at: float) -> float:
+            nonlocal x
+            x, loss = solve(problem, estimate.form, np.array([at, *x[1:]]), estimate.memory, 0)
+            return float(np.sqrt(max(len(estimate.residual) * np.log(loss / estimate.loss), 0.0)))
+
+        ends.append(find_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen))
     return ends[0], ends[1]

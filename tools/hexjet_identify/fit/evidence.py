@@ -51,8 +51,8 @@ class Foretold(NamedTuple):
 class Verdict(NamedTuple):
     """What decides whether a form explains its logs, and nothing else does.
 
-    ``off``: what is left over (rms), averaged over a quarter of delay and lags together, as a share of the range;
-    ``near`` of ``times`` that were foretold are within 10 %, but for a row and noise.
+    ``off``: what is left over of movements (rms), averaged over a quarter of delay and lags together, as a share of the
+    range; ``near`` of ``times`` that were foretold are within 10 %, but for a row and noise.
     """
 
     off: float
@@ -80,12 +80,14 @@ class Verdict(NamedTuple):
 def judge(problem: Problem, estimate: Estimate, total: float, held_back: tuple[Foretold, ...]) -> Verdict:
     """Return the verdict on a form; ``total``: delay and lags together, s.
 
-    The range is that of the model's answer, which noise does not widen.
+    A movement lasts until three times that after the command last moved, so that long holds hide nothing.  The range is
+    that of the model's answer, which noise does not widen.
     """
     quarter = 0.25 * total
-    residual = [smooth(log.times, estimate.residual[rows], quarter) for log, rows in _logs(problem)]
+    residual = np.concatenate([smooth(log.times, estimate.residual[rows], quarter) for log, rows in _logs(problem)])
+    moving = np.concatenate([log.moves_within(3.0 * total if total > 0.0 else np.inf) for log in problem.logs])
     reach = min(float(np.ptp(problem.output - estimate.residual)), problem.swing)
-    off = float(np.sqrt(np.mean(np.concatenate(residual) ** 2))) / max(reach, 1e-300)
+    off = float(np.sqrt(np.mean(residual[moving if moving.any() else ~moving] ** 2))) / max(reach, 1e-300)
     times = sum(len(one.measured) for one in held_back)
     return Verdict(off, sum(one.count_near() for one in held_back), times)
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from cosim.base.arrays import Array
-from hexjet_identify.fit.answers import answer_of_a_lag, answer_of_limits
+from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits
 from hexjet_identify.fit.problem import Problem
 
 
@@ -33,6 +33,10 @@ class Form(Protocol):
     def columns(self, problem: Problem, x: Array) -> Array:
         """Return what the linear parameters multiply; without any, one column: the answer."""
 
+    def slopes(self, problem: Problem, x: Array) -> Array | None:
+        """Return by how much the answer changes with each of ``x``, where that is known in closed form."""
+        return None
+
     def linear_count(self, problem: Problem) -> int:
         """Return how many linear parameters there are."""
 
@@ -47,7 +51,7 @@ class Form(Protocol):
 
 
 @dataclass(frozen=True)
-class Lags:
+class Lags(Form):
     """Free static levels behind a delay and one lag or two: ``x`` = delay [s], ln lag [s], second lag over first.
 
     A ``count`` of 0 is the static line alone, at no delay and a lag of nothing.
@@ -73,13 +77,11 @@ class Lags:
     def columns(self, problem: Problem, x: Array) -> Array:
         """Return the answers of the levels, the zero of each log but the first, each log's start, and the drift."""
         lag, count = float(np.exp(x[1])), len(problem.logs)
+        ratio = float(x[2]) if self.count == 2 and x[2] > 1e-3 else 0.0
+        weights = {lag: 1.0 / (1.0 - ratio)} | ({ratio * lag: -ratio / (1.0 - ratio)} if ratio else {})
         answers, extra = [], np.zeros((len(problem.output), 2 * count - 1))
         for n, (log, span, own) in enumerate(zip(problem.logs, problem.spans, problem.hats, strict=True)):
-            answer = answer_of_a_lag(log, own, float(x[0]), lag)
-            if self.count == 2 and x[2] > 1e-3:
-                second = float(x[2]) * lag
-                answer = (lag * answer - second * answer_of_a_lag(log, own, float(x[0]), second)) / (lag - second)
-            answers.append(answer)
+            answers.append(answer_of_lags(log, own, float(x[0]), weights))
             if n > 0:
                 extra[span, n - 1] = 1.0
             extra[span, count - 1 + n] = np.exp(-(log.times - log.times[0]) / lag)
@@ -129,12 +131,21 @@ class Limits:
 
     def columns(self, problem: Problem, x: Array) -> Array:
         """Return one column: the answer."""
-        lag, rise, fall = np.exp(x[1:4]).tolist()
-        answers = [
-            answer_of_limits(log, own @ x[4:], float(x[0]), lag, rise, fall)
-            for log, own in zip(problem.logs, problem.hats, strict=True)
-        ]
-        return np.concatenate(answers)[:, None]
+        return self._answers(problem, x)[:, :1]
+
+    def slopes(self, problem: Problem, x: Array) -> Array | None:
+        """Return by how much the answer changes with each of ``x``."""
+        slopes = self._answers(problem, x)[:, 1:]
+        slopes[:, 1:4] *= np.exp(x[1:4])
+        return slopes
+
+    def _answers(self, problem: Problem, x: Array) -> Array:
+        return np.concatenate(
+            [
+                answer_of_limits(log, own, x[4:], float(x[0]), *np.exp(x[1:4]).tolist())
+                for log, own in zip(problem.logs, problem.hats, strict=True)
+            ]
+        )
 
     def linear_count(self, problem: Problem) -> int:
         """Return how many linear parameters there are."""

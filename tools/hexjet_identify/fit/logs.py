@@ -58,12 +58,29 @@ class Log:
         begins = times.mean(axis=1) if self.is_straight else times[:, 0]
         return replace(self, command_times=begins, command=command.mean(axis=1))
 
+    def with_more_commands(self, seconds: float, most: int = 8) -> Log:
+        """Return the log with a command that goes straight on a spline, a row each ``seconds``, ``most`` a row."""
+        from scipy.interpolate import CubicSpline
+
+        parts = min(int(np.ceil(self.command_row / seconds)), most)
+        if not self.is_straight or parts < 2:
+            return self
+        rows = np.arange(len(self.command))
+        times = np.interp(np.arange(rows[-1] * parts + 1) / parts, rows, self.command_times)
+        return replace(self, command_times=times, command=CubicSpline(self.command_times, self.command)(times))
+
     def without_repeats(self) -> Log:
         """Return the log without the rows of a held command that change nothing."""
         if self.is_straight:
             return self
         changed = np.concatenate([[True], np.diff(self.command) != 0.0])
         return replace(self, command_times=self.command_times[changed], command=self.command[changed])
+
+    def moves_within(self, seconds: float) -> Flags:
+        """Return which rows of the output come at most so long behind a row in which the command moved."""
+        moved = self.command_times[1:][np.diff(self.command) != 0.0]
+        last = np.concatenate([[-np.inf], moved])[np.searchsorted(moved, self.times, "right")]
+        return np.asarray(self.times - last <= seconds)
 
     def find_movements(self, rest: float) -> list[tuple[float, float]]:
         """Return begin and end [s] of each movement of the command before which it stands for ``rest`` s.

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hexjet_identify.fit.estimate import find_end
 from hexjet_identify.prediction_error.estimate import Estimate, Form
 from hexjet_identify.prediction_error.problem import Problem
 from hexjet_identify.prediction_error.search import evaluate, fit, jacobian_at, solve
@@ -45,48 +46,23 @@ def with_delay_bounds(problem: Problem, estimate: Estimate, best: float | None =
     The fall from there is distributed as an even mixture of chi-squared of one and two degrees of freedom if the
     estimate's form is the true one (Self and Liang, J. Am. Stat. Assoc. 82, 1987, p. 605), and may be 5.14.
     """
-    last = len(estimate.x) - 1
-    if estimate.form.names[last] in estimate.fixed:
+    last, form_names = len(estimate.x) - 1, estimate.form.names
+    if form_names[last] in estimate.fixed:
         return replace(estimate, delay_bounds=(estimate.delay, estimate.delay))
-    most = CHI2_95 if best is None else MIXED_95
-    best = estimate.deviance if best is None else best
-    ends = (_end(problem, estimate, -1.0, best + most), _end(problem, estimate, 1.0, best + most))
-    return replace(estimate, delay_bounds=ends)
+    above = 0.0 if best is None else estimate.deviance - best - MIXED_95 + CHI2_95
+    held = [*(form_names.index(name) for name in estimate.fixed), last]
+    wide = max(1.96 * estimate.deviation(last), 1e-4 * problem.working_step)
+    ends = []
+    for limit in (0.0, problem.longest_delay):
+        near = estimate
 
+        def risen(delay: float) -> float:
+            nonlocal near
+            near = solve(problem, estimate.form, np.array([*near.x[:-1], delay]), near.ar, held, estimate.order)
+            return float(np.sqrt(max(near.deviance - estimate.deviance + above, 0.0)))
 
-def profile(problem: Problem, estimate: Estimate, delay: float, near: Estimate | None = None) -> Estimate:
-    """Return the estimate of everything else at this delay."""
-    near = near or estimate
-    x = near.x.copy()
-    x[-1] = delay
-    fixed = [*(i for i in range(len(x)) if estimate.form.names[i] in estimate.fixed), len(x) - 1]
-    return solve(problem, estimate.form, x, near.ar, fixed, estimate.order)
-
-
-def _end(problem: Problem, estimate: Estimate, side: float, most: float) -> float:
-    """Return the delay at which the profile's deviance is ``most``."""
-    wide = 1.96 * estimate.deviation(len(estimate.x) - 1)
-    wide = min(max(wide, 1e-4 * problem.working_step), problem.longest_delay)
-    inside, outside = 0.0, np.inf
-    limit = estimate.delay if side < 0.0 else problem.longest_delay - estimate.delay
-    near = estimate
-    for _ in range(12):
-        wide = min(wide, limit)
-        near = profile(problem, estimate, estimate.delay + side * wide, near)
-        fall = CHI2_95 - (most - near.deviance)  # CHI2_95 at the end that is looked for
-        if abs(fall - CHI2_95) < 0.02 * CHI2_95:
-            break
-        if fall < CHI2_95:
-            inside = wide
-            if wide >= limit:
-                break
-        else:
-            outside = min(outside, wide)
-        guess = wide * float(np.clip(np.sqrt(CHI2_95 / max(fall, 0.04)), 0.25, 4.0))
-        if not inside < guess < outside:
-            guess = 0.5 * (inside + outside)
-        wide = guess
-    return estimate.delay + side * wide
+        ends.append(find_end(estimate.delay, limit, wide, float(np.sqrt(CHI2_95)), risen, 0.01))
+    return replace(estimate, delay_bounds=(ends[0], ends[1]))
 
 
 def robust(problem: Problem, estimate: Estimate) -> Estimate:

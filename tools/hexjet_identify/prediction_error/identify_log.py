@@ -23,20 +23,9 @@ from hexjet_identify.prediction_error.problem import Problem
 from hexjet_identify.prediction_error.search import fit, solve
 from hexjet_identify.prediction_error.stretches import Prepared, halves, prepare
 
-LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
-MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
-SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, however little noise there is
-FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
-ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out
-NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
-SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread
-HALVES_APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
-UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
-TARGET_WIDTH = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
-BAND_DROP = 0.5  # of the greatest information per command: the band that is recommended
 NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
 
 
@@ -49,8 +38,8 @@ class Check(NamedTuple):
 
     @property
     def failed(self) -> bool:
-        """Whether the residuals contradict the model by more than chance."""
-        return self.p < SIGNIFICANCE
+        """Whether the residuals contradict the model by more than a chance of one in a thousand."""
+        return self.p < 1e-3
 
 
 @dataclass(frozen=True)
@@ -64,7 +53,6 @@ class LogIdentification:
     prepared: Prepared
     problem: Problem
     estimates: tuple[Estimate, ...]
-    clock: str  # which times were taken: stamps, or an even clock
     checks: tuple[Check, ...]
     coherence: tuple[Array, Array]  # Hz, and of command with output
     band_hz: tuple[float, float]  # in which a command tells most of the delay, in this noise
@@ -116,10 +104,9 @@ class LogIdentification:
             "what": self.what,
             "engine": self.engine,
             "seconds": self.prepared.seconds,
-            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
+            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.stretches],
             "working_step_s": self.prepared.working_step,
             "longest_delay_s": self.prepared.longest_delay,
-            "clock": self.clock,
             "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
             "delay_s": self.chosen.delay,
             "delay_bounds_95_s": list(self.delay_bounds),
@@ -135,7 +122,7 @@ def identify_log(
     signal: str,
     signals: LogSignals,
     *,
-    longest_delay: float = LONGEST_DELAY_S,
+    longest_delay: float = 0.4,
     step: float | None = None,
     begin: float | None = None,
     end: float | None = None,
@@ -152,7 +139,7 @@ def identify_log(
     command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
     prepared = prepare(command, output, longest_delay, step, begin, end)
     engine = signal.startswith("engine")
-    problem, estimates, clock = _estimate(prepared, engine, dict(hold or {}), lags)
+    problem, estimates = _estimate(prepared, engine, dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
     _refuse(problem, estimates, prepared, where)
@@ -173,7 +160,6 @@ def identify_log(
         prepared,
         problem,
         tuple(estimates),
-        clock,
         tuple(checks),
         _coherence(problem),
         band,
@@ -186,22 +172,13 @@ def identify_log(
 
 def _estimate(
     prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
-) -> tuple[Problem, list[Estimate], str]:
-    """Estimate by the stamps, and by an even clock where there is one, and take what leaves less."""
-    problem = Problem(prepared.by_stamps, prepared.working_step, prepared.longest_delay)
-    clock = "stamps"
-    if prepared.by_clock:
-        other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
-        form = Form(engine, (0 if engine else 1) if lags is None else lags)
-        first = fit(problem, form, hold)
-        second = solve(other, form, first.x.copy(), first.ar.copy(), _fixed_indices(first), first.order)
-        if second.loss / second.count < first.loss / first.count:
-            problem, clock = other, "even clock"
+) -> tuple[Problem, list[Estimate]]:
+    problem = Problem(prepared.stretches, prepared.working_step, prepared.longest_delay)
     if lags is not None:
         estimates = [with_delay_bounds(problem, fit(problem, Form(engine, lags), hold))]
     else:
         estimates = identify(problem, engine, hold)
-    return problem, [robust(problem, estimate) for estimate in estimates], clock
+    return problem, [robust(problem, estimate) for estimate in estimates]
 
 
 def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
@@ -220,7 +197,10 @@ def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
     return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
 
 
-def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
+def _refuse(
+    problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str, widest: float = 0.6
+) -> None:
+    """Raise NotIdentifiedError for what is not told, as a delay whose bounds are ``widest`` of the search apart."""
     chosen = estimates[0]
     fall = problem.without_command(chosen) - chosen.deviance
     if not fall >= LEAST_DEVIANCE_FALL:
@@ -242,7 +222,7 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
             "try a longer longest_delay_s, or the channels belong to different clocks"
         )
     low, high = bounds(estimates)
-    if not high - low < UNBOUNDED * prepared.longest_delay:
+    if not high - low < widest * prepared.longest_delay:
         raise NotIdentifiedError(
             f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
             "fly doublets or a sweep, or state what is known: hold lag_s=..., lags 1"
@@ -256,7 +236,8 @@ def _not_determined(chosen: Estimate) -> str:
     return " and ".join(name for name, (value, one) in bounds.items() if not DEVIATIONS_95 * one <= abs(value))
 
 
-def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
+def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str]:
+    """Return what is to be doubted: a sign, and halves that are ``apart`` by so many deviations (p = 0.001)."""
     doubts = []
     if chosen.gain < 0.0:
         doubts.append("the gain is negative: the output moves against the command")
@@ -274,7 +255,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
             ("the sum of delay and lags", [half.all_delay for half in ends]),
         ):
             (a, sa), (b, sb) = values
-            if abs(a - b) > HALVES_APART * np.hypot(sa, sb) > 0.0:
+            if abs(a - b) > apart * np.hypot(sa, sb) > 0.0:
                 doubts.append(
                     f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
                     "what flew changed, and the bounds are too narrow"
@@ -332,8 +313,9 @@ def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
     return np.concatenate(blocks)
 
 
-def _noisy(problem: Problem, chosen: Estimate) -> bool:
-    return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
+def _noisy(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
+    """Return whether what is left over is more than ``rounding`` beside the output: else no test says anything."""
+    return float(np.sqrt(chosen.loss / chosen.count)) > rounding * float(np.std(problem.output[problem.present]))
 
 
 def _explained_power(problem: Problem, chosen: Estimate) -> float:
@@ -341,30 +323,37 @@ def _explained_power(problem: Problem, chosen: Estimate) -> float:
     return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
 
 
-def _residuals_follow(problem: Problem, chosen: Estimate, command: Check) -> bool:
-    """Return whether the residuals follow the command by more than a small misfit of the form makes them."""
-    if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
+def _residuals_follow(
+    problem: Problem, chosen: Estimate, command: Check, misfit: float = 0.02, small: float = 1e-3
+) -> bool:
+    """Return whether the residuals follow the command by more than a small misfit of the form makes them.
+
+    That is a share of ``misfit`` of their power, and of ``small`` of what the command explains.
+    """
+    if not command.failed or command.share <= misfit or not _noisy(problem, chosen):
         return False
-    return command.share * chosen.loss > SMALL_MISFIT * _explained_power(problem, chosen)
+    return command.share * chosen.loss > small * _explained_power(problem, chosen)
 
 
-def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
+def _why_refused(
+    problem: Problem, chosen: Estimate, checks: Sequence[Check], fed_back: float = 0.25, enough: float = 0.2
+) -> str:
     """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
 
     A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
-    command explains little, and about as much of what is left over goes with the command of that time as it explains
-    at all, the loop feeds the disturbance back: the model of the noise is of finite order, and what it lacks is in
-    command and residual alike.
+    command explains less than ``enough`` of what is left over, and of that more goes with the command of that time than
+    ``fed_back`` of what it explains at all, the loop feeds the disturbance back: the model of the noise is of finite
+    order, and what it lacks is in command and residual alike.
     """
     white, use = problem.residuals(chosen)
     spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
     together = _test_against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
     explained = max(_explained_power(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
-    weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
+    weak = explained <= enough * chosen.loss and together.share * chosen.loss > fed_back * explained
     if weak and not by_setpoint and _residuals_follow(problem, chosen, together):
         part = max(explained / chosen.loss, 1e-4)
-        larger = max(2.0, (ENOUGH / part) ** 0.5)
+        larger = max(2.0, (enough / part) ** 0.5)
         return (
             f"the disturbance is too large beside what the command does, which explains {100.0 * part:.1g} % as much "
             f"as is left over; the loop feeds it back into the command ({100.0 * together.share:.0f} % of what is left "
@@ -446,21 +435,25 @@ def information(estimate: Estimate, hertz: Array, step: float) -> Array:
     return np.asarray(slope**2 * estimate.count / estimate.loss)
 
 
-def _band(estimate: Estimate, step: float) -> tuple[float, float]:
+def _band(estimate: Estimate, step: float, drop: float = 0.5) -> tuple[float, float]:
+    """Return between which frequencies, Hz, a command tells at least ``drop`` of the most of the delay."""
     hertz = np.geomspace(0.02, 0.45 / step, 400)
     density = information(estimate, hertz, step)
     peak = int(np.argmax(density))
     low = high = peak
-    while low > 0 and density[low - 1] >= BAND_DROP * density[peak]:
+    while low > 0 and density[low - 1] >= drop * density[peak]:
         low -= 1
-    while high < len(density) - 1 and density[high + 1] >= BAND_DROP * density[peak]:
+    while high < len(density) - 1 and density[high + 1] >= drop * density[peak]:
         high += 1
     return float(hertz[low]), float(hertz[high])
 
 
-def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
+def _advice(
+    estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float], samples: float = 0.5
+) -> list[str]:
+    """Return what would tell the delay to so many ``samples``, where its bounds are wider."""
     low, high = ends
-    target = TARGET_WIDTH * prepared.working_step
+    target = samples * prepared.working_step
     if "delay_s" in estimate.fixed or high - low <= 2.0 * target:
         return []
     more = 0.5 * (high - low) / target

@@ -167,8 +167,7 @@ def summary(result: LogIdentification) -> str:
         clock += f", {100.0 * output.lost_fraction:.2g} % lost"
     return (
         f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
-        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, "
-        f"times by {result.clock}"
+        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms"
     )
 
 

@@ -22,19 +22,7 @@ WORKING_STEP_S = 0.004  # of the house's control steps; samples that come faster
 MOST_MISSING = 12  # samples that may be missing in a row; after more a new stretch begins
 SETTLE_S = 0.3  # beside the longest delay, before the first output that counts: what was commanded before is not known
 SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
-IDLE_S = 0.5  # windows in which a command moves or does not
-PAUSE_S = 2.0  # for which it may stand still in flight
-IDLE_FRACTION = 1e-3  # of the command's standard deviation: less is no movement
-EDGE_S = 1.0  # cut off where the command begins or ceases to move: on the ground a vehicle answers otherwise
-LOSSY_FRACTION = 0.005  # share of lost samples from which two are averaged: an equation needs all its predecessors
-LEAST_JITTER = 0.02  # of a sample: less jitter is none
-_LOST_STEPS = 1.75  # steps between two samples from which some are lost between them
-_JITTER_RUN = 4  # samples in a row that jitter may bring nearer to another tick
-MOST_JITTER = 0.35  # of a sample: scatter around an even clock, at most
-SLOW_COMMAND_S = 0.011  # from row to row, and SLOW_COMMAND samples of the output: controllers are faster
-SLOW_COMMAND = 1.5
 _CACHE_SIZE = 8  # answers that are remembered
-STEADY = 0.8  # share of rows that are half to one and a half times as far apart as usual; fewer: logged when it changes
 
 
 Ints = NDArray[np.int64]
@@ -132,10 +120,9 @@ class Clock(NamedTuple):
 
 @dataclass(frozen=True)
 class Prepared:
-    """The stretches by their stamps and, where both channels have one, by an even clock instead; and what was found."""
+    """The stretches of a log, and what was found of its clocks."""
 
-    by_stamps: tuple[Stretch, ...]
-    by_clock: tuple[Stretch, ...]  # empty where there is none, or it makes no difference
+    stretches: tuple[Stretch, ...]
     working_step: float
     longest_delay: float
     command: Clock
@@ -146,7 +133,7 @@ class Prepared:
     @property
     def seconds(self) -> float:
         """Duration of the output in all stretches, s."""
-        return self.working_step * sum(stretch.blocks for stretch in self.by_stamps)
+        return self.working_step * sum(stretch.blocks for stretch in self.stretches)
 
 
 def prepare(
@@ -181,7 +168,8 @@ def prepare(
                 "looked for (longest_delay_s): no log of so fast a thing, or of another unit of time"
             )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
-    if step is None and clocks[1].lost_fraction > LOSSY_FRACTION:
+    if step is None and clocks[1].lost_fraction > 0.005:
+        # An equation needs all its predecessors, so that two rows of a log with losses are averaged.
         factor = max(factor, 2)
     working = factor * sample
     lead = longest_delay + SETTLE_S
@@ -198,16 +186,11 @@ def prepare(
         )
     if len(spans) > 1:
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
-    even = [_index(channel.times)[1] for channel in (command, output)]
-    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > LEAST_JITTER
+    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > 0.02
     filled = _interpolate_lost(command)
     shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
     cells = sample / shared
-    by_stamps = tuple(_stretch(filled, output, span, lead, cells, sample, factor) for span in spans)
-    by_clock: tuple[Stretch, ...] = ()
-    if uneven and even[0] is not None and even[1] is not None:
-        steady = _interpolate_lost(Channel(even[0], command.values))
-        by_clock = tuple(_stretch(steady, output, span, lead, cells, sample, factor, even[1]) for span in spans)
+    stretches = tuple(_stretch(filled, output, span, lead, cells, sample, factor) for span in spans)
     late = _late(command.times, sample)
     if late:
         notes.append(
@@ -215,7 +198,7 @@ def prepare(
             "commanded oftener, delay and lags are longer by up to that, by half of it in the mean; their bounds "
             "allow for it"
         )
-    return Prepared(by_stamps, by_clock, working, longest_delay, *clocks, late, tuple(notes))
+    return Prepared(stretches, working, longest_delay, *clocks, late, tuple(notes))
 
 
 def clock_of(times: Array) -> Clock:
@@ -259,24 +242,30 @@ def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
     return Channel(times[new], values[new], channel.unit)
 
 
-def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
-    """Return which tick of an even clock each time is nearest to, and the ticks' times, None without such a clock."""
+def _index(
+    times: Array, lost_steps: float = 1.75, most_jitter: float = 0.35, run: int = 4
+) -> tuple[NDArray[np.int64], Array | None]:
+    """Return which tick of an even clock each time is nearest to, and the ticks' times, None without such a clock.
+
+    Rows more than ``lost_steps`` apart have lost some between them; times that scatter by more than ``most_jitter`` of
+    a step have no clock; jitter may bring ``run`` rows behind each other nearer to another tick.
+    """
     from scipy.ndimage import median_filter
 
     step, ticks = float(np.median(np.diff(times))), np.arange(len(times))
     apart = np.diff(times) / step
-    missing = np.concatenate([[0.0], np.cumsum(np.where(apart > _LOST_STEPS, np.rint(apart) - 1.0, 0.0))])
+    missing = np.concatenate([[0.0], np.cumsum(np.where(apart > lost_steps, np.rint(apart) - 1.0, 0.0))])
     index = ticks + missing.astype(np.int64)
     even = times
     for _ in range(5):
         slope, offset = np.polyfit(index, times - times[0], 1)
         even = times[0] + offset + slope * index
         # a sample that jitter brings nearer to another tick stands alone; after a lost one all stand a tick further
-        further = median_filter(np.rint((times - even) / slope), 2 * _JITTER_RUN + 1, mode="nearest")
+        further = median_filter(np.rint((times - even) / slope), 2 * run + 1, mode="nearest")
         if not further.any():
             break
         index = ticks + np.maximum.accumulate(index + further.astype(np.int64) - ticks)
-    return (index, even) if slope > 0.0 and np.std(times - even) < MOST_JITTER * slope else (index, None)
+    return (index, even) if slope > 0.0 and np.std(times - even) < most_jitter * slope else (index, None)
 
 
 def _within(channel: Channel, low: float, high: float) -> Channel:
@@ -305,23 +294,33 @@ def _find_unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -
     return spans
 
 
-def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the parts of the spans in which the command moves, less the edges towards rest."""
+def _find_movement(
+    command: Channel,
+    spans: Sequence[tuple[float, float]],
+    idle_s: float = 0.5,
+    pause_s: float = 2.0,
+    edge_s: float = 1.0,
+) -> list[tuple[float, float]]:
+    """Return the parts of the spans in which the command moves, less the edges towards rest.
+
+    It is looked at in windows of ``idle_s`` and may stand still in flight for ``pause_s``; ``edge_s`` are cut off where
+    it begins or ceases to move, because a vehicle on the ground answers otherwise.
+    """
     size = float(np.std(command.values))
     stretches = []
     if not size > 0.0:
         return []
     for begin, end in spans:
-        edges = np.arange(begin, end, IDLE_S)
+        edges = np.arange(begin, end, idle_s)
         moving = []
         for at in edges:
-            part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
-            moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_FRACTION * size)
-        rows = np.flatnonzero(moving)  # a pause of PAUSE_S at most between movement is none
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) > round(PAUSE_S / IDLE_S) + 1) + 1) if rows.size else ():
+            part = command.values[(command.times >= at) & (command.times < at + idle_s)]
+            moving.append(bool(part.size) and float(np.ptp(part)) > 1e-3 * size)
+        rows = np.flatnonzero(moving)  # a pause of pause_s at most between movement is none
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > round(pause_s / idle_s) + 1) + 1) if rows.size else ():
             first, after = int(run[0]), int(run[-1]) + 1
-            low = edges[first] + (EDGE_S if first > 0 else 0.0)
-            high = min(edges[after - 1] + IDLE_S - EDGE_S, end) if after < len(edges) else end
+            low = edges[first] + (edge_s if first > 0 else 0.0)
+            high = min(edges[after - 1] + idle_s - edge_s, end) if after < len(edges) else end
             stretches.append((float(low), float(high)))
     return stretches
 
@@ -352,15 +351,14 @@ def _stretch(
     cell: float,
     sample: float,
     factor: int,
-    steady: Array | None = None,
 ) -> Stretch:
-    """Cut a stretch out; ``steady`` are the times of the output by an even clock, instead of its stamps."""
+    """Cut a stretch out."""
     begin, end = span
     count = int((end - begin) / cell + 1e-6) + 1
     edges = begin + np.arange(count + 1) * cell
     cell_means = np.diff(_integral(command, np.asarray(edges, np.float64))) / cell
     use = (output.times >= begin + lead) & (output.times <= end)
-    times, values = (output.times if steady is None else steady)[use], output.values[use]
+    times, values = output.times[use], output.values[use]
     index, even = _index(times)
     if even is None:
         index = np.rint((times - times[0]) / sample).astype(np.int64)
@@ -379,15 +377,17 @@ def _span(times: Array) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s"
 
 
-def _late(command: Array, sample: float) -> float:
+def _late(command: Array, sample: float, slow_s: float = 0.011, slow: float = 1.5, steady: float = 0.8) -> float:
     """Return how far the rows of a command are apart [s] that are samples of what was commanded between them; else 0.
 
-    ``command``: times of its rows; ``sample``: of the output, both in s.
+    ``command``: times of its rows; ``sample``: of the output, both in s.  Controllers command oftener than each
+    ``slow_s`` and each ``slow`` samples; a share of ``steady`` of the rows is as far apart as usual, or it is logged
+    when it changes.
     """
     apart = np.diff(command)
     row = float(np.median(apart))
-    is_slow = row > min(SLOW_COMMAND_S, SLOW_COMMAND * sample)
-    return row if is_slow and float(np.mean(np.abs(apart / row - 1.0) < 0.5)) > STEADY else 0.0
+    is_slow = row > min(slow_s, slow * sample)
+    return row if is_slow and float(np.mean(np.abs(apart / row - 1.0) < 0.5)) > steady else 0.0
 
 
 def _why(command: Channel, output: Channel, longest_delay: float) -> str:

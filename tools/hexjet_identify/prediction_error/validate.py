@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -79,8 +78,6 @@ class Validation:
     nrmse: float  # of the simulation, over the output's standard deviation
     theil: float  # U of the simulation: 0 perfect, 1 useless
     ahead: float  # the same as fit, of the change of the output over AHEAD_S
-    autocorrelation: float  # of the simulation's error from one sample to the next but AHEAD_S
-    delay_off: float  # s by which another delay would fit better, the rest of the model kept
     again: Refit | None  # None: nothing is told, for the log does not move enough
     signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
     notes: tuple[str, ...]
@@ -137,8 +134,6 @@ class Validation:
             "theil_u": self.theil,
             "fit_of_changes": self.ahead,
             "changes_over_s": AHEAD_S,
-            "error_autocorrelation": self.autocorrelation if np.isfinite(self.autocorrelation) else None,
-            "better_delay_by_s": self.delay_off,
         }
 
 
@@ -208,9 +203,9 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     of_sums: list[str] = []
     command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
     prepared = prepare(command, output, longest, None, begin, end)
-    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
+    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.stretches]
     signals = []
-    for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
+    for stretch, problem in zip(prepared.stretches, problems, strict=True):
         use = problem.present
         times, answer = stretch.averaged(stretch.times)[use], _simulate(problem, model, model.x)
         signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
@@ -235,8 +230,6 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         rms / size,
         rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
         1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
-        _correlation([o - m for o, m in fits], lag),
-        _better_delay(problems, model, longest),
         _fit_anew(prepared, model, longest),
         tuple(signals),
         (*log.remarks, *of_sums, *prepared.notes),
@@ -245,7 +238,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
 
 def _fit_anew(prepared: Prepared, model: StatedModel, longest: float) -> Refit | None:
     """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell."""
-    problem = Problem(prepared.by_stamps, prepared.working_step, longest)
+    problem = Problem(prepared.stretches, prepared.working_step, longest)
     left = np.where(problem.present, problem.output - _simulate(problem, model, model.x), 0.0)
     order = problem.best_order(left, float(model.x[1:].sum()))
     kept = list(range(len(model.x) - 1))
@@ -272,29 +265,6 @@ def _simulate(problem: Problem, model: StatedModel, x: Array) -> Array:
     return np.asarray(answer + others @ offset)
 
 
-def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
-    """Return by how much, s, the delay must change for the least error of the output's changes between samples."""
-    best = (np.inf, 0.0)
-    step = problems[0].stretches[0].step
-    for delay in np.arange(0.0, longest, step):
-        x = model.x.copy()
-        x[-1] = delay
-        loss = 0.0
-        for problem in problems:
-            error = (problem.output - _simulate(problem, model, x))[problem.present]
-            loss += float(np.sum(np.diff(error) ** 2))
-        best = min(best, (loss, float(delay) - float(model.x[-1])))
-    return best[1]
-
-
-def _correlation(errors: Sequence[Array], lag: int) -> float:
-    long = [error - error.mean() for error in errors if len(error) > 2 * lag]
-    if not long:
-        return float("nan")
-    power = sum(float(e @ e) for e in long)
-    return sum(float(e[lag:] @ e[:-lag]) for e in long) / power if power > 0.0 else 0.0
-
-
 def rows(validation: Validation) -> list[tuple[str, str]]:
     """Return the rows of the table: what was measured, and its value as text."""
     lines = [
@@ -303,9 +273,6 @@ def rows(validation: Validation) -> list[tuple[str, str]]:
         ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
         (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
     ]
-    if np.isfinite(validation.autocorrelation):
-        lines.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
-    lines.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
     if (again := validation.again) is not None:
         lines.append(("gain fitted to this log, times as stated", f"{again.gain:.3g} ±{again.gain_half:.2g}"))
         lines.append(
