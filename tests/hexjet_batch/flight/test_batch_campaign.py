@@ -1,0 +1,100 @@
+"""Campaigns on arrays: their rows are those of JSBSim's flights, however they are cut into chunks, and whoever flies them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from campaign_tools import without_chance
+
+from cosim import InputError
+from cosim.campaign import open_study, run_campaign
+from cosim.campaign.run import extend_campaign
+from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from hexjet_batch.campaign import BatchWorkers
+
+pytestmark = pytest.mark.flight
+
+
+class Here:
+    """Workers in this process; ``loses``: the first flights of chunks that are lost."""
+
+    def __init__(self, *loses: int) -> None:
+        self.loses = loses
+
+    def fly(self, study: Study, asked: Iterable[Flight]) -> Iterator[Row]:
+        for flight in asked:
+            is_lost = study.batch and flight.number in self.loses
+            yield failed_row(study, flight, "the process was lost") if is_lost else fly_one(study, flight)
+
+
+def study(**options: Any) -> Study:
+    """Three draws of a hover, each with and without a predictor."""
+    given = {"vary": ["vehicle.mass_kg=5.4:5.8"], "runs": 3, "controllers": ["smith", "baseline"], "batch": True}
+    return open_study("hover", **({"settings": ["duration_s=0.2"]} | given | options))
+
+
+def rows(flown: Study, together: int | None = None, *loses: int) -> dict[int, Row]:
+    found = BatchWorkers(Here(*loses), together).fly(flown, flights(flown))  # type: ignore[arg-type]
+    return {int(row["flight"] or 0): without_chance(row) for row in found}
+
+
+def test_rows_are_those_of_jsbsim_and_of_any_chunk() -> None:
+    """JSBSim runs four times a step: metrics are the same to a thousandth, or 1e-5 of their unit."""
+    flown = study()
+    found, again = rows(flown), rows(flown, 1)
+    for number, flight in enumerate(flights(flown)):
+        own = without_chance(fly_one(flown.changed(batch=False), flight))
+        assert found[number]["by"] == "batch"
+        assert {name for name in own if (own[name] is None) != (found[number][name] is None)} == {"log_sha256"}
+        for name, value in own.items():
+            if isinstance(value, float):
+                assert found[number][name] == pytest.approx(value, rel=1e-3, abs=1e-5), name
+                assert again[number][name] == pytest.approx(found[number][name], rel=1e-9, abs=1e-12), name
+            elif name in ("outcome", "success", "reason", "beyond", "decided_by", "steps", "controller", "seed"):
+                assert found[number][name] == again[number][name] == value, name
+
+
+def test_what_a_batch_does_not_fly_is_flown_by_jsbsim() -> None:
+    """A chunk that is lost, and a flight near the ground; a draw that nothing flies says so, and fails as ever."""
+    first = {number: row["by"] for number, row in rows(study(), 2, 0).items()}
+    assert first == {0: "jsbsim", 2: "jsbsim", 4: "batch", 1: "batch", 3: "batch", 5: "batch"}
+    low = study(vary=["initial.altitude_m=0.6,10,10.5"], runs=None, controllers=["smith"])
+    assert [row["by"] for _, row in sorted(rows(low).items())] == ["jsbsim", "batch", "batch"]
+    heavy = study(vary=["vehicle.mass_kg=5.4,50"], runs=None, controllers=["smith"])
+    light, lost = (row for _, row in sorted(rows(heavy).items()))
+    assert (light["outcome"], lost["outcome"]) == ("completed", "failed")
+    assert "would hover at" in str(lost["reason"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"settings": ["environment.turbulence_severity=3"]}, "turbulence"),
+        ({"settings": ["require=[{name='t', formula='always(thrust_1_N < 99)'}]"]}, "does not record thrust_1_N"),
+    ],
+)
+def test_a_study_that_is_not_covered_is_refused_by_name(tmp_path: Path, changes: Any, named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        run_campaign(study(**changes), tmp_path / "c", Here())  # type: ignore[arg-type]
+    assert not (tmp_path / "c").exists()
+
+
+def test_batches_of_nothing_are_refused() -> None:
+    with pytest.raises(InputError, match="together = 0: at least 1 flight"):
+        BatchWorkers(Here(), 0)  # type: ignore[arg-type]
+
+
+@pytest.mark.process
+def test_processes_resume_and_the_folder_says_how_it_flies(tmp_path: Path) -> None:
+    """Two processes of this machine; what goes on with the folder flies on arrays too, and asks JSBSim again."""
+    first = run_campaign(study(design="random"), tmp_path / "c", 2)
+    assert first.referee["flights"] == len(first) == 6
+    extend_campaign(tmp_path / "c", runs=4)
+    longer = run_campaign(None, tmp_path / "c", 1, resume=True)
+    assert longer.columns["by"] == ["batch"] * 8
+    assert longer.referee["flights"] == 8
