@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from cosim import InputError, Scenario, fly
-from hexjet_batch import fly_batch
+from hexjet_batch import REFUSED, fly_batch
 from hexjet_batch.check import check
 
 # of attitude [rad], rates [rad/s] and place [m]
@@ -64,6 +65,13 @@ def test_flights_are_the_same_alone_and_together() -> None:
 def test_what_is_not_covered_is_refused_by_name(name: str, said: str) -> None:
     with pytest.raises(InputError, match=f"{said}.*; fly it without batch"):
         list(fly_batch([Scenario.load(name)]))
+
+
+def test_the_page_lists_what_is_refused() -> None:
+    page = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
+    assert page.partition("<!-- refused -->\n")[2].partition("<!-- end -->")[0].splitlines() == [
+        f"- {what}" for what in REFUSED
+    ]
 
 
 def test_a_check_says_what_is_within_and_what_is_not(tmp_path: Path) -> None:
