@@ -19,6 +19,7 @@ from cosim.base.errors import FlightError
 from cosim.base.storage.files import write_whole
 from cosim.spec.controller_name import short_name
 from cosim.studies import REFEREE, Campaign, Row, Workers, flight_of, metric, metric_names, open_campaign, proportion
+from hexjet_batch.check import DIGITS
 
 # Chosen by us: an honest batch stays within 0.5 % in half of the flights and within 2 % in nine of ten of them.
 HALF_WITHIN, MOST_WITHIN = 0.005, 0.02
@@ -103,7 +104,10 @@ def compare(campaign: Campaign, rows: Mapping[int, Row], again: Mapping[int, Row
 
 
 def _compare_metric(name: str, rows: Mapping[int, Row], again: Mapping[int, Row]) -> Off | None:
-    """Return how far a metric is off; what one has and the other has not is off by its whole size."""
+    """Return how far a metric is off; what one has and the other has not is off by its whole size.
+
+    A tenth of the last digit that a page prints is nothing.
+    """
     pairs = [(number, rows[number][name], again[number][name]) for number in rows]
     kept = [(number, here, there) for number, here, there in pairs if here is not None or there is not None]
     if not kept:
@@ -111,7 +115,8 @@ def _compare_metric(name: str, rows: Mapping[int, Row], again: Mapping[int, Row]
     here, there = (np.array([np.nan if pair[i] is None else pair[i] for pair in kept], dtype=float) for i in (1, 2))
     size = np.fmax(np.fmax(np.abs(here), np.abs(there)), np.nanmedian(np.abs(np.append(here, there))))
     apart = np.where(np.isfinite(here - there), np.abs(here - there), size)
-    shares = apart / np.maximum(size, 1e-12)
+    least = 0.1 * 10.0 ** -DIGITS.get(name, 2) / metric(name).factor
+    shares = np.where(apart > least, apart / np.maximum(size, 1e-12), 0.0)
     worst = int(np.argmax(apart))
     half, most = (float(value) for value in np.quantile(shares, [0.5, 0.9], method="higher"))
     return Off(name, float(apart[worst]), kept[worst][0], half, most)

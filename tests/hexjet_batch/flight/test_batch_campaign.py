@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from math import radians
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from campaign_tools import without_chance
 
 from cosim import InputError
 from cosim.campaign import open_study, run_campaign
+from cosim.campaign.analysis.statistics import proportion
 from cosim.campaign.run import extend_campaign
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
@@ -94,7 +96,19 @@ def test_processes_resume_and_the_folder_says_how_it_flies(tmp_path: Path) -> No
     """Two processes of this machine; what goes on with the folder flies on arrays too, and asks JSBSim again."""
     first = run_campaign(study(design="random"), tmp_path / "c", 2)
     assert first.referee["flights"] == len(first) == 6
+    assert first.referee["confirmed"]  # of micrometres that differ nothing is said
     extend_campaign(tmp_path / "c", runs=4)
     longer = run_campaign(None, tmp_path / "c", 1, resume=True)
     assert longer.columns["by"] == ["batch"] * 8
     assert longer.referee["flights"] == 8
+
+
+def test_a_known_truth_is_counted() -> None:
+    """A start that leans by N(0, 1) deg is off by its size: 4.55 % beyond 2 deg.  Clopper and Pearson's interval holds."""
+    leans = study(
+        vary=["initial.attitude_deg.0=normal(0,1)"], runs=300, design="random", controllers=["smith"],
+        settings=["duration_s=0.1"], success=[f"roll.max_abs_error_rad<={radians(2.0)}"],
+    )  # fmt: skip
+    found = rows(leans)
+    low, high = proportion(sum(not row["success"] for row in found.values()), len(found)).exact
+    assert low < 0.0455 < high
