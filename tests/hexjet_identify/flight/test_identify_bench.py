@@ -1,4 +1,4 @@
-"""An engine out of its bench logs: the truth where it is known, and words where a log does not tell (docs/bench.md)."""
+"""An engine out of its bench logs: the truth where it is known, and words where a log does not tell."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ from hexjet_identify.bench.engine_table import engine_parameters, why_no_engine
 from hexjet_identify.bench.identify import throttle_limits
 from hexjet_identify.fit.forms import Limits
 
-DOCUMENT = " ".join((Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8").split())
+DOCUMENT = " ".join((Path(__file__).parents[3] / "docs" / "identification.md").read_text(encoding="utf-8").split())
 SHARED_DATA = Path(__file__).parents[4] / "shared" / "data"
 RECORDINGS, STANDS = SHARED_DATA / "jetcat-p300" / "recordings", SHARED_DATA / "thrust-stands" / "make.py"
 ONE = Truth()

@@ -1,4 +1,4 @@
-"""A recorded flight flown again: what flew explains it, and what is wrong with another is named (docs/replay.md)."""
+"""A recorded flight flown again: what flew explains it, and what is wrong with another is named."""
 
 import json
 import struct

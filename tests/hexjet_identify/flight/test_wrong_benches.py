@@ -1,4 +1,4 @@
-"""Bench logs with something wrong in them: told in a line, or read as they are meant (docs/bench.md)."""
+"""Bench logs with something wrong in them: told in a line, or read as they are meant."""
 
 from pathlib import Path
 
