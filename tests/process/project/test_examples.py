@@ -19,6 +19,8 @@ SAYS = {
     "own_engine": r"Mine\.fmu: 25\.00 N at throttle 1\nsix of it: completed.*\none of it at station 3: completed",
     "own_controller": r"Ahead +completed.*\nAhead, half believed +completed.*\nsmith +completed.*\nbaseline",
     "campaign": r"smith +\d of 6 succeed: .*\nbaseline +\d of 6 succeed: .*\nflight \d+ with \w+: .*\nmass factor .*\nthe same log again, bit for bit: True",
+    "gains_by_gradient": r"cost 0\.0\d+ with .* own gains, 0\.0\d+ after 20 gradients\nby gradient: .*\nthe vehicle's own",
+    "failure_by_gradient": r"by gradient: \d\.\d\d standard deviations, \d flights, .*\nby search: smith: the most likely failure found is \d",
     "c_export": r"350 steps of the flight: the same bits\nvoid ours_reset\(.*\nvoid ours_step\(",
 }
 
@@ -33,6 +35,8 @@ def test_an_example(
 ) -> None:
     if name == "c_export" and measure.find_compiler() is None:
         pytest.skip("no C compiler")
+    if name.endswith("by_gradient"):
+        pytest.importorskip("jax", reason="the extra jax is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)  # an FMU that is Python finds what others called so
     runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
