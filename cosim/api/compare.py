@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 PAGE = "comparison.html"
 LETTERS = "ABCDEFGH"  # one per distinguishable colour
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
-MAX_INPUTS = 12  # lines on inputs of a pair; the page has all
-EARLIEST = 5  # number of further signals shown: the first that differ
+MAX_INPUTS = 12  # lines of a pair; the page has all
+EARLIEST = 5  # further signals shown, first that differ
 
 
 class CompareResult(Result):

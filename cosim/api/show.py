@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
-_MEANINGS = {  # of the first part of a key in the file of a scenario or a study
+# These say what a key of a scenario or a study means, by its first part.
+_MEANINGS = {
     "duration_s": "planned length of the flight",
     "step_s": "control step",
     "seed": "of all random numbers",
@@ -48,7 +49,8 @@ _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "settings": "written over the scenario's",
     "success": "what counts as one",
 }
-_MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
+# These say what a requirement in the file of a design means, by the last part of its key.
+_MEANINGS_OF_MARGINS = {
     "peak_sensitivity": "largest |S|",
     "gain_margin_db": "of more gain",
     "gain_margin_down_db": "of less gain",
@@ -57,7 +59,6 @@ _MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
     "overshoot": "share of a step",
     "settling_s": "of a step, within 5 %",
 }
-_NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
 _FILES = (
     "the folder of a run, a design or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
 )
@@ -408,7 +409,8 @@ def _engine(name: str) -> Iterator[Number]:
     definition, spec = _library_engine(name)
     throttle = spec.curve.throttle
     yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
-    idle = spec.curve.thrust[0] if spec.curve.thrust[0] > _NO_THRUST * spec.curve.thrust[-1] else 0.0
+    # So little of the full thrust is what is left when the lag of an engine without idling has run down.
+    idle = spec.curve.thrust[0] if spec.curve.thrust[0] > 1e-9 * spec.curve.thrust[-1] else 0.0
     yield Number("idle thrust", idle, "N", f"at rest, at throttle {throttle[0]:g}")
     yield Number("internal step", definition.internal_step, "s", "control steps are whole multiples of it")
     if spec.delay_samples is not None:

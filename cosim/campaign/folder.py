@@ -37,7 +37,8 @@ FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.h
 REFEREE = "referee.json"  # what JSBSim says of flights on arrays
 # What the first flight was asked for: study and scenario once more, hashes of their files, and what was installed.
 RECORD = "asked.toml"
-PLAN, COMMAND = "plan", "command"  # its table of what a command asks beside the study, and the command's name there
+# The table of what a command asks beside the study, and the key of the command's name in it.
+PLAN, COMMAND = "plan", "command"
 SWEEP = "hexjet sweep"
 # Keys of study and scenario that no row depends on: what they are called, and where values are from.
 WORDS = ("title", "description", "changed")

@@ -15,7 +15,7 @@ from cosim.base.plugins.entry_points import GROUP, HOOKS
 from cosim.base.storage.paths import data_folder
 from cosim.results.summary import versions
 
-PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # packages that determine a flight's numbers
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # determine a flight's numbers
 KINDS = ("*.py", "*.c", "*.h", "*.toml", "*.xml")
 FILES = "files of aircraft, engines and program"  # compared by their contents
 

@@ -30,7 +30,8 @@ from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names
 
-Progress = Callable[[Tally, int, int], None]  # called with the tally, the finished flights and the total, 0: not known
+# Called with the tally, the finished flights and the total (0: unknown).
+Progress = Callable[[Tally, int, int], None]
 R = TypeVar("R")
 # It yields the different flights that it asks for next, and is sent their rows in that order, as far as they were
 # flown; an iterator, which is read while they are flown and need not be read to its end.  It returns what it found.
@@ -109,7 +110,8 @@ def run_sampler(
                     batch.judge(folder, flying)
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
-            except KeyboardInterrupt:  # it may have come after a flight was stored and before it was reported
+            except KeyboardInterrupt:
+                # The interruption may have come after a flight was stored and before it was reported.
                 tell()
                 raise
     return open_campaign(folder), result
@@ -134,7 +136,7 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
 
     The rows of a study that may stop are stored in order, so that there are none beyond that.
     """
-    keys: dict[int, str] = {}  # of the flights under way, by their numbers
+    keys: dict[int, str] = {}  # of the flights under way, by number
     to_fly, to_tell = tee((flight, store.key(flight)) for flight in asked)
 
     def missing() -> Iterator[Flight]:
@@ -273,7 +275,7 @@ class RepeatedFlight:
     number: int
     run: Run
     otherwise: list[str]
-    comparable: bool  # False: nothing is recorded of the first time but why it failed
+    comparable: bool  # False: only why it failed is recorded
     sameness: str = "the same, bit for bit"
 
     @property

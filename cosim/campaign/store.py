@@ -52,8 +52,8 @@ from cosim.results.log.arrow import read_table, write_table
 from cosim.results.log.tables import NamedColumns
 
 PART_ROWS = 4096  # 2 MB
-WRITE_S = 15.0  # s between replacements of the last part, each of which takes 50 ms
-SYNC_S = 1.0  # s between syncs of the journal to disk: what a power cut may cost
+WRITE_S = 15.0  # s; replacing the last part takes 50 ms
+SYNC_S = 1.0  # s of flights that a power cut may cost
 _PARTS = "part-*.parquet"
 _TALLIED = ("flight", "controller", "success", "outcome")
 _NOTHING: Row = {}  # shared: there may be millions
@@ -114,7 +114,8 @@ class Store:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")
         with map_os_errors(InputError, folder):
             folder.mkdir(parents=True, exist_ok=True)
-            journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)  # first: an empty one tells that it hardly began
+            # The journal comes first: where it is empty, the campaign hardly began.
+            journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)
         try:
             return cls._begin_with(folder, journal, frozen, kept)
         except InputError:
@@ -212,7 +213,8 @@ class Store:
         if len(self._rows) > self._written:
             path = self.folder / FLIGHTS / f"part-{self._part:05d}.parquet"
             write_table(path, {name: [row.get(name) for row in self._rows] for name in self._kinds}, kinds=self._kinds)
-            _sync_folder(path.parent)  # a power cut must not bring back the part before, now that the journal goes
+            # A power cut must not bring back the part before, now that the journal goes.
+            _sync_folder(path.parent)
             self._written = len(self._rows)
         os.ftruncate(self._journal.number, 0)
         if self._written >= PART_ROWS:
@@ -237,7 +239,8 @@ class Store:
         if kind is None or not issubclass(kind, FlightError):
             self.close()
             return
-        with suppress(FlightError):  # the disk is full, say; that is being told already
+        # The error under way, such as a full disk, is reported already.
+        with suppress(FlightError):
             self.close()
 
     def _take_up(self) -> None:

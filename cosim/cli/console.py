@@ -17,7 +17,7 @@ from cosim.base.wording import printable, printable_line
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-_PIPE_WIDTH = 120  # in a pipe there is no width to fit, unless COLUMNS states one
+_PIPE_WIDTH = 120  # where COLUMNS states none
 _NARROWEST = 20
 _bars: list[Bar] = []  # on the terminal now
 
@@ -122,7 +122,7 @@ class TerminalProgress(Progress):
         return bar
 
 
-REPORTED = "told"  # note of an interruption: the command has reported what is kept
+REPORTED = "told"  # note of an interruption
 
 
 def show_result(result: Result) -> None:

@@ -41,7 +41,7 @@ _FILES = frozenset((
     ".bin", ".c", ".csv", ".fmu", ".h", ".htm", ".html", ".jpg", ".json", ".jsonl", ".log", ".mat", ".mcap", ".md",
     ".parquet", ".pdf", ".png", ".py", ".ssp", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
 ))  # fmt: skip
-_JSON, _TRUST = "as_json", "trust"  # options that a command adds to those of its function
+_JSON, _TRUST = "as_json", "trust"  # options that every command may add
 _HELP = ("-h", "--help")
 
 
@@ -61,10 +61,10 @@ class Option:
     """An option or an argument of a command, for one argument of its function."""
 
     argument: str
-    names: tuple[str, ...]  # none: it is an argument of the command too
+    names: tuple[str, ...]  # none: it is an argument there too
     kind: Any  # of the value, or of each of several
     several: bool
-    pairs: tuple[type, type] | None  # types of name and value where the function takes a mapping
+    pairs: tuple[type, type] | None  # of name and value, if it is a mapping
     metavar: str
     text: str
     default: Any

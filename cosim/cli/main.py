@@ -46,7 +46,8 @@ class Terminated(KeyboardInterrupt):
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
-    for stream in (sys.stdout, sys.stderr):  # a character that the terminal lacks must not fail a command
+    # A character that the terminal lacks must not fail a command.
+    for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     warnings.showwarning = _show_notices(warnings.showwarning)
@@ -177,7 +178,8 @@ def treat_sigterm_as_interrupt() -> Iterator[None]:
         raise Terminated
 
     handlers = {}
-    if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
+    # Only the main thread may set signal handlers.
+    if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
             if signal.getsignal(number) is not signal.SIG_IGN:
                 handlers[number] = signal.signal(number, end)

@@ -13,7 +13,8 @@ from typing import Any
 from cosim.base.errors import OUTPUT
 from cosim.base.runtime.kernels import set_for_command
 
-COLLECTION = 200_000, 20, 100  # gc's thresholds: what a command imports is a hundred thousand objects that stay
+# Thresholds of gc: the hundred thousand objects that a command imports stay.
+COLLECTION = 200_000, 20, 100
 
 
 def main() -> None:

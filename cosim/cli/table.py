@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from cosim.cli.declare import Command
 
-ADDED = "hexjet.commands"  # entry points: NAME adds hexjet NAME, and GROUP.NAME adds hexjet GROUP NAME
+# The entry point NAME adds hexjet NAME, and GROUP.NAME adds hexjet GROUP NAME.
+ADDED = "hexjet.commands"
 GROUPS = {
     "Fly": {
         "fly": "fly a scenario and leave a run's folder",
@@ -116,7 +117,8 @@ def find(words: list[str]) -> tuple[str, list[str]]:
         if (removed := describe_removed(f"hexjet {' '.join(words[:2])}")) is not None:
             raise InputError(f"{words[1]}: {removed}")
         inner = [name.partition(" ")[2] for name in list_names(first)]
-        if not inner:  # loading one of them says which package is missing
+        if not inner:
+            # Loading one of them says which package is missing.
             return next(name for name in added() if name.startswith(f"{first} ")), words[1:]
         raise InputError(f"No such command {words[1]!r}; {nearest(words[1], inner)} (hexjet {first} --help)")
     names = {name.partition(" ")[0] for name in list_names()}
@@ -134,7 +136,8 @@ def load(name: str) -> Command:
         raise InputError(f"{name}: {' and '.join(packages)} both add it; uninstall all but one")
     try:
         loaded: Any = entry.load()
-    except Exception as error:  # whatever the module of somebody else does
+    except Exception as error:
+        # The module of somebody else may raise anything.
         if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
             reason = f"needs {error.name!r}, which is not installed; the sources of {packages[0]} have it"
             raise InputError(f"{name}: {reason}") from None

@@ -13,7 +13,8 @@ from cosim.base.storage.files import check_results_folder, map_os_errors, write_
 if TYPE_CHECKING:
     from cosim.results.report.cards import Page
 
-RECORD = "identification.json"  # every identification leaves it: a folder without it is somebody else's
+# Every identification leaves this file: a folder without it is somebody else's.
+RECORD = "identification.json"
 PICTURE = "measured.svg"
 ENGINE = ("engine.toml", "engine.fmu", "README.md", PICTURE)
 FILES = ("report.html", "response.csv", "model.toml", *ENGINE)

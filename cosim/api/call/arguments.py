@@ -43,7 +43,8 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """
 
     def with_checks(call: Callable[P, R]) -> Callable[P, R]:
-        adapters: dict[str, Any] = {}  # made at the first call: importing it costs nothing
+        # Adapters are made at the first call, so that importing the module stays quick.
+        adapters: dict[str, Any] = {}
 
         @functools.wraps(call)
         def with_check(*arguments: P.args, **named: P.kwargs) -> R:

@@ -14,7 +14,8 @@ from cosim.base.trust import trust_named_code
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
-Note = Callable[[str], None]  # is told in a line what is taken otherwise than it was asked for
+# Receives one line for each thing that is done otherwise than asked for.
+Note = Callable[[str], None]
 
 
 def choose(
@@ -89,7 +90,8 @@ def load_scenario(
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
     scenario = scenario.replace(**changes) if changes else scenario
-    scenario.resolved_vehicle()  # a wrong key is told before anything is built
+    # Raises on a wrong key before anything is built.
+    scenario.resolved_vehicle()
     return scenario
 
 

@@ -24,7 +24,7 @@ class ClaimResult(NamedTuple):
 
     claim: Claim
     text: str
-    is_finished: bool  # False: flights are missing, and nothing can be said of it yet
+    is_finished: bool  # False: flights are missing
     verdicts: dict[str, Verdict]
 
     def to_dict(self) -> dict[str, Any]:

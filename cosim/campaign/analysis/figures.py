@@ -23,7 +23,7 @@ Figure = dict[str, Any]
 
 KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))
 CURVE_POINTS = 160
-CURVES = 12  # keys with a curve of their own, and bars: the most influential
+CURVES = 12  # most influential keys that get a curve
 
 
 def campaign_figures(

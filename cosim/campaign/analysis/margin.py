@@ -13,9 +13,10 @@ from cosim.campaign.workers.flight_row import LIMITS_MARGIN, MARGIN_OF, Row, stu
 from cosim.results.requirements import LOST, UNKNOWN, Lost, range_requirements
 from cosim.spec.scenario import Range
 
-MARGIN = "margin"  # the column of a row that states its margin
+MARGIN = "margin"  # a row's column that states it
 OWN_LIMITS = "the flight's own limits"
-SMALLEST = 1e-9  # size of the margin of a failure of which no more is known, chosen by us
+# A flight that failed has a margin below zero by at least this, whatever else is known of it.
+SMALLEST = 1e-9
 
 
 def row_margin(row: Row, study: Study) -> float:

@@ -22,10 +22,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_classes
 
-FEWEST = 30  # flights; with fewer, chance alone looks like an effect of a quarter
+# With fewer flights, chance alone looks like an effect of a quarter.
+FEWEST = 30
 SHUFFLES = 200
-SEED = 1  # of the shuffles
-LEVEL = 0.95  # quantile of the largest index that chance gives to any key
+SEED = 1
+LEVEL = 0.95  # quantile of chance's largest index
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,12 @@ class KeyEffect:
     """The effect of one key on one result."""
 
     key: str
-    index: float  # first order, corrected for chance; may come out a little below 0
+    index: float  # first order, corrected for chance
     interval: Interval
-    real: bool  # whether the index exceeds the noise floor
+    real: bool  # exceeds the noise floor
     rank: float | None  # Spearman's; None for choices
     rank_interval: Interval | None
-    partial: float | None  # rank correlation with the ranks of the other numbers held; None for choices
+    partial: float | None  # other ranks held; None for choices
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Ranking:
     """The keys in the order of their first-order indices."""
 
     flights: int
-    floor: float  # largest index of all keys by chance alone, in 19 of 20 cases
+    floor: float  # largest index by chance, in 19 of 20
     effects: list[KeyEffect]
 
     @property

@@ -18,12 +18,14 @@ from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
-FLIGHTS_PER_CELL = 15  # flights in a cell of draws, were they spread evenly
-MIN_PER_CELL = 5  # flights, before a cell's share is shown: with fewer the interval is wider than 60 points
+FLIGHTS_PER_CELL = 15  # mean of the cells of random draws
+# With fewer flights in a cell, the interval of its share is wider than 60 points.
+MIN_PER_CELL = 5
 MAP_KEYS = 6
 MAP_METRICS = 6
-MAP_CELLS = 6000  # most cells over all pairs of keys, for one controller: what a page can hold
-MAX_POINTS = 400  # most successes and most other flights shown for one controller
+# A page can hold this many cells over all pairs of keys, for one controller.
+MAP_CELLS = 6000
+MAX_POINTS = 400  # successes, and as many other flights
 SEED = 1  # seed of the sample of single flights
 
 

@@ -29,7 +29,7 @@ class Proportion(NamedTuple):
     hits: int
     of: int
     wilson: Interval  # holds 95 % on average over probabilities
-    exact: Interval  # Clopper and Pearson's: holds at least 95 % at every probability, hence wider
+    exact: Interval  # Clopper and Pearson's, at least 95 %
 
     @property
     def value(self) -> float | None:
@@ -147,10 +147,10 @@ def holm(values: Sequence[float]) -> list[float]:
 class MedianDifference(NamedTuple):
     """The difference of a metric of the same draws between two controllers, second less first."""
 
-    draws: int  # draws with the metric under both controllers
+    draws: int  # with the metric under both controllers
     median: float
-    interval: Interval | None  # None for fewer draws than an interval of 95 % needs, six
-    p: float  # Wilcoxon's signed-rank test of differences that lie evenly about 0
+    interval: Interval | None  # None: fewer than six draws
+    p: float  # Wilcoxon's signed-rank test
 
 
 def median_difference(differences: Array) -> MedianDifference | None:

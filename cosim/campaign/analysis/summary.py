@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 SUCCESS = "success"
-_PAIRS = 3  # most pairs of controllers that a terminal shows
+_PAIRS = 3  # pairs of controllers on a terminal
 NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 BRACKETS = re.compile(r"\s*\([^()]*\)")
 
@@ -48,10 +48,10 @@ class Comparison(NamedTuple):
     first: int
     second: int
     pairs: Pairs
-    interval: Interval | None  # interval of the difference of success, second less first
+    interval: Interval | None  # of the difference, second less first
     p: float  # McNemar's
     p_holm: float  # corrected for the number of comparisons
-    metrics: dict[str, MedianDifference]  # second less first, over draws that both completed; as far as both have them
+    metrics: dict[str, MedianDifference]  # second less first, if both completed
     completed: int  # draws that both completed
 
 
@@ -59,8 +59,8 @@ class Spread(NamedTuple):
     """One metric of one controller, over the flights that completed and have it (SI)."""
 
     flights: int
-    none: int  # completed without having it: never settled, say
-    of: int  # flights in all, lost ones too: the rest of them is in no figure here
+    none: int  # completed without it: never settled, say
+    of: int  # all flights, lost ones too
     low: float  # 5 % of the flights lie below
     median: float
     high: float  # 5 % lie above

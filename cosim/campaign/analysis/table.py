@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 # What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
-MAX_METRICS = 8  # most metrics in the report; the data set has all
+MAX_METRICS = 8  # in the report; the data set has all
 OF_AXES = (
     "overshoot_percent",
     "rmse_rad",
@@ -53,7 +53,7 @@ class KeyColumn(NamedTuple):
     """One varied key with its value on every row: a number, or the index of a choice in ``levels``."""
 
     path: str
-    label: str  # short enough for an axis, and no other key's
+    label: str  # short enough for an axis, and unique
     unit: str
     numbers: Array
     levels: list[str]  # names of the choices; empty for a number
@@ -73,16 +73,16 @@ class FlightTable(NamedTuple):
     controller: Counts  # place in ``controllers``
     kind: Counts  # place in KINDS
     reason: list[str]
-    beyond: list[list[str]]  # the metrics that are beyond the flight's own limits
+    beyond: list[list[str]]  # metrics beyond the flight's own limits
     duration: Array  # s flown
     keys: list[KeyColumn]
     metrics: list[Metric]  # the telling ones, first the study's own
-    values: dict[str, Array]  # metrics by name, SI; NaN where a flight did not complete or has none
+    values: dict[str, Array]  # by name, SI; NaN where there is none
     controllers: list[str]
-    grid: bool  # every combination of levels, rather than draws
+    grid: bool  # all combinations of levels, not draws
     # By how much the referee widens the interval of each controller.
     rates: Mapping[str, Interval] | None = None
-    broken: Sequence[Sequence[str]] = ()  # the requirements that each flight does not keep; empty where there are none
+    broken: Sequence[Sequence[str]] = ()  # requirements that each flight breaks
 
     @property
     def success(self) -> Mask:
@@ -166,7 +166,8 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
     varied = [name for name in campaign.study.drawn if name in campaign.columns]
     varied = [name for name in varied if not (name.startswith(FLOWN_STATIONS) and name.endswith(tuple(common)))]
     by_key = {vary.key: vary for vary in campaign.study.vary}
-    if campaign.study.design == "grid":  # what is drawn for its points is no side of it
+    if campaign.study.design == "grid":
+        # A key that is drawn for each point of a grid is none of its axes.
         varied = [name for name in varied if name in by_key]
     columns = []
     for name, label in zip(varied, short_names(varied), strict=True):

@@ -16,7 +16,7 @@ from cosim.base.storage.toml import Model, Positive, Scalar, parse_value, valida
 
 T = TypeVar("T")
 FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")
-UNCERTAIN = "engine"  # the one key that may be drawn by the uncertainty that its file states
+UNCERTAIN = "engine"  # may be drawn by its file's uncertainty
 CASE = "case"  # the key of a study's named cases
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
 USAGE = (
@@ -107,7 +107,7 @@ class Vary(Model):
     normal: Normal | None = None
     lognormal: LogNormal | None = None
     triangular: Triangular | None = None
-    uncertainty: Literal[True] | None = None  # engine: its parameters, as its mapping file says how well they are known
+    uncertainty: Literal[True] | None = None  # engine: by its file's uncertainty
     relative: Literal["", "factor", "offset"] = ""
 
     @model_validator(mode="after")

@@ -27,8 +27,9 @@ from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
-BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
-POINTS, SEEDS = 0, 1  # indices of the random streams of a study's seed
+# Draws are made in blocks of a power of two, which Sobol's sequence needs.
+BLOCK = 1024
+POINTS, SEEDS = 0, 1  # indices of a seed's random streams
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class LazySequence(Sequence[T]):
     def __getitem__(self, index: slice) -> list[T]: ...
 
     def __getitem__(self, index: int | slice) -> T | list[T]:
-        numbers = range(len(self))[index]  # IndexError past the end, which iteration needs
+        # An index past the end raises IndexError, which ends an iteration.
+        numbers = range(len(self))[index]
         return self._make(numbers) if isinstance(numbers, int) else [self._make(number) for number in numbers]
 
     def _make(self, number: int) -> T:
@@ -166,8 +168,10 @@ class Sobol:
         if first > self._next:
             self._engine.fast_forward(first - self._next)
         self._next = first + BLOCK
-        points: Array = self._engine.random(BLOCK)[: end - first]  # scipy warns of a first block of another length
-        return self._correlate(points + 2.0**-31)  # the middle of the point's cell: 30 bits, 0 among them
+        # The first block is whole, because scipy warns of another length.
+        points: Array = self._engine.random(BLOCK)[: end - first]
+        # Points have 30 bits and 0 is one of them: take the middle of the cell.
+        return self._correlate(points + 2.0**-31)
 
     def _begin(self) -> tuple[Any, int]:
         from scipy.stats import qmc
@@ -295,7 +299,8 @@ def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
         numbers = bend(quantiles) * scale + shift
         if stepped:
             return [key.fit(value) for value in round_to_steps(numbers.tolist(), vary, key)]
-        return list(np.clip(numbers, low, high).tolist())  # rounding may have left the bounds by a bit
+        # Rounding may have left the bounds by a bit.
+        return list(np.clip(numbers, low, high).tolist())
 
     return values
 

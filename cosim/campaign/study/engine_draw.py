@@ -25,7 +25,8 @@ from cosim.spec.scenario import Scenario
 
 ENGINE = "engine"  # the key that is varied so
 DRAWN_BY = "by the engine's [uncertainty]"
-SMALLEST = 2.0**-54  # a point at 0 would be minus infinity under a normal distribution
+# A quantile of 0 would be minus infinity under a normal distribution.
+SMALLEST = 2.0**-54
 HOW = (
     "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary single "
     "parameters, vary mismatch.engine_parameters.NAME=LO:HI"

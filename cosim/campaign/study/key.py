@@ -30,14 +30,14 @@ class Key:
 
     path: str
     kind: Kind
-    nominal: Value | None  # value in the scenario; None where it has none
-    unit: str = ""  # unit by the suffix of the name; empty without one
+    nominal: Value | None  # in the scenario; None where it has none
+    unit: str = ""  # by the suffix of the name
     low: float = -inf
     high: float = inf
     open_low: bool = False  # ``low`` itself is not allowed
     open_high: bool = False
     choices: tuple[Value, ...] = ()
-    grid: float | None = None  # s: only whole multiples of it, because it is counted in control steps
+    grid: float | None = None  # s: control step; only its multiples
 
     @property
     def allowed(self) -> str:

@@ -37,7 +37,7 @@ from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
-WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries that are counted in control steps
+WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries counted in steps
 LISTS = ("command", "disturbance", "fault")
 NOT_VARIED = (
     "controller_sha256",

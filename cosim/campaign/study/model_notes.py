@@ -14,7 +14,7 @@ from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
 from cosim.spec.scenario import Scenario, flown_parameters
 
-MAX_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
+MAX_DRAWN = 1000  # flights compared for ends of what varies
 # prefixes of keys that change neither model nor stated vehicle
 UNSEEN = ("mismatch.", "command.", "controller_parameters.")
 

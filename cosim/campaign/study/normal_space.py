@@ -25,8 +25,10 @@ from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.study import Study
 
-FURTHEST = 8.0  # a coordinate beyond it maps to the value at it: 1 - 6e-16 is the last quantile below 1
-SEED_BITS = 53  # every reader of the results takes a whole number of so many without loss
+# A coordinate beyond this maps to the value at it: 1 - 6e-16 is the last quantile below 1.
+FURTHEST = 8.0
+# Every reader of the results takes a whole number of this many bits without loss.
+SEED_BITS = 53
 
 
 class NormalSpace:

@@ -30,10 +30,9 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 
 Decision = Literal["shown", "refuted", "open"]
-TIMES_FEWEST = 10  # flights of a study that states no number, by the fewest that can show its claim
-MAX_TESTED = 1_000_000  # flights: summing over all courses takes seconds then
-_EVEN = 0.5  # probability that a draw which two controllers fly differently goes to the first, where they are alike
-_SPAN = 1e-12  # smallest and, from 1, largest probability that an interval is looked for between
+# A study that states no number has this many times the fewest flights that can show its claim.
+TIMES_FEWEST = 10
+MAX_TESTED = 1_000_000  # flights; summing then takes seconds
 
 
 class Claim(NamedTuple):
@@ -66,7 +65,8 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
             f"{name} {text}: write it as PROBABILITY%@CONFIDENCE%, such as 99.9%@95%, "
             "or CONTROLLER>CONTROLLER@CONFIDENCE%"
         )
-    probability = _EVEN if match[1] is None else _percentage(match[1], 1.0, f"{name} {text}")
+    # Two controllers that are alike each win half of the draws that they fly differently.
+    probability = 0.5 if match[1] is None else _percentage(match[1], 1.0, f"{name} {text}")
     pair = None if match[1] is not None else (match[2], match[3])
     if pair is not None and pair[0] == pair[1]:
         raise InputError(f"{name} {text}: compares {pair[0]} with itself")
@@ -114,7 +114,7 @@ class SequentialTest:
     def __init__(self, claim: Claim) -> None:
         self.claim = claim
         self.decision: Decision = "open"
-        self._crossed: Decision = "open"  # the boundary that ended it; open: the flights were used up
+        self._crossed: Decision = "open"  # open: the flights were used up
         self.flights = self.failures = 0
         self._failing = 1.0 - claim.probability
         # of studies that have not ended, by their failures from ``_lowest``, if each flight fails with ``_failing``
@@ -217,9 +217,9 @@ class SequentialTest:
 
     @staticmethod
     def _solve(function: Callable[[float], float]) -> float:
-        from scipy.optimize import brentq  # here: its import takes a third of a second
+        from scipy.optimize import brentq  # its import takes a third of a second
 
-        return float(brentq(function, _SPAN, 1.0 - _SPAN, xtol=1e-12))
+        return float(brentq(function, 1e-12, 1.0 - 1e-12, xtol=1e-12))
 
 
 class ClaimTest:

@@ -42,7 +42,7 @@ __all__ = [
 
 Design = Literal["grid", "latin-hypercube", "random", "sobol"]
 DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
-MAX_DRAWS = 10_000_000  # chosen by us: a year of this machine; more is a typing error
+MAX_DRAWS = 10_000_000  # a year of one machine; more is a typo
 ROW_COLUMNS = {  # a row of the campaign has these itself
     "controller": "list controllers: each draw is flown with every one",
     "seed": "every draw has a seed of its own, made from the study's",
@@ -63,26 +63,24 @@ class Study(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""
-    scenario: str  # a name in scenarios/, or a file as seen from the study's folder
-    settings: dict[str, Any] = Field(
-        default_factory=dict
-    )  # written over the scenario by dotted key, as hexjet fly --set does
+    scenario: str  # a name, or a file by the study's folder
+    settings: dict[str, Any] = Field(default_factory=dict)  # over the scenario's, by dotted key
     controllers: Annotated[list[str], AfterValidator(_without_repeats)] = Field(
         default_factory=list
     )  # none: the scenario's
     design: Design
-    runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; a grid has as many as it has points
-    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # repeats of a whole grid with other seeds
+    runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; of a grid: its points
+    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # of a whole grid, with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
-    case: list[Case] = Field(default_factory=list)  # the key case is varied over them, unless vary names some of them
-    nominal_engine: bool = False  # flown as it is stated; else hexjet sweep draws one that states its uncertainty
+    case: list[Case] = Field(default_factory=list)  # varied by the key case
+    nominal_engine: bool = False  # False: sweep draws an uncertain one
     correlate: list[Correlation] = Field(default_factory=list)
-    success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
+    success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold too
     require: Annotated[list[RequireEntry], AfterValidator(unique_names)] = Field(
         default_factory=list
-    )  # what each flight is to keep, beside the scenario's own
-    until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
+    )  # of each flight, beside the scenario's
+    until: str | None = None  # a claim that ends the study: 99.9%@95%
     batch: bool = False  # flown on arrays, many at once
     # It flies in the place of the controller, whose gains go into it.
     autopilot: Annotated[StudyAutopilot, PlainValidator(read_autopilot)] | None = None
@@ -276,7 +274,8 @@ class Study(Model):
     def from_table(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
         """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
         study = cls.unchecked(data, folder, where)
-        if not is_code_forbidden():  # a displayed study was checked when it was flown
+        if not is_code_forbidden():
+            # A displayed study was checked when it was flown.
             need_trust(study_code(study), where)
             check(study, where)
         return study

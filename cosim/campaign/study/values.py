@@ -85,7 +85,8 @@ def quantum(key: Key) -> float | None:
 
 def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
     """Return the first and the last whole number of steps within bounds; infinite where a bound is."""
-    slack = 1e-9  # the division's rounding must not cost the bound itself
+    # The rounding of the division must not cost the bound itself.
+    slack = 1e-9
     first = float(ceil(low / step - slack)) if isfinite(low) else low
     return first, float(floor(high / step + slack)) if isfinite(high) else high
 

@@ -43,11 +43,12 @@ if TYPE_CHECKING:
 # Chosen by us.
 CONNECT_S = 4.0  # s until a scheduler must have answered
 FIRST_WORKER_S = 10.0  # s until the scheduler must have a worker
-NO_WORKER_S = 120.0  # the same in the middle of a campaign: a batch system takes a machine away and brings another
-CHECK_S = 20.0  # until a worker should have said what is installed there; one that is busy says it with its first task
-CLOSE_S = 2.0  # s allowed for closing a connection in order
+# In the middle of a campaign a batch system may take a machine away and bring another.
+NO_WORKER_S = 120.0
+CHECK_S = 20.0  # s; a busy worker says it with a task
+CLOSE_S = 2.0  # s to close a connection in order
 LOOK_S = 1.0  # s between counts of the workers
-TASK_S = 0.5  # s of work in a task: a hundred times what it takes to hand one out
+TASK_S = 0.5  # s; handing one out takes 5 ms
 MAX_IN_TASK = 64  # flights
 TASKS_A_THREAD = 2  # one running and one waiting
 
@@ -89,7 +90,8 @@ class DaskWorkers:
             threads_per_worker=count or len(os.sched_getaffinity(0)),
             processes=False,
             dashboard_address="127.0.0.1:0",
-            worker_dashboard_address="127.0.0.1:0",  # without it the worker's pages are on all interfaces
+            # Without this the worker's pages are on all interfaces.
+            worker_dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
             memory_limit=0,
             local_directory=str(scratch()),
@@ -98,7 +100,8 @@ class DaskWorkers:
 
     def _connect(self, address: str) -> Any:
         scheduler = _scheduler_at(address)
-        with warnings.catch_warnings():  # of versions: those that matter are looked at here
+        # Dask warns of other versions; those that matter are compared here.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
                 return self._dask.Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="hexjet")
@@ -293,7 +296,8 @@ class _Tasks:
             rows: list[Row] = future.result(timeout=CONNECT_S)
         except _dask().KilledWorker as error:
             yield from self._after_losses(batch, error)
-        except (TimeoutError, CancelledError):  # its worker has gone with the rows: Dask has it flown again
+        except (TimeoutError, CancelledError):
+            # The worker has gone with the rows: Dask has the flights flown again.
             self._pending[str(future.key)] = pending
             self._finished.put(future)
         except (FlightError, InputError) as error:

@@ -48,9 +48,10 @@ Kinds = dict[str, type[Value]]
 
 _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
-KEY = "key"  # the hash of what was flown, by which a folder knows a flight
-MARGIN_OF = "margin_"  # before the name of a requirement: its margin, in its unit
-LIMITS_MARGIN = "limits_margin"  # the smallest margin of the flight's own limits and expectations, in scales
+KEY = "key"  # hash of what was flown
+MARGIN_OF = "margin_"  # and a requirement's name: its margin
+# The smallest margin of the flight's own limits and expectations, in their scales.
+LIMITS_MARGIN = "limits_margin"
 _LAST: Kinds = {
     "controller_sha256": str,
     "controller_repeatable": bool,

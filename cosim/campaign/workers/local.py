@@ -40,12 +40,14 @@ if TYPE_CHECKING:
 Fly = Callable[["Study", "Flight"], Row]
 Failed = Callable[["Study", "Flight", str], Row]
 
-AHEAD_S = 0.25  # s of work queued in a process, so that it need not wait for the next flight
+AHEAD_S = 0.25  # s of work queued in a process
 MAX_AHEAD = 8  # flights
-LOOK_S = 1.0  # s between checks for processes that ended unnoticed
-BACKSTOP_S = 10.0  # after its limit a flight ends its process by itself, should nobody be there to do it
-START_LIMIT_S = 60.0  # chosen by us: until a process is ready, which takes half a second
-STARTS = 8  # processes in a row that end before they are ready: then something else is wrong
+LOOK_S = 1.0  # s between checks for ended processes
+# So long after its limit a flight ends its process by itself, should nobody be there to do it.
+BACKSTOP_S = 10.0
+START_LIMIT_S = 60.0  # s; half a second is usual
+# Where so many processes in a row end before they are ready, something else is wrong.
+STARTS = 8
 READY = "ready"
 _COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
 
@@ -73,7 +75,8 @@ class LocalWorkers:
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
-        self._end_busy()  # with flights whose results are no longer needed
+        # Processes that are still busy have flights whose results are no longer needed.
+        self._end_busy()
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         waiting = _Waiting(flights)
         ahead = _QueueDepth()
@@ -218,7 +221,8 @@ class _Process:
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         inherited = dict(os.environ) | ONE_THREAD | {"TMPDIR": self._folder}
-        try:  # in a group: Ctrl-C is answered by the process that waits
+        try:
+            # In a group of its own: Ctrl-C is answered by the process that waits.
             self._process, self.connection = Host.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -274,7 +278,8 @@ class _Process:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # the worker is gone, which the next read from it reports
+        with suppress(OSError):
+            # A worker that is gone is reported by the next read from it.
             self.connection.send(message)
 
 
@@ -306,7 +311,8 @@ def _serve_flights(connection: Connection[Any, Any], folder: str) -> None:
             answer = error
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         if not os.path.isdir(folder):
-            return  # somebody cleaned up, and the flight may have failed for it: another process flies it again
+            # Somebody cleaned up, which may be why the flight failed: another process flies it again.
+            return
         connection.send(answer)
 
 
@@ -333,6 +339,7 @@ def _exit(folder: str) -> None:
     """End this process at once, and leave nothing behind."""
     gone = f"{folder}-gone"
     with suppress(OSError):
-        os.rename(folder, gone)  # a flight under way puts nothing more into it
+        # From now on a flight under way puts nothing more into the folder.
+        os.rename(folder, gone)
     shutil.rmtree(gone, ignore_errors=True)
     os._exit(1)

@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-LOSSES = 3  # processes that a flight may take with it before it is given up
-MIN_LIMIT_S = 60.0  # chosen by us: of wall time; loading an engine that starts a run time of its own takes 20
-LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundredth of it
+# A flight that took so many processes with it is given up.
+LOSSES = 3
+MIN_LIMIT_S = 60.0  # s wall time; some engines load in 20 s
+LIMIT_FACTOR = 10.0  # of simulated time; 0.01 is usual
 
 
 class Workers(Protocol):

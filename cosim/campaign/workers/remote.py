@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-IDLE_S = 60.0  # chosen by us: after which a process without flights ends
+IDLE_S = 60.0  # s; then a process without flights ends
 
 _studies: RecentCache[Study] = RecentCache(4)
 _unpacking = Lock()
@@ -73,7 +73,8 @@ def fly_together(frozen: FrozenStudy, digest: str, flights: Sequence[Flight], li
     """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
     with _unpacking:  # several threads of a worker may unpack
         _unpack(frozen, folder / digest)
-        trust(folder / digest)  # whoever sent it has looked at its code: that is what a cluster is for
+        # Whoever sent the study has looked at its code: that is what a cluster is for.
+        trust(folder / digest)
         study = _studies.get((digest, folder), lambda: load(folder / digest))
     workers = _processes.take(limit)
     try:

@@ -12,7 +12,7 @@ from cosim.campaign.workers.local import LocalWorkers
 T = TypeVar("T")
 R = TypeVar("R")
 
-LIMIT_S = 86_400.0  # chosen by us: a task may take as long as it likes, and no process stays for ever
+LIMIT_S = 86_400.0  # s: a task may be long, but ends
 
 
 @dataclass(frozen=True)

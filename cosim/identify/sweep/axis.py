@@ -34,7 +34,8 @@ from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
-MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}  # amplitudes that no vehicle follows are above
+# No vehicle follows larger amplitudes.
+MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}
 
 
 class SweepTuning(NamedTuple):
@@ -201,11 +202,11 @@ class _Flight:
     engine: EngineSpec
     step: float
     injected: Array
-    command: Array  # applied: asked for, late where a delay is added, disturbed, and less what was refused
+    command: Array  # as applied: delayed, disturbed, limited
     rate: Array  # as the gyro gives it
-    ledger_samples: float | None  # what the delay ledger adds up to from command to rate; None: no_ledger says why
+    ledger_samples: float | None  # command to rate; None: see no_ledger
     no_ledger: str
-    fits_in: float  # the share of the amplitude at which nothing would have been refused; 1 if nothing was
+    fits_in: float  # share of the amplitude never refused
 
     @property
     def fine(self) -> bool:

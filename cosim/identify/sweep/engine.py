@@ -23,8 +23,8 @@ from cosim.identify.sweep.result import (
 from cosim.simulation.script.command_script import make_sweep as chirp
 
 LONGEST_S = 60.0  # that the thrust gets to come to rest
-SWING = exp(-pi / sqrt(3.0))  # the overshoot of a pair of poles that is damped by half: 16 %
-DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
+SWING = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
+DECADES = (0.1, 10.0)  # of the corner frequency: automatic band
 
 
 def identify_engine(

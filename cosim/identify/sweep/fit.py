@@ -19,14 +19,14 @@ from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
 LEAST_COHERENCE = 0.6  # Tischler and Remple's bound
-NEARLY_WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
+NEARLY_WHOLE = 0.05  # samples to a whole number, taken as one
 
 
 @dataclass(frozen=True)
 class Model:
     """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``, sampled every ``step`` seconds behind a hold."""
 
-    gain: float  # unit of the output per unit of the command and second
+    gain: float  # output per unit of command and second
     rate: float  # 1/s, the slow pole; 0 integrates
     lags: tuple[float, ...]  # s
     delay_samples: float
@@ -103,12 +103,13 @@ class Fit:
 
     label: str
     model: Model
-    bounds: Mapping[str, tuple[float, float]]  # by the names of ``values``; held ones are left out
+    bounds: Mapping[str, tuple[float, float]]  # by names of values, held ones left out
     fixed: tuple[str, ...]
-    misfit: float  # root mean square of |ln(model / response)| over the points that count: 0.01 is 1 % or 0.6 deg
+    misfit: float  # rms of |ln(model / response)|
     worst_db: float
     worst_deg: float
-    all_delay_half: float = 0.0  # samples: 95 % bound of delay and lags together, which are known better than either
+    # The 95 % bound [samples] of delay and lags together, which are known better than either.
+    all_delay_half: float = 0.0
 
     @property
     def values(self) -> dict[str, float]:

@@ -19,7 +19,8 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
-BINS = 9  # in a group, at least: three complex unknowns, six left to tell noise from response
+# A group has three complex unknowns, so six bins are left to tell noise from response.
+BINS = 9
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,8 @@ class FrequencyResponse:
 
     hertz: Array
     value: Complex
-    coherence: Array  # share of the power of command and output that the sweep explains, the lesser one, 0 to 1
-    spread: Array  # standard deviation of ``value`` over its magnitude
+    coherence: Array  # lesser one of command and output, 0 to 1
+    spread: Array  # standard deviation over |value|
     step: float  # s
 
     @property

@@ -16,11 +16,15 @@ from cosim.identify.sweep.response import FrequencyResponse, shortest_record
 from cosim.identify.verdict import NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
-CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
+# The chirp runs from this times the lowest to this times the highest frequency of the band.
+CHIRP_MARGIN = (0.7, 1.2)
 LONGEST_SWEEP_S = 3600.0
-MISFIT = 0.1  # root mean square of |ln(model / response)| above which a form is not found: 10 % or 6 deg; ours
-ONE_SAMPLE = 1.0  # a delay counts as known within its value or this, whichever is more
-LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0  # that a sum of delays may be off the ledger's, the more of the two; chosen
+# A form whose rms of |ln(model / response)| is above this, 10 % or 6 deg, is not found.
+MISFIT = 0.1
+# A delay counts as known within its value or this many samples, whichever is more.
+ONE_SAMPLE = 1.0
+# A sum of delays may be off the ledger's by the larger one of the two.
+LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,11 @@ class Identification:
     response: FrequencyResponse
     fits: tuple[Fit, ...]
     source: str
-    ledger_samples: float | None  # low-frequency delay that the delay ledger states
+    ledger_samples: float | None  # low-frequency delay by the ledger
     reference: RateModel | None  # the model that the aircraft states
     notes: tuple[str, ...]
     engine_sha256: str = ""  # EngineSpec.fingerprint
-    no_ledger: str = ""  # why the delay ledger of the axis has no sum
+    no_ledger: str = ""  # why the delay ledger has no sum
 
     @property
     def chosen(self) -> Fit:
@@ -114,7 +118,7 @@ class Identification:
             "coherence_min": float(self.response.coherence.min()),
             "coherence_median": float(np.median(self.response.coherence)),
             "estimates": fits,
-            "fits": fits,  # their name before all identifications had one
+            "fits": fits,  # the name in earlier versions
             "ledger_samples": self.ledger_samples,
             "no_ledger": self.no_ledger or None,
             "reference": None
