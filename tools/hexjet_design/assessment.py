@@ -40,12 +40,12 @@ class Assessment:
     peak_sensitivity: float | None
     bandwidth_hz: float | None
     tolerated: float | None  # times the tolerances until instability
-    noise: float | None  # of the command, one standard deviation, its unit
-    step_error: float | None  # integrated absolute error over fifty times the delay, rad s per rad (m s per m)
-    load_error: float | None  # rad s (m s) per unit of load at the plant's input
+    noise: float | None  # of the command, one standard deviation
+    step_error: float | None  # rad s per rad (m s per m)
+    load_error: float | None  # rad s (m s) per unit of load
     overshoot: float | None  # share of a step
-    settling_s: float | None  # within 5 % of a step; None where that takes longer than is looked at
-    step_peak: float | None  # command per unit of a step of the set-point
+    settling_s: float | None  # to 5 %; None: longer than looked at
+    step_peak: float | None  # command per unit of the set-point
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class AxisDesign:
 
     channel: Channel
     before: Assessment
-    candidates: Mapping[str, float]  # objective; infinite where the requirements cannot be kept
+    candidates: Mapping[str, float]  # objective; infinite: not possible
     after: Assessment | None
-    limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
+    limits: Mapping[str, float]  # Hz, without delay, lag, noise bound
     checks: Mapping[str, bool]
-    why_not: str = ""  # why the requirements cannot be kept, where that is known
-    nearest: str = ""  # which candidate comes nearest to them, where none keeps them
+    why_not: str = ""  # why the requirements cannot be kept
+    nearest: str = ""  # candidate that comes nearest, if none
 
 
 def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

@@ -66,9 +66,12 @@ from hexjet_design.proof.result import Proof
 from hexjet_design.tune import TuningResult, settle, tune, tune_near
 
 CHANNELS = (*AXES, "altitude")
-SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
-ABOVE_REST = 2.0  # times the thrust's own movement at rest, where a mapping file states one
-MISFIT = 0.005  # of one lag and a delay, above which more is fitted
+# Part of the throttle around hover: the limits on an engine's acceleration do not see so little.
+SWING = 0.005
+# Times the movement of the thrust at rest, where a mapping file states one.
+ABOVE_REST = 2.0
+# More than one lag and a delay is fitted where these have a larger misfit.
+MISFIT = 0.005
 
 
 @dataclass(frozen=True)
@@ -90,16 +93,16 @@ class Design:
     vehicle: Vehicle
     scenario: Scenario
     need: Requirements
-    identification: Identification | None  # of the engine; None where a model was given
+    identification: Identification | None  # of the engine; None: a model was given
     model_source: str
     axes: Mapping[str, AxisDesign]
-    levels: Sequence[LevelDesign]  # while fuel burns, a full tank first; empty without a tank
-    schedule: Schedule | None  # what follows the thrust level; None where the gains of a full tank do
-    reason: str  # why it is not acceptable; empty where it is
-    allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
-    proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
-    firmware: Firmware | None = None  # in whose loop the gains are; None: ours
-    tolerances: str = ""  # where those are from that nobody stated; empty: the usual ones
+    levels: Sequence[LevelDesign]  # full tank first; empty without a tank
+    schedule: Schedule | None  # of gains; None: those of a full tank
+    reason: str  # why not acceptable; empty where it is
+    allowing: Mapping[str, float]  # would allow one: delay_s, lag_factor
+    proof: Proof | None = None  # None where it was not asked for
+    firmware: Firmware | None = None  # whose loop has the gains; None: ours
+    tolerances: str = ""  # source of those that nobody stated
     # by axis, where it was asked for; or why there is no limit
     performance: Mapping[str, AxisLimit | str] = field(default_factory=dict)
 
@@ -298,7 +301,8 @@ def _design_levels(
             }
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if (plan or law) and not all(level.is_kept.values())}
-        if plan is None or missed <= designed:  # without a schedule there is nothing to design there
+        if plan is None or missed <= designed:
+            # Without a schedule there is nothing to design there.
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             by = "schedule" if plan else "controller at the limit, which follows no thrust level,"
             return plan, burning, f"a requirement is missed by the {by} with {where}" if missed else ""
@@ -397,9 +401,9 @@ class _AxisInputs:
 
     vehicle: Vehicle
     spec: EngineSpec
-    names: Sequence[str]  # of the candidates, in the order of what they take
+    names: Sequence[str]  # of the candidates, the simplest first
     need: Requirements
-    source: str  # of the model that a predictor believes in
+    source: str  # of the model in the predictor
     lead: bool  # whether one may be tried
     firmware: Firmware | None
     say: Say

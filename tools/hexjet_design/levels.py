@@ -22,9 +22,12 @@ from hexjet_design.loop.tuning import Tuning, round_gain
 from hexjet_design.tune import tune_near
 
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
-PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)  # where a requirement is missed between levels, one is designed there too
-FILTER_S = 2.0  # chosen: slow beside what the loops answer in, fast beside what fuel and payload change in
-THRUST_AXES = ("roll", "altitude")  # that engines answer: a tilt means the same moment at every thrust
+# Where a requirement is missed between the designed levels, one is designed there too.
+PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
+# This is slow beside the answers of the loops and fast beside the changes of fuel and payload.
+FILTER_S = 2.0
+# Engines answer these alone: a tilt means the same moment at every thrust.
+THRUST_AXES = ("roll", "altitude")
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,8 @@ def describe_nearest(channel: Channel, tried: Mapping[str, TuningResult], need: 
     """Return which candidate comes nearest to requirements that none keeps, what it misses and by how much, or ""."""
     found = []
     for name, result in tried.items():
-        with suppress(InputError, ValueError, ArithmeticError):  # of a predictor whose answer does not end, say
+        with suppress(InputError, ValueError, ArithmeticError):
+            # A predictor whose answer does not end, for example, has no closed loop.
             closed = fine_loop(channel, result.tuning)
             if not closed.unstable_poles:
                 missed = {what: part for what, part in excesses(closed, need).items() if part > 0.0}

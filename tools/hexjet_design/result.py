@@ -25,7 +25,7 @@ from hexjet_design.proof.comparison import (
 )
 from hexjet_design.proof.result import Proof
 
-NOT_PROVED = "NOT PROVED"  # a controller that is written though its proof failed
+NOT_PROVED = "NOT PROVED"  # written although its proof failed
 OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # what allows a design whose proof failed
 
 

@@ -19,19 +19,23 @@ from hexjet_design.loop.criteria import FINE, excess, fine_loop, is_acceptable, 
 from hexjet_design.loop.tuning import Tuning
 
 UNSTABLE = 1e3
-PENALTY = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
+PENALTY = 100.0  # cost of missing by 100 %, a logarithm
 SEED = 1  # the same design every time
 POPULATION = 6  # times the number of parameters
 GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
-FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
-CLOSE = 0.02  # relative, by which the requirements may be missed where a search begins at its own answer
-WRITTEN = 1500  # points of the circle while digits are changed
-NEGLIGIBLE_GAIN = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
-LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
-MOST_PASSES = 1000  # over all numbers, digit by digit: so that a search ends
-SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
-PREDICTOR = "predictor."  # before the names of a predictor's own parameters
+# Times the poles of the engine (nor faster than two steps): more adds no phase, only noise.
+FASTEST_LEAD = 10.0
+# The requirements may be missed by this, relatively, where a search begins at its own answer.
+CLOSE = 0.02
+WRITTEN = 1500  # points of the circle for rounding
+# Of the objective: a search that is begun at its own answer finds as much again.
+NEGLIGIBLE_GAIN = 0.003
+LEAST_GAIN = 1e-6  # of the objective, to change a digit
+MOST_PASSES = 1000  # over all numbers, so that a search ends
+# The search stays inside the requirements by this, for what lies between its points.
+SPARE = 0.004
+PREDICTOR = "predictor."  # before a predictor's own parameters
 
 
 Digits = tuple[int, int]  # 100 to 999, and a power of ten
@@ -142,7 +146,8 @@ def tune(
                 return UNSTABLE + float(np.sum(x))  # downhill is less gain
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
             value, missed = objective(closed), excess(closed, need, SPARE) + out
-        except (InputError, ValueError, ArithmeticError):  # a predictor whose answer does not end, say: it is none
+        except (InputError, ValueError, ArithmeticError):
+            # A predictor whose answer does not end, for example, is none.
             return UNSTABLE + float(np.sum(x))
         if not missed and value < feasible[0]:
             feasible = (value, x.copy())
@@ -172,7 +177,8 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
     """Return the best point of Nelder and Mead's simplex from ``x``, whose cost is ``value``."""
     from scipy.optimize import minimize
 
-    for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
+    # A simplex that has shrunk on an edge starts again.
+    for size in (0.1, 0.03):
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
         optimum = minimize(cost, x, method="Nelder-Mead", options=options)

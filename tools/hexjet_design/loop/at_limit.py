@@ -37,20 +37,23 @@ from hexjet_design.loop.tuning import Tuning, round_gain
 
 Pairs = Sequence[tuple[float, float]]
 
-SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
-CORNER_SPARE = 0.1  # of what a flight at a corner may overshoot by, for noise
-ROUGH = 100  # points of the circle where responses in time are looked at alone
-CLOSE = 1500  # points of the circle while bounds are drawn closer
+# The search stays inside the requirements by this, for what lies between its points.
+SPARE = 0.004
+CORNER_SPARE = 0.1  # of a corner's overshoot, for noise
+ROUGH = 100  # points of the circle for time responses
+CLOSE = 1500  # points while bounds are drawn closer
 TURNS = 12  # of drawing them closer
-FREE_STEP = 100.0  # step error that the programme may have, s: the lags alone say it
-SLOWER = (1.0, 0.7, 0.5, 0.35)  # times the poles of START, where a search may begin: of an engine that is slow itself
+FREE_STEP = 100.0  # s: no bound, the lags alone say it
+# A search may begin at these times the poles of START, because an engine may be slow itself.
+SLOWER = (1.0, 0.7, 0.5, 0.35)
 LONGER = (1.0, 1.3, 1.7, 2.4, 3.5)  # times the shortest lag
-FIRST_ERROR = 0.3  # of the delay's tolerance: the first error of the delay that is asked of the programme
-FIRST, FIRST_LAG = 0.02, 0.2  # of the simplex, as a part of the weights' length, and in the logarithm of the lag
+FIRST_ERROR = 0.3  # of the delay's tolerance, asked first
+FIRST, FIRST_LAG = 0.02, 0.2  # simplex: of weights' length, of log lag
 ROUNDS = 300  # of the simplex
-PENALTY, UNSTABLE = 100.0, 1e3  # what missing a requirement by 100 % costs in the objective, and no loop
+PENALTY, UNSTABLE = 100.0, 1e3  # cost of missing by 100 %, and of no loop
 RELAXED = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # times a requirement
-WAYS = (  # a requirement in words, its keys, and whether more of it asks for less
+# Each row has a requirement in words, its keys, and whether more of it asks for less.
+WAYS = (
     ("a peak sensitivity of {max_sensitivity:.3g}", ("max_sensitivity",), True),
     (
         "tolerances of {delay_tolerance:.2g} of the delay and {gain_tolerance:.2g} of the gain",
@@ -60,7 +63,7 @@ WAYS = (  # a requirement in words, its keys, and whether more of it asks for le
     ("noise of {noise_share:.3g} of the room", ("noise_share",), True),
     ("a bandwidth of {min_bandwidth_hz:.2g} Hz", ("min_bandwidth_hz",), False),
 )
-THREE_DB = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad: frequency times lag at which so many lags have lost 3 dB
+THREE_DB = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad: frequency times lag at -3 dB
 
 
 @dataclass(frozen=True)

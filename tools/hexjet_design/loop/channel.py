@@ -47,13 +47,18 @@ from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Veh
 from hexjet_design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
 from hexjet_design.loop.dynamics import CARRIED
 
-OTHERS_POINTS = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
-MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64
-SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
-LED_WITHIN = 3.0  # times the channel's pace: slower poles of an engine with a zero beside one are not led
-SLOWEST = 1e-5  # rad/s, from where the first radian is looked for: a day
+# So many frequencies of what others add to an axis are 4 % apart; more counts below than there is.
+OTHERS_POINTS = 160
+# The delay at low frequency and the pace may be apart by this part of either; one lag alone has 0.64.
+MET = 0.5
+# A lead takes the second pole with it up to this times the slowest one.
+SECOND_POLE_WITHIN = 5.0
+# With a zero beside a pole of the engine, poles slower than this times the channel's pace are not led.
+LED_WITHIN = 3.0
+SLOWEST = 1e-5  # rad/s, a day: the search begins here
 TURNS = 400  # frequencies until then, 5 % apart
-INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
+# A lag with a smaller pole in z is over within a step: it is a 20th of one, far below what acts.
+INSTANT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,23 +68,24 @@ class Channel:
     name: str  # "roll", "pitch", "yaw", "altitude"
     unit: str  # of the command
     actuator: Actuator
-    gain: float  # rad/s^2 per unit of the command at rest; for the height 1: the command is an acceleration
+    gain: float  # rad/s^2 per unit of command; height: 1
     damping_1_s: float
     step: float
     substeps: int
-    room: float  # either way, that the command has at hover; of a servo, what it can follow without its rate limit
+    # Range of the command at hover, either way; of a servo, what it can follow without its rate limit.
+    room: float
     rate_filter_s: float = 0.0
     rate_latency: int = 0
     rate_hold: int = 1  # steps for which a measurement is kept
-    rate_noise: float = 0.0  # one standard deviation of the measured rate
+    rate_noise: float = 0.0  # standard deviation of the measured rate
     angle_latency: int = 0
     angle_noise: float = 0.0
-    angle_from_gyro: bool = False  # an estimator's, which integrates the measured rate
+    angle_from_gyro: bool = False  # an estimator's, from the measured rate
     added_delay: int = 0
     # the moment, of the actuator's answers of this step and of those before: what tilts pushes back, what spins leads
     shape: tuple[float, ...] = STILL
-    hinged: tuple[AxisPart, ...] = ()  # what hinges give, of which actuator and shape are made
-    identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
+    hinged: tuple[AxisPart, ...] = ()  # parts of actuator and shape, of hinges
+    identified: RateModel | None = None  # command to rate, in place of the chain
 
     @property
     def gyro_pole(self) -> float:
@@ -159,7 +165,8 @@ class Channel:
     def _turned_s(self) -> float:
         """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
         dynamics = self.actuator.dynamics
-        omega = np.geomspace(SLOWEST, 4.0 / self.step, TURNS)  # at its end half a step of hold alone has turned by 2
+        # At the last frequency, half a step of hold alone has turned the phase by 2 rad.
+        omega = np.geomspace(SLOWEST, 4.0 / self.step, TURNS)
         late = (0.5 + self.transport_samples) * self.step + 0.5 * (self.rate_hold - 1) * self.step
         turned = late * omega + np.arctan(self.rate_filter_s * omega)
         for pole in dynamics.poles:
@@ -422,7 +429,8 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
-    if channel.pace_s != channel.slowness_s:  # a zero beside a slow pole leaves nothing of it to be led
+    if channel.pace_s != channel.slowness_s:
+        # A zero beside a slow pole leaves nothing of it to be led.
         poles = [pole for pole in poles if abs(pole) * channel.pace_s * LED_WITHIN >= 1.0]
     if not poles:
         return None

@@ -29,11 +29,14 @@ from hexjet_design.loop.frequency import LoopMargins, loop_margins
 from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
-NEGLIGIBLE_LOAD = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
-WINDOW = 50.0  # times the channel's pace, over which responses in time are looked at
-LONGEST = 3.0  # times the longest time in which it answers, the same: of a slow part 5 % are left then
-FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a period later; rounding is as small
-BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
+# What a load leaves at rest counts as none where it is less than this part of the largest response.
+NEGLIGIBLE_LOAD = 1e-3
+WINDOW = 50.0  # times the channel's pace, in time
+# The same in times of the longest answer: 5 % of a slow part are left then.
+LONGEST = 3.0
+# Of what comes a period later so much is left in a response in time; rounding is as small.
+FADED = 1e-10
+BAND = 0.05  # of a step, as in metrics of a flight
 
 
 class FrequencyGrid:

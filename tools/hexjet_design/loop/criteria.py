@@ -11,9 +11,11 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.tuning import Tuning
 
-OVERSHOOT = 0.10  # in a proof's flights, more than promised, for noise and what is not linear
-CORNER = 2.0  # times what a proof allows, at a corner of the tolerances, where stability alone is promised
-FINE = 4000  # points of the circle with which a tuning is checked
+# The overshoot in flight may be more than promised by this, for noise and what is not linear.
+OVERSHOOT = 0.10
+# At a corner of the tolerances, where stability alone is promised, a proof allows this times as much.
+CORNER = 2.0
+FINE = 4000  # points of the circle to check a tuning
 
 
 def objective(closed: ClosedLoop) -> float:

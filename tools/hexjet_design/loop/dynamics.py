@@ -25,11 +25,15 @@ WRONG_WAY: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
 POOR = 0.02  # misfit above which that is tried
 GOOD = 0.001  # misfit at which no larger form is tried
 SEARCHED = 5  # samples either side of the free delay
-HELD = 0.1  # of the sampling rate: above, what is sampled of a first lag is 3 % and more off what a hold leaves of it
-BANDS = 80  # parts of a band that was swept: each 5 % wide over two decades, as a mode with damping 0.02 is
-PAIR = 1e-9  # of a pole in z: a smaller imaginary part is none, and a smaller pole is over within its step
-OVER = 25.0  # over the step, rad/s: a pole that leaves 1e-11 after it, and still a number
-CARRIED = 0.01  # misfit from which a design carries it: below, it moves no peak sensitivity of 1.7 by 3 %
+# Above this part of the sampling rate, a sampled first lag is 3 % or more off what a hold leaves of it.
+HELD = 0.1
+# Parts of a swept band are 5 % wide over two decades, as a mode with damping 0.02 is.
+BANDS = 80
+# A smaller imaginary part of a pole in z is none, and a smaller pole is over within its step.
+PAIR = 1e-9
+OVER = 25.0  # rad/s times the step: 1e-11 is left
+# A design carries misfits from here: below, none moves a peak sensitivity of 1.7 by 3 %.
+CARRIED = 0.01
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class Dynamics:
     zeros: tuple[complex, ...]
     delay_samples: float
     step: float
-    misfit: float = 0.0  # root mean square of |ln(model / response)|
+    misfit: float = 0.0  # rms of |ln(model / response)|
     # (Hz, share): the engine may answer (1 + x) times this at that frequency, |x| up to the share; () where it follows
     unsure: tuple[tuple[float, float], ...] = ()
 

@@ -41,11 +41,13 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.spec.vehicle import RateGains
 
-BETAFLIGHT_LOOP_S = 125e-6  # of its SITL; measured: what a step of its gyro answers at once
-GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0  # as it ships, both first order; that the first rises with throttle is off
-LEVEL_HZ = 50.0  # ATTITUDE_CUTOFF_HZ, third order, behind the attitude gain of roll and pitch
-YAW_P_HZ = 100.0  # yaw_lowpass_hz, on the proportional part of yaw
-PT3 = 1.961459177  # CUTOFF_CORRECTION_PT3: each of three equal lags, so that together they are 3 dB down at the cutoff
+BETAFLIGHT_LOOP_S = 125e-6  # of its SITL, by a step of its gyro
+# As it ships, both are first order; that the first rises with throttle is off.
+GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0
+LEVEL_HZ = 50.0  # ATTITUDE_CUTOFF_HZ, behind attitude P
+YAW_P_HZ = 100.0  # yaw_lowpass_hz, of the proportional part
+# CUTOFF_CORRECTION_PT3: with it three equal lags together are 3 dB down at the cutoff.
+PT3 = 1.961459177
 
 # One loop: state, set-point, gyro, loop period [s], cutoff of the derivative [Hz] -> state, and P, I and D parts
 Loop = Callable[[list[float], float, float, float, float], tuple[list[float], float, float, float]]
@@ -78,7 +80,8 @@ def _betaflight(levels: bool, yaw: bool) -> Loop:
 
 
 def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tuple[list[float], float, float, float]:
-    setpoint, last, slope, integral = s  # the rate set-point is the attitude loop's of the step before
+    # The rate set-point is that of the attitude loop in the step before.
+    setpoint, last, slope, integral = s
     slope += share(hertz, period) * ((last - y) / period - slope)
     error = setpoint - y
     return [r, y, slope, integral + period * error], error, integral, slope  # this error is integrated for the next
@@ -87,7 +90,8 @@ def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tup
 def _ardupilot(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
-    setpoint, last, slope, integral = s  # the rate loop comes first in a loop of its tasks, the attitude loop behind it
+    # The rate loop comes first in a loop of its tasks, and the attitude loop behind it.
+    setpoint, last, slope, integral = s
     error = setpoint - y
     slope += share(hertz, period) * ((error - last) / period - slope)  # of the error, set-point and all
     integral += period * error
@@ -100,7 +104,8 @@ _STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
 def find_law(name: str, axis: str) -> Loop:
     """Return an autopilot's rate loop on an axis as a function of one pass."""
     if name == "betaflight":
-        return _betaflight(axis != "yaw", axis == "yaw")  # heading is held with the sticks, by whoever holds them
+        # Heading is held with the sticks, by whoever holds them.
+        return _betaflight(axis != "yaw", axis == "yaw")
     return _px4 if name == "px4" else _ardupilot
 
 

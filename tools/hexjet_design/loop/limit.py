@@ -45,14 +45,14 @@ from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import ON_CIRCLE, polynomial
 
 DEGREE = 3  # of the splines
-KNOTS_A_DELAY = 3.25  # knots within the time that the plant is late by
-EVEN_DELAYS = 24  # for so many delays knots are as close; behind them their distance grows
-GROWTH, FARTHEST = 1.08, 8.0  # from knot to knot, up to so many times the first distance
-FREQUENCIES = 620  # of the sensitivity, even in the logarithm
+KNOTS_A_DELAY = 3.25  # knots within the plant's delay
+EVEN_DELAYS = 24  # delays with even knots, sparser behind
+GROWTH, FARTHEST = 1.08, 8.0  # growth from knot to knot, and its limit
+FREQUENCIES = 620  # of the sensitivity, evenly in log
 LOWEST = 2e-3  # rad per sample, the first of them
-QUARTER = 0.25  # of a sample, by which a loop's own tolerance of the delay is found
-RELAXED = 0.1  # of a bound, by which it is relaxed to see its price
-FACTOR = 2.0  # by which the peak sensitivity may grow with an error of the delay
+QUARTER = 0.25  # samples: resolution of the tolerance
+RELAXED = 0.1  # of a bound, to see its price
+FACTOR = 2.0  # of the peak with an error of the delay
 WORDS = {
     "peak_sensitivity": "more peak sensitivity",
     "noise": "more noise",
@@ -66,9 +66,9 @@ class Bounds(NamedTuple):
     """What a controller has to keep: those of another loop, say, that it is compared with."""
 
     peak_sensitivity: float
-    noise: float  # standard deviation of the command, its unit
-    step_error: float  # integrated absolute error after a unit step of the set-point, rad s per rad
-    delay_error: float = 0.0  # samples either way, with which the peak may become FACTOR times as high; 0: not held
+    noise: float  # standard deviation of the command
+    step_error: float  # after a unit step, rad s per rad
+    delay_error: float = 0.0  # samples either way; 0: not held
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Limit:
     """The least error after a load, and the closed loop that reaches it, computed without the spline's shortcuts."""
 
     bounds: Bounds
-    load_error: float  # integrated absolute error of the angle after a unit step of load, rad s per unit of the command
+    load_error: float  # rad s per unit of the command
     step_error: float
     noise: float
     peak_sensitivity: float
@@ -91,8 +91,8 @@ class AxisLimit:
 
     load_error: float  # of the loop
     least: Limit
-    tolerant: Limit | None  # with the loop's own tolerance of the delay too; None where it has none
-    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound: see bound_prices; empty: not asked for
+    tolerant: Limit | None  # with the loop's tolerance of the delay
+    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound; empty: not asked for
 
     @property
     def times(self) -> float:
@@ -397,7 +397,8 @@ class Programme:
     def _errors(self) -> list[Cone]:
         plant, identity = self.plant, -sparse.identity(len(self.times), format="csr")
         free, load = plant.angle_of_load(np.ones(1)), plant.angle_of_load(self.of_t, plant.late + plant.rate_late)
-        scale = abs(float(free[2 * plant.late + 1]))  # what a load does before any control can answer
+        # This is what a load does before any control can answer.
+        scale = abs(float(free[2 * plant.late + 1]))
         load, free = load[self.times] / scale, free[self.times] / scale
         step = plant.angle_of_setpoint(self.of_y)[self.times]
         before = plant.late * plant.step

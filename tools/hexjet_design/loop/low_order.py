@@ -30,7 +30,7 @@ START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
 COARSE = 160  # frequencies at which a search looks
 ROUNDS = 130  # of the search
 FIRST = 0.12  # of its simplex, in logarithms
-NONE = 1e6  # times the delay: the load error of poles that keep no bounds
+NONE = 1e6  # times the delay: poles keep no bounds
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,11 @@ from cosim.spec.vehicle import RateModel
 
 LAGS = 3  # of the answer to a set-point
 PAIRS = 4  # of poles of the answer to a load
-ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
-SLOW = 0.5  # of how far the slowest pole of ``t`` is from 1: a pole of the rate as near as this is answered as rest is
-AT_ZERO = LAGS + 1  # states that keep the last samples, for answers that end
+# Zeros so near to the unit circle are not inverted, and poles of the rate so near to 1 are at 1.
+ON_CIRCLE = 1e-6
+# A pole of the rate is answered as rest is if it is nearer to 1 than this part of the slowest pole of ``t``.
+SLOW = 0.5
+AT_ZERO = LAGS + 1  # states that keep the last samples
 
 
 def orthonormal_basis(denominators: Sequence[Array], samples: int) -> Array:
@@ -140,7 +142,7 @@ class Target:
 
     lag_s: float  # each of three, s
     pairs: tuple[tuple[float, float], ...]  # natural frequency [rad/s] and damping
-    weights: tuple[float, ...]  # of orthonormal functions of time, two a pair
+    weights: tuple[float, ...]  # of orthonormal functions, two a pair
 
     @classmethod
     def of(cls, values: Mapping[str, float], delay: float) -> Target:
@@ -190,7 +192,7 @@ class PredictorBases:
 
     form: ModelForm
     of_target: Array  # functions that ``t`` is a sum of
-    of_predictor: Array  # functions that the predictor's answers are sums of, a column each
+    of_predictor: Array  # of the predictor's answers, by columns
     transition: Array
 
     @classmethod

@@ -31,7 +31,7 @@ class Steps(NamedTuple):
 
     angle: Array  # of the set-point, rad per rad
     command: Array  # of the set-point, its unit per rad
-    load: Array  # angle after a step of load, rad per unit of the command
+    load: Array  # angle, rad per unit of the command
 
 
 class Space:

@@ -45,7 +45,7 @@ class Tuning:
     model: RateModel  # what the predictor believes
     lead: EngineLead | None = None
     firmware: Firmware | None = None  # whose loop has these gains; None: ours
-    law: Mapping[str, float] | None = None  # parameters of the law at the limit, which says the gains; None: no law
+    law: Mapping[str, float] | None = None  # parameters of the law at the limit
     matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # of the law's predictor
 
     @classmethod

@@ -27,9 +27,9 @@ class AxisMargins:
     half: Response
     computed: Computed | None
     notes: tuple[str, ...]
-    uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
-    over_engine: EngineRange | None = None  # the margins over that uncertainty; None: as above
-    transport_s: float | None = None  # that the vehicle has from command to measured rate; None: not known
+    uncertainty: LoopUncertainty | None = None  # at the crossover; None: not stated
+    over_engine: EngineRange | None = None  # margins over it; None: as above
+    transport_s: float | None = None  # from command to rate; None: not known
 
     @property
     def is_complete(self) -> bool:

@@ -34,7 +34,7 @@ class Computed:
     margins: LoopMargins
     hertz: Array
     loop: Complex
-    limit: AxisLimit | str | None = None  # of performance; or why there is none; None: it was not asked for
+    limit: AxisLimit | str | None = None  # or why there is none; None: not asked
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Plants:
 
     channels: Mapping[str, Channel]
     spec: EngineSpec
-    thrust_fraction: float  # of the engines' range, at which it hovers
+    thrust_fraction: float  # of the engines' range, in hover
 
 
 def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:

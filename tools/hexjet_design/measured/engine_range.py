@@ -18,7 +18,7 @@ from cosim.base.arrays import Complex
 from hexjet_design.loop.frequency import loop_margins
 from hexjet_design.measured.estimate import QUANTITIES, Response, fill
 
-SHARES = (2.5, 97.5)  # percent of the draws, below and above which a 95 % range ends
+SHARES = (2.5, 97.5)  # percent: ends of a 95 % range
 NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIES}  # in the numbers' order
 
 

@@ -21,8 +21,10 @@ from cosim.base.errors import FlightError
 from hexjet_design.loop.frequency import LoopMargins, loop_margins
 
 FEW = 10  # lines, of which no margins are made
-NOISY = 0.1  # of S, one standard deviation: lines that are hidden deeper in noise say nothing about margins
-FINE = 20  # points between two measured ones, on straight lines of log gain and phase over log frequency
+# Lines at which the standard deviation of S is larger say nothing about margins.
+NOISY = 0.1
+# So many points are between two measured ones, on straight lines of log gain and phase over log frequency.
+FINE = 20
 
 
 QUANTITIES = tuple(field.name for field in fields(LoopMargins))
@@ -46,7 +48,7 @@ class Response:
     sensitivity: Complex
     spread: Array
     coherence: Array
-    used: NDArray[np.bool_]  # lines that stand out of the noise, which the margins are of
+    used: NDArray[np.bool_]  # lines of the margins, above the noise
     margins: Mapping[str, Bounded]
 
 

@@ -36,10 +36,9 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.tank import Tank
 
-RISE = (
-    0.5  # power of 1 / f by which lines grow from ten times the lowest down: what they are to be seen in gets smaller
-)
-USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak of what is added: share of thrust, rad; chosen by us
+# Power of 1 / f by which lines grow from ten times the lowest down, where they would be hidden otherwise.
+RISE = 0.5
+USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak that is added: share of thrust, rad
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,8 @@ def multisine(
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
     cosines, sines = np.cos(turn) * size, np.sin(turn) * size
     phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (draws, len(bins)))
-    if 2 * last == period:  # at half the sampling rate a sine has two phases
+    if 2 * last == period:
+        # At half the sampling rate a sine has two phases.
         phases[:, -1] = np.pi * np.round(phases[:, -1] / (2.0 * np.pi))
     waves = cosines @ np.cos(phases.T) - sines @ np.sin(phases.T)
     peaks = np.abs(waves).max(axis=0)
@@ -167,7 +167,7 @@ class TappedController:
         self._inner, self._tap, self._wave = inner, tap, wave
         self.before: list[float] = []
         self.behind: list[float] = []
-        self.refused = 0  # steps in which allocation could not give what the loops asked for
+        self.refused = 0  # steps in which allocation gave less
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -190,7 +190,7 @@ class Record:
     amplitude: float
     before: Array  # (periods, steps)
     behind: Array
-    clipped: bool  # an actuator, or allocation, was at an end of its range
+    clipped: bool  # an actuator or allocation at its end
 
     def sensitivity(self) -> Complex:
         """Return ``S = behind / added`` of each period and line, (periods, lines).
@@ -258,7 +258,8 @@ def _tap_loop(simulation: Simulation, axis: str, sine: Multisine, amplitude: flo
     tap = Tap(axis, simulation.scenario, simulation.vehicle, simulation.stations)
     tapped = TappedController(simulation.controller, tap, lambda k: wave[k % period])
     fuel = simulation.vehicle.fuel
-    if fuel is not None:  # as full as it is at the start: with no step nothing is burnt
+    if fuel is not None:
+        # The tank is as full as it is at the start: with no step nothing is burnt.
         simulation.propulsion.tank = Tank(fuel.mass_kg, 0.0, simulation.scenario.initial.fuel)
     simulation.controller = tapped
     simulation.reset()

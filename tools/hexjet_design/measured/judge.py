@@ -20,7 +20,8 @@ from cosim.control.autopilot.tuning import control_of, controller_of
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.spec.scenario import Scenario
 
-if TYPE_CHECKING:  # a session begins without the mathematics of designs: most are never asked for it
+if TYPE_CHECKING:
+    # A session begins without the mathematics of designs: most are never asked for it.
     from hexjet_design.loop.closed_loop import FrequencyGrid
     from hexjet_design.loop.tuning import Tuning
     from hexjet_design.measured.computed import Plants
@@ -36,11 +37,12 @@ class _Loop(NamedTuple):
     """Stability and margins of one loop."""
 
     stable: bool
-    bound_ratio: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
-    text: str  # its margins that are less, or why it is not stable
+    bound_ratio: float  # least margin over its bound
+    text: str  # margins that are less, or why unstable
 
 
-_UNKNOWN = _Loop(True, inf, "")  # what flew on a predictor that cannot be computed: taken as good
+# What flew on a predictor that cannot be computed is taken as good.
+_UNKNOWN = _Loop(True, inf, "")
 
 
 class LoopJudge:
@@ -49,7 +51,7 @@ class LoopJudge:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._vehicle, _ = scenario.resolved_vehicle()
-        self._built_in = scenario.controller in PREDICTORS  # one from outside leaves us the height alone
+        self._built_in = scenario.controller in PREDICTORS  # else we have the height alone
         self._plants: Plants | str | None = None
         self._points: dict[str, FrequencyGrid] = {}
         self._lock = Lock()
@@ -98,7 +100,8 @@ class LoopJudge:
         family = plants.spec.family
         vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
         models = dict(plants.spec.models_in(vehicle.identified))
-        if "roll" in models:  # what the controller adds itself is in the parameter, and comes on top again
+        if "roll" in models:
+            # What the controller adds itself is in the parameter, and comes on top again.
             samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
             models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
             vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})

@@ -23,10 +23,11 @@ VERDICTS = {
     NOT_TOLD: "the margins are not told",
     TOO_LITTLE: "do not fly on it",
 }
-PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, and with a well-known engine
+PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, with a well-known engine
 CROSSOVER = "crossover_hz"  # judged only where there is none
-UNSTABLE = "unstable_engines"  # of those that are drawn from its uncertainty
-JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to it, digits
+UNSTABLE = "unstable_engines"  # of those drawn from its uncertainty
+# Each quantity has its name, its unit on a screen, the factor to that unit, and digits.
+JUDGED = {
     "gain_db": ("gain up", "dB", 1.0, 1),
     "gain_down_db": ("gain down", "dB", 1.0, 1),
     "phase_deg": ("phase, lag", "deg", 1.0, 1),
@@ -37,7 +38,7 @@ JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to i
     UNSTABLE: ("lost draws", "", 1.0, 0),
     CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
-AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others are to be at least their limit, in size
+AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others have a minimum, in size
 COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")
 
 
@@ -56,8 +57,8 @@ class Judged(NamedTuple):
 
     axis: str
     margin: str  # of JUDGED
-    value: float | None  # measured; None: there is none in the band
-    worst: float | None  # the worse end of its 95 % bounds, which is judged
+    value: float | None  # measured; None: none in the band
+    worst: float | None  # judged: worse end of its 95 % bounds
     limit: float | None  # None: nothing is known to ask for
     known_limit: float | None  # with a well-known engine; None: the same
     band: str | None  # of BANDS; None without a limit

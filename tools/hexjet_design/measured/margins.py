@@ -28,15 +28,18 @@ from hexjet_design.measured.estimate import QUANTITIES, Response, measured, rela
 from hexjet_design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
 from hexjet_design.measured.judgement import Judged, find_worst, judge_axis
 
-PERIOD_S, LONG_S = 20.0, 60.0  # of the multisine; the longer one where the loop crosses over below WITHIN periods
+# The multisine has the longer period where the loop crosses over below WITHIN periods.
+PERIOD_S, LONG_S = 20.0, 60.0
 WITHIN = 10.0
 PERIODS = 5
 LEAST_PERIODS = 3  # that say a spread
 TO_HZ = 0.1  # over the control step
-FALLS = 0.7  # |L| at the band's end over an octave below: one that falls less is measured up to half the control rate
-LITTLE = 0.01  # |L| at the band's end that is not looked after: 40 dB of gain
-LESS, TRIES = 0.4, 5  # times the amplitude where the vehicle was lost or an actuator at its end
-LINEAR = 0.05  # that a number may change by at half the amplitude beside its bounds
+# A |L| that falls less than to this in the band's last octave is measured up to half the control rate.
+FALLS = 0.7
+LITTLE = 0.01  # |L| at the band's end: 40 dB of gain
+LESS, TRIES = 0.4, 5  # amplitude after a loss, and attempts
+# A number may change by this beside its bounds at half the amplitude.
+LINEAR = 0.05
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
 COHERENT = 0.9
 
@@ -50,8 +53,8 @@ class MeasuredMargins:
     scenario: Scenario
     source: Source | None
     axes: Mapping[str, AxisMargins]
-    uncomputed: str  # why nothing was computed; empty where it was
-    uncertainty_source: str | None = None  # of the engine's uncertainty; None: it states none
+    uncomputed: str  # why nothing was computed, or empty
+    uncertainty_source: str | None = None  # of the engine's; None: it states none
     engine_ranges: tuple[ParameterRange, ...] = ()  # of its uncertain parameters
 
     @property
@@ -203,8 +206,8 @@ class _MarginRequest:
     to_hz: float | None
     period_s: float | None
     periods: int
-    transport_s: float | None  # that the vehicle has from command to measured rate; None: not known
-    sensitivity: EngineSensitivity | None  # of the engine that turns the axis; None: none does, or it states none
+    transport_s: float | None  # from command to rate; None: not known
+    sensitivity: EngineSensitivity | None  # of the axis's engine, where stated
     say: Say
 
     def measure(self, computed: Computed | None) -> AxisMargins:

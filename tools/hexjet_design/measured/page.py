@@ -27,7 +27,7 @@ MEASURED = (
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
 OVER_ENGINE = "over the engine's uncertainty, 95 %"
 ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")
-QUANTITIES = (  # quantity, what it is called, and its numbers
+QUANTITIES = (  # quantity, its name and its numbers
     ("gain_db", "gain up", "{:+.2f} dB"),
     ("gain_down_db", "gain down", "{:+.2f} dB"),
     ("phase_deg", "phase, lag", "{:.1f} deg"),

@@ -236,7 +236,8 @@ def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMe
     scenario = _scenario(design, f"{name}-as-shipped", table, controller, {"vehicle": vehicle})
     try:
         return measure_flight(fly(scenario, report=False))
-    except InputError as error:  # of gains or models that do not go with this engine
+    except InputError as error:
+        # These gains or models do not go with this engine.
         return FlownMeasures(f"cannot fly: {error}", False, {})
 
 

@@ -19,8 +19,8 @@ class ProofFlight:
     scenario: str
     gain: float  # times that of roll, pitch and yaw
     later: int  # control steps
-    fault: str  # what it did that was not promised; empty where it kept it
-    engine: str = ""  # which engine was off, and by how much; empty where all are the same
+    fault: str  # not as promised; empty: as promised
+    engine: str = ""  # which was off; empty: all are the same
     flown: FlownMeasures | None = None
 
     @property
@@ -42,14 +42,14 @@ class Proof:
 
     reason: str
     measured_hz: float  # up to where the engine was measured
-    stability_fraction: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
+    stability_fraction: float  # max |T (r - 1)|: stable below 1
     sensitivity: float  # the greatest of the measured loops
-    above: float  # greatest loop gain where nothing was measured
+    above: float  # greatest loop gain beyond measured_hz
     flights: Sequence[ProofFlight]
-    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
-    compared: Sequence[FlownPair] = ()  # with the gains that ship; empty where nothing was flown
-    lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
-    allowing: Mapping[str, float] = field(default_factory=dict)  # the requirement with which what failed would keep it
+    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share) of misfit, where it fails
+    compared: Sequence[FlownPair] = ()  # with the gains that ship, if flown
+    lean_deg: float = 0.0  # of the doublets; 0: nothing was flown
+    allowing: Mapping[str, float] = field(default_factory=dict)  # requirement that would have been kept
 
     def lines(self) -> list[str]:
         """Describe the proof by flights and the one by measured response, in a sentence each."""

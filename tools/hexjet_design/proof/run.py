@@ -37,15 +37,17 @@ from hexjet_design.loop.dynamics import Dynamics, bounds
 from hexjet_design.proof.flights import HOVER, compare_with_shipped, find_allowing, fly_all, lean_of
 from hexjet_design.proof.result import Proof, ProofFlight
 
-MOST_MISFIT = 0.50  # of the response, half of it or 29 deg; chosen by us: a predictor is told nothing by such a model
-PAST = 3.0  # times the crossover, up to where the engine is measured
-MOST_HZ = 0.4  # over the control step: the highest that is swept
-SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
-WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
+# A predictor is told nothing by a model that is off by half the response or 29 deg.
+MOST_MISFIT = 0.50
+PAST = 3.0  # times the crossover: measured up to it
+MOST_HZ = 0.4  # over the step: highest that is swept
+SHARE_LEFT = 0.8  # of |T (r - 1)|; stability allows 1
+WORSE = 1.25  # times the sensitivity asked for
 NOT_KEPT = "flown with the engine itself it does not keep what it promises"
-LESS = 0.125  # of the noise, that is proposed where it moves a hover
+LESS = 0.125  # of the noise, where it moves a hover
 LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
-ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
+# Loop gain where nothing was measured is at most this: the engine may answer twice as much as its model.
+ABOVE = 0.5
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
@@ -125,7 +127,8 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     identification = design.identification
     assert identification is not None
     swept = identification.response
-    reach = max(_crossover(closed, ABOVE) for closed in wide.values())  # a lead may hold the gain up far behind it
+    # A lead may hold the gain up far behind the crossover.
+    reach = max(_crossover(closed, ABOVE) for closed in wide.values())
     end = min(max(PAST * crossing, 1.1 * reach, float(swept.hertz[-1])), MOST_HZ / step)
     low = min(float(swept.hertz[-1]), crossing) / 4.0
     size = identification.sweep.amplitude
