@@ -16,7 +16,7 @@ from cosim.base.storage.files import read_json
 from cosim.base.storage.toml import read_toml
 
 RECORD = Path(__file__).with_name("evidence.toml")
-CHOSEN = "chosen"  # with which an engine's source begins that was not measured
+CHOSEN = "chosen"  # begins the source of unmeasured numbers
 VALIDATION = "Validation"
 CAPABILITY, RESULTS = "capability", "results"  # the standard's two assessments
 
@@ -27,7 +27,7 @@ class Factor(NamedTuple):
     assessment: str
     name: str
     evidence: str
-    level: None = None  # 0 to 4, and below why and by whom: to be filled in
+    level: None = None  # 0 to 4: to be filled in, with the rest
     reason: str = ""
     judged_by: str = ""
 
@@ -38,16 +38,16 @@ class Evidence:
 
     aircraft: str
     engine: str
-    is_shipped: bool  # aircraft and engine are those of the package
+    is_shipped: bool  # aircraft and engine are the package's
     version: str  # of the package that flew
-    own_code: Sequence[str]  # files of the user's that flew: controllers, engines, blocks
-    uncertainty_source: str | None  # of the engine's table; "" where it states none, None where there is no table
+    own_code: Sequence[str]  # files of the user's that flew
+    uncertainty_source: str | None  # None: no table; empty: none stated
     is_engine_drawn: bool
     varied: int  # keys that were drawn
-    not_varied: Sequence[str]  # kinds of numbers of which none was
-    ranked: int  # of the drawn keys, those whose effect on a result could be told from chance or not
-    searched: bool  # for the worst case, over all keys together
-    warnings: Sequence[str]  # of the use: a model that is far from its vehicle, a design without its proof
+    not_varied: Sequence[str]  # kinds of numbers of which none varied
+    ranked: int  # drawn keys whose effect could be judged
+    searched: bool  # for the worst case, over all keys
+    warnings: Sequence[str]  # of the use: model far off, no proof
     replayed: int  # flights of the proof flown again
     replayed_same: int
     comparisons: Sequence[Mapping[str, Any]] = ()  # replay.json of recorded flights

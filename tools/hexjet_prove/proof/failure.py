@@ -16,12 +16,13 @@ from hexjet_prove.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCas
 from hexjet_prove.search.worst_folder import SavedWorst, run_worst
 
 NOTED = 3  # keys that are named of a failure
-LIKELY, WORST = "likely", "worst"  # the searches, and their folders within that of the proof's searches
+LIKELY, WORST = "likely", "worst"  # searches, and their folders
 SAID = {  # of one that was not made
     LIKELY: "no search for the most likely failure was made",
     WORST: "no search for the worst case was made",
 }
-TARGET = 1e-6  # the smallest probability that the levels reach: that of hexjet rare by default
+# The levels reach down to this probability, as those of hexjet rare do by default.
+TARGET = 1e-6
 KEPT = (
     "probability",
     "low",

@@ -63,7 +63,7 @@ from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
 RARE = "rare"
 NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
-LISTED = 3  # flights with the smallest margins that are flown again
+LISTED = 3  # smallest margins that are flown again
 PACKAGE = "hexjet-cosim"
 
 Say = Callable[[str], None]
@@ -73,10 +73,10 @@ Say = Callable[[str], None]
 class Request:
     """What a proof is to have beside its flights."""
 
-    limit: bool = True  # the distance of the controller to the best
-    search: int = 0  # flights for each search, of the most likely failure and of the worst case; 0: none is made
-    rare: int = 0  # flights for the probability of failures that are too rare to count; 0: none is estimated
-    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # what replay.json says of recorded flights
+    limit: bool = True  # distance of the controller to the best
+    search: int = 0  # flights for each search; 0: none
+    rare: int = 0  # flights for rare failures; 0: none
+    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # replay.json of recorded flights
 
 
 def fly_study(
@@ -176,7 +176,7 @@ def _conclude(
 
 def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> Iterator[WorstFlight]:
     """Fly those with the smallest margins again, and the failed one that is nearest to the middle of the draws."""
-    shutil.rmtree(out / WORST, ignore_errors=True)  # of a proof that was stopped while it flew them
+    shutil.rmtree(out / WORST, ignore_errors=True)  # a stopped proof may have left some
     rows = [campaign.row(int(number)) for number in table.flight]
     margins = np.array([row_margin(row, campaign.study) for row in rows])
     failed = np.flatnonzero(~table.success)
@@ -191,7 +191,7 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
         try:
             again = fly_again(campaign, number, out / run)
             is_same, same = again.same, again.sameness
-        except (FlightError, InputError):  # as the first time, which is how it failed
+        except (FlightError, InputError):  # it failed so the first time too
             run, is_same, same = "", row["outcome"] == "failed", "failed again"
         values = {name: row[name] for name in campaign.study.drawn}
         reason = str(row["reason"])

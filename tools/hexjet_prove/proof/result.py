@@ -21,9 +21,9 @@ class ProvenRequirement:
 
     label: str  # R1, R2, ...
     says: str
-    broken: int  # flights that did not keep it, of those that it could be told of
+    broken: int  # flights that did not keep it
     told: int
-    margin: float | None  # the smallest of all flights, in ``unit``: positive kept, negative broken; None: not told
+    margin: float | None  # smallest, in unit; below 0: broken
     unit: str
     flight: int | None  # which had it
 
@@ -38,8 +38,8 @@ class WorstFlight:
     reason: str
     margin: float  # of the row: below 0 where it failed
     values: Mapping[str, Any]  # of the drawn keys
-    run: str  # its folder, as seen from the proof's; empty where it could not be flown
-    is_same: bool  # as it was in the campaign, see ``again``
+    run: str  # its folder; empty: it could not fly
+    is_same: bool  # as it was in the campaign
     again: str  # in words
 
 
@@ -48,7 +48,7 @@ class Part:
     """A part of a proof that another method does, as its result; or why it was not done."""
 
     result: Mapping[str, Any] | None
-    says: str  # what it came to, or why it was not done, in one sentence
+    says: str  # what it came to, or why not done
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Proof:
     """All of a proof.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
 
     folder: Path
-    study: Mapping[str, Any]  # name, title, scenario, aircraft, engine, controller, seed
+    study: Mapping[str, Any]  # its name, scenario, vehicle, seed
     claim: ClaimResult
     requirements: Sequence[ProvenRequirement]
     uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
@@ -64,7 +64,7 @@ class Proof:
     worst: Sequence[WorstFlight]
     likely: Part  # the most likely failure, searched for
     worst_case: Part  # the worst case, searched for
-    rare: Part  # the probability of failure by a method for rare ones
+    rare: Part  # failure probability, by levels
     limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
     axis: str  # whose limit the sentence states
     not_varied: Sequence[str]  # kinds of numbers, fixed in every flight

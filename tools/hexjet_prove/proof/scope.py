@@ -19,7 +19,7 @@ KINDS = {
     "aerodynamics": ("vehicle.aero",),
     "wind and air": ("environment.",),
 }
-_OF_ENGINES = ("gain", "thrust")  # parameters of an engine that are its thrust
+_OF_ENGINES = ("gain", "thrust")  # parameters of an engine's thrust
 
 
 def kinds_not_varied(study: Study) -> list[str]:

@@ -37,7 +37,7 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     table = _study_table(name)
     stated = table.get("until")
     if not claim and stated is None:
-        _open(name, **options)  # a name that is not known is reported before
+        _open(name, **options)  # reports an unknown name first
         raise InputError(f"{name}: states no claim (until); claim says what is to be shown, such as 99.9%@95%")
     where = "claim" if claim else f"{name}: until ="
     claim = str(claim or stated)

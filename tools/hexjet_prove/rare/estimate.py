@@ -20,9 +20,10 @@ from cosim.base.errors import InputError
 from cosim.studies import LEVEL, proportion
 from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 
-REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
+REPEATS = 8  # 7 degrees of freedom of Student's t
 CONFIDENCE = LEVEL
-SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
+# Below this seed_effect noise decides; it is 0.1 to 0.4 where half of the margin's variance is noise.
+SEEDS_DECIDE = 0.5
 # Flights a level at least, of one group of requirements (five starts) and of one of several (docs/campaigns.md), and
 # the part of all flights that several groups leave to the search for the nearest failure.
 SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05

@@ -27,7 +27,7 @@ from hexjet_prove.search.question import Answered, fly_cases
 RESULT, REPORT = "rare.json", "rare.html"
 COMMAND = {"command": "hexjet rare"}  # as a folder records it
 SavedRare = Answered[RareResult]
-CASES_RECORDED = 3  # failures that are flown again, the most likely first
+CASES_RECORDED = 3  # most likely failures, flown again
 
 
 def resolve_rare(

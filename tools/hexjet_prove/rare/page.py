@@ -23,8 +23,8 @@ SHIFTED = (
     "Where each key is in the failures, in standard deviations of what is drawn: of all flights the mean is 0 and the "
     "spread 1. Furthest out first."
 )
-POINTS = 40  # of a curve, each at a margin that so many parts of a level's flights lie apart
-SHOWN = 12  # keys of the table, those that the failures are furthest out in
+POINTS = 40  # of a curve, at even parts of a level
+SHOWN = 12  # keys, those furthest out in failures
 LIMITS = (
     "The margin must lead there: failures that nothing announces, in a region that no level leads to, are not found, "
     "and not in the interval"

@@ -29,7 +29,7 @@ from hexjet_prove.rare.subset import Candidates
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 
 ASKED = "a rare failure"
-REPEAT_STREAMS = 2  # index of the repeats' random streams of a study's seed, beside those of its draws
+REPEAT_STREAMS = 2  # index of a seed's random streams
 
 
 @dataclass(frozen=True)

@@ -34,14 +34,14 @@ from hexjet_prove.rare.groups import Group
 
 Index = np.ndarray[Any, np.dtype[np.int64]]
 
-LEVEL_FRACTION = 0.1  # of a level's flights that start the next level's chains (Au and Beck)
-ACCEPTED = 0.44  # fraction of correlated steps that are to be accepted (Papaioannou et al.)
-FIRST_STEP = 0.6  # of the starts' spread, before any step was judged (Papaioannou et al.)
-SEED_REDRAWN = 0.5  # probability that a candidate has a new seed, chosen by us
+LEVEL_FRACTION = 0.1  # of flights: next starts (Au and Beck)
+ACCEPTED = 0.44  # part of steps (Papaioannou et al.)
+FIRST_STEP = 0.6  # of the spread (Papaioannou et al.)
+SEED_REDRAWN = 0.5  # probability, for a candidate
 # Chosen by trial on known truths: part of the candidates that are drawn by the linear model, and how well that must
 # agree with the level's flights before any is.
 BY_MODEL, LEAST_AGREEMENT = 0.75, 0.3
-DIGITS = 9  # of a coordinate: the last bits of a fit are the machine's
+DIGITS = 9  # of a coordinate, same on all machines
 
 
 class Candidates(NamedTuple):
@@ -61,7 +61,7 @@ class Level:
     """
 
     margins: Array
-    numbers: Index  # of each state's flight, counted from 0 in the repeat: a state may be one from before
+    numbers: Index  # each state's flight, within the repeat
     threshold: float
     below: float
     shares: Array
@@ -155,7 +155,7 @@ def subset_simulation(
     count, dimension = first.points.shape
     states = _States(first.points, first.seeds, *group.judge(flown), np.arange(count))
     levels: list[Level] = []
-    judgements: list[Array] = [np.zeros((0, 2))]  # of each candidate: whether it had a new seed, and was accepted
+    judgements: list[Array] = [np.zeros((0, 2))]  # whether new seed, whether accepted
     flights, scale = count, FIRST_STEP
     while True:
         failed = states.margins < 0.0

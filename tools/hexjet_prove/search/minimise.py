@@ -32,16 +32,19 @@ from cosim.base.errors import InputError
 from hexjet_prove.search.line_search import scan_outward
 
 R = TypeVar("R")
-Steps = Generator[Array, Array, R]  # asks for points, a row each, and is told their margins
+Steps = Generator[Array, Array, R]  # yields rows of points, gets margins
 
-NEAR = 0.01  # in standard deviations: how finely the distance of a failure is made known, chosen by us
-CONVERGED = 0.02  # of the region's size: a generation that is spread less than this has converged, if it is the best
+NEAR = 0.01  # standard deviations, of a failure
+# A generation with less spread than this part of the region has converged, if it is the best.
+CONVERGED = 0.02
 COARSE = 0.08  # the same for any other
-ALIKE = 0.8  # of the region's size: a descent that comes so near to the end of an earlier one ends there too
-STALLED = 12  # generations in a row that are no better than those before: it is at an end, or knows no direction
-SLIGHT = 0.001  # of the largest difference of margins in a generation: what is less is no better
-CORNERS = 4  # over the budget: the corners of a box are evaluated first, if they are no more than that
-RAY_POINTS = 4  # points of a way to a failure that are evaluated at a time
+# A descent that comes so near to the end of an earlier one (of the region's size) ends there too.
+ALIKE = 0.8
+STALLED = 12  # generations that were no better
+SLIGHT = 0.001  # of a generation's largest difference
+# The corners of a box are evaluated first, if they are no more than the budget over this.
+CORNERS = 4
+RAY_POINTS = 4  # evaluated at a time, towards a failure
 
 
 class BudgetSpentError(Exception):

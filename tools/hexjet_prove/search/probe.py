@@ -40,7 +40,7 @@ class PointResult:
     broken: int
     flights: int
     breaks: bool
-    worst: Row  # row of the first seed that broke, or else of the first seed
+    worst: Row  # of the first seed that broke, or first
 
 
 def count_needed(fraction: float, flights: int) -> int:

@@ -43,7 +43,7 @@ class Case:
     flight: int
     controller: str
     breaks: bool
-    distance: float | None  # standard deviations from the middle of all draws, where that is known
+    distance: float | None  # standard deviations from the middle
     values: Mapping[str, Value | None]
     seed: int
     outcome: str
@@ -89,7 +89,7 @@ class Answered(Generic[A]):
 
 def fly_cases(campaign: Campaign, chosen: Iterable[tuple[str, int, bool, float | None]]) -> tuple[Case, ...]:
     """Fly flights once more, recorded in full in ``cases/``: of each the name, the number, and two fields of a case."""
-    shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # of a search that was stopped while it flew them
+    shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # a stopped search may have left some
     return tuple(_fly_case(campaign, *case) for case in chosen)
 
 
@@ -99,7 +99,7 @@ def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance
     outcome, reason, same, what = "failed", str(row["reason"]), True, ""
     try:
         again = fly_again(campaign, number, campaign.folder / CASES / name)
-    except FlightError:  # it could not be flown the first time either, which is how it failed
+    except FlightError:  # it failed so the first time too
         same = row["outcome"] == "failed"
     except InputError as error:
         reason, same = str(error), False

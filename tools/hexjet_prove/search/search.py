@@ -48,8 +48,8 @@ class Plan:
     spans: tuple[Span, ...]
     over: SecondKey | None = None
     seeds: tuple[int, ...] = (1,)
-    share: float = 0.0  # fraction of the flights of a point that have to break; 0: any of them
-    draws_engine: bool = False  # by its uncertainty, in all flights of a point but the first
+    share: float = 0.0  # of a point's flights; 0: any breaks it
+    draws_engine: bool = False  # in all flights of a point but the first
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
         """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
@@ -84,13 +84,13 @@ class Edge:
     level: Value | None  # of the second key
     start: Value
     start_breaks: bool
-    holds: Value | None  # the last before ``breaks``; of a start that breaks, the first further out
-    breaks: Value | None  # the first value that breaks; None: none up to the end
+    holds: Value | None  # last before breaks, or first further out
+    breaks: Value | None  # first that breaks; None: none does
     end: Value
-    deviation: float | None  # deviation of ``breaks``, as a fraction of the way to the end
-    bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, and whether it breaks there
+    deviation: float | None  # of breaks, over the way to the end
+    bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, whether it breaks
     flown: int
-    broken: int  # number of flights that broke at the breaking point
+    broken: int  # flights that broke at the breaking point
     outcome: str
     reason: str  # reason of the first of them
 

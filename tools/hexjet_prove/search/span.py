@@ -13,8 +13,8 @@ from cosim.base.errors import InputError
 from cosim.studies import Key, Value, Vary, absolute_support, check_vary, quantum, whole_bounds
 from hexjet_prove.search.line_search import Between
 
-SCAN_POINTS = 21  # points of a scan over the whole range by default; chosen by us
-RESOLUTION = 200  # the default tolerance is the range over this; chosen by us
+SCAN_POINTS = 21  # of a scan over the whole range
+RESOLUTION = 200  # the range over the default tolerance
 
 
 @dataclass(frozen=True)

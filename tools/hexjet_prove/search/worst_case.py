@@ -28,9 +28,10 @@ from hexjet_prove.search.minimise import Ball, Box, Found, descend
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 from hexjet_prove.search.search import describe_flight
 
-WORST_WITHIN = 3.0  # standard deviations, by default; chosen by us
-LIKELY_WITHIN = 6.0  # beyond it is less than one of a billion draws of one key; chosen by us
-MUCH_FLAT = 0.5  # of the flights that have one margin: then the search is told so little that it is said
+WORST_WITHIN = 3.0  # standard deviations, by default
+LIKELY_WITHIN = 6.0  # 1e-9 of draws lie beyond, on each side
+# Where more than this part of the flights has one margin, the result says that it learnt little.
+MUCH_FLAT = 0.5
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class WorstPlan:
     likely: bool = False
     within: float | None = WORST_WITHIN
     seeds: tuple[int, ...] = (1,)
-    budget: int = 1000  # flights of the search, for each controller
+    budget: int = 1000  # flights of the search, a controller
     seed: int = 1  # of the search itself
 
     def table(self) -> dict[str, Any]:
@@ -73,9 +74,9 @@ class KeyEffect:
     """
 
     name: str
-    value: Value | None  # None: a coordinate of an uncertain engine, whose parameters are among the case's values
-    middle: Value | None  # the value at the middle of its distribution
-    place: float  # in standard deviations; without a likelihood in half ranges, -1 to 1
+    value: Value | None  # None: of an uncertain engine
+    middle: Value | None  # at the middle of its distribution
+    place: float  # standard deviations, or half ranges
     share: float
     without: float | None  # None: there is no such flight
     alone: float | None
@@ -91,10 +92,10 @@ class WorstCase:
 
     controller: str
     margin: float
-    middle_margin: float | None  # of the flight in the middle of everything; None: there is none
+    middle_margin: float | None  # in the middle of everything, if flown
     distance: float | None
     values: Mapping[str, Value]
-    seed: int  # of those of the point, the one with the smallest margin
+    seed: int  # the point's with the smallest margin
     flight: int  # its number in the folder
     outcome: str
     reason: str
@@ -102,8 +103,8 @@ class WorstCase:
     flights: int  # of the search
     since: int  # of them, after the last that was better
     starts: int  # descents that were begun
-    flat: float  # share of the flights that have the most common margin
-    impossible: int = 0  # points that are no vehicle or scenario, and neither fail nor keep
+    flat: float  # share with the most common margin
+    impossible: int = 0  # points that are no vehicle or scenario
     impossible_reason: str = ""  # of the first of them
 
     @property

@@ -17,7 +17,7 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.spec.vehicle import Vehicle
 
-GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated
+GYRO_BIAS = radians(3.0)  # rad/s, of an uncalibrated MEMS gyro
 
 
 class Case(NamedTuple):
@@ -26,9 +26,9 @@ class Case(NamedTuple):
     name: str
     first_requests: tuple[Request, ...]
     failing_requests: tuple[Request, ...]
-    holds: bool = False  # whether it ends in HOLD instead of on the ground
-    moving: bool = False  # flown without a position from then on, so it also begins moving
-    waits: bool = False  # whether the fuel runs down without a request until the autopilot acts
+    holds: bool = False  # ends in HOLD, not on the ground
+    moving: bool = False  # without a position: it begins moving too
+    waits: bool = False  # until the fuel is low, with no request
 
 
 def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:

@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 # Chosen by us.
-MOVING_S = 10.0  # on the way before anything fails: twice what reaching the speed and learning the drag there take
+MOVING_S = 10.0  # the drag is learnt in half of it
 FAR_M = 1000.0  # m to the target of a moving start
 SETTLED_S = 5.0  # holding before anything fails, at least
-SLOW_M_S, SLOW_S = 0.3, 1.0  # and slower than this for so long, so that it does hold where the wind took it at first
-LONGEST_SETTLING_S = 60.0  # s after which the failure begins at any speed
-LONGEST_S = 180.0  # from the failure on: three times the descent from 30 m at the landing's rate
-PER_METRE_S = 4.0  # s in addition for each metre of height: slower than any vehicle climbs or descends
+SLOW_M_S, SLOW_S = 0.3, 1.0  # m/s and s: then it does hold
+LONGEST_SETTLING_S = 60.0  # then it fails at any speed
+LONGEST_S = 180.0  # three descents from 30 m
+PER_METRE_S = 4.0  # of height: slower than any vehicle
 LATER_S = 10.0  # after disarming
-DISARMED_S = 1.0  # the same of all flights of a cell but the first
-STANDING_S = 1.1  # s on the ground before arming: home is known by then
-HOLD_S = 8.0  # it is to hold for at least so long, and until it is slow near its place
-HOLD_RADIUS_M = 1.5  # and counts as holding within this of the place: what a waypoint is reached within (HJ_ACC_RADIUS)
-HOLD_HEIGHT_M = 0.4  # m of height error that counts as holding, and ends a climb
+DISARMED_S = 1.0  # flights of a cell but the first
+STANDING_S = 1.1  # on the ground: home is known then
+HOLD_S = 8.0  # at least, and until slow near its place
+HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
+HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
 LONGEST_HOLD_S = 60.0
 
 
@@ -55,7 +55,7 @@ MEASURED = (
     *("touchdown_m_s", "sideways_m_s", "thrust_n", "after_s", "drift_m", "off_m", "height_off_m", "hover_s"),
     *("margin_m_s", "margin_m"),
 )
-OWN = "own."  # before a measured name in a campaign's row, as before those of the user's metrics
+OWN = "own."  # before the measured names in a row
 
 
 class FailsafeAutopilot(Model):
@@ -65,12 +65,12 @@ class FailsafeAutopilot(Model):
     """
 
     name: Literal["failsafes"]
-    trip_m_s: float | None = None  # from which it tips over legs that catch; none: from no speed
-    failsafe: str = ""  # what fails; empty: nothing, which flies nowhere
+    trip_m_s: float | None = None  # tips over legs that catch; None: never
+    failsafe: str = ""  # what fails; empty: nothing
     height_m: float = 0.0  # above the ground, when it fails
     speed_m_s: float = 0.0  # ahead; 0: it holds
-    number: int = 0  # of the flights of its cell; 0: it begins in the air
-    hover_s: float = 0.0  # from the end of the take-off until something fails
+    number: int = 0  # in its cell; 0: it begins in the air
+    hover_s: float = 0.0  # from the take-off until something fails
     endurance_s: float | None = None  # of a battery that is to run down
 
     @property

@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 # Of docs/tables/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
-TALL_M = (100.0, 300.0)  # heights [m] of flights that wait for the fuel, one flight each
+TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
-SPEED_M_S = 5.0  # m/s, speed of moving starts: above any vehicle's cruise, below any drag that the lean cannot hold
+SPEED_M_S = 5.0  # above cruise, below a full lean's drag
 MOVING_FROM_M = 10.0  # they begin no lower
-HOVER_S = (2.0, 20.0)  # from the end of a take-off until something fails, drawn evenly
+HOVER_S = (2.0, 20.0)  # from the take-off until it fails
 
 
 class Start(NamedTuple):
@@ -69,20 +69,20 @@ class Row:
     wind_m_s: float
     speed_m_s: float  # ahead, as it failed; 0: it held
     verdict: Verdict
-    touchdown_m_s: float  # the fastest sinking in the step before a leg touched
-    sideways_m_s: float  # the fastest over the ground in such a step
-    thrust_n: float  # of all engines together, ten seconds after disarming
+    touchdown_m_s: float  # sinking in the step before a touch
+    sideways_m_s: float  # over the ground in such a step
+    thrust_n: float  # of all engines, 10 s after disarming
     after_s: float  # from the failure to the first touch
-    drift_m: float  # from where it was when it failed to where it ended
-    reason: str  # of a crash; else what the autopilot said it acted upon
+    drift_m: float  # from where it failed to where it ended
+    reason: str  # of a crash, or of the autopilot's act
     # of what is to hold, at the end, from the place and the height that it was to hold
     off_m: float
     height_off_m: float
-    log_sha256: str  # of every sample of the flight (cosim.results.log.digest): what flies it again must have the same
-    number: int = 0  # of the flights of its cell; 0: it began in the air
-    hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last
-    margin_m_s: float = nan  # by which its legs touched slower than they take, and than it tips; below 0: faster
-    margin_m: float = nan  # by which what is to hold is within of its place; below 0: it is not
+    log_sha256: str  # of every sample of the flight
+    number: int = 0  # in its cell; 0: it began in the air
+    hover_s: float = nan  # from the take-off until it failed
+    margin_m_s: float = nan  # of touchdown; below 0: too fast
+    margin_m: float = nan  # of holding; below 0: it does not
     flight: int = 0  # its number in the campaign
 
 
@@ -143,7 +143,7 @@ class PlannedFlight(NamedTuple):
 
     case: Case
     start: Start
-    number: int  # of the flights of its cell; 0: it begins in the air
+    number: int  # in its cell; 0: it begins in the air
 
     @property
     def name(self) -> str:

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
     from cosim.simulation.controllers.source import Source
 
-WHOLE_CONTROLLER = "controller"  # a level: all of the cascade, the engine monitor with it
+WHOLE_CONTROLLER = "controller"  # a level: cascade and engine monitor
 STARTS = ("hover", "roll")
 ROLL_DEG = 10.0
 HEIGHT_M = 30.0
-SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault: in the roll, a step at 0.5 s has settled by then
+SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault; the roll has settled
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")
 AFTER_S = 6.0  # flown with the fault
 LIMIT = "limit"
@@ -75,10 +75,10 @@ class Row:
     verdict: Verdict
     lean_deg: float  # largest, from upright, from the fault on
     lost_m: float  # height lost from the fault on
-    detected_s: float | None  # from the fault to the monitor's first verdict
+    detected_s: float | None  # from the fault to the first verdict
     reason: str
     controller_sha256: str | None = None  # of one from outside
-    margin_deg: float | None = None  # by which it is held; below 0: it is not, and the less, the earlier it was lost
+    margin_deg: float | None = None  # held by; below 0: the less, the earlier
     flight: int = 0  # its number in the campaign
 
 
@@ -161,7 +161,7 @@ class FaultPlan(NamedTuple):
 
     subject: Subject
     study: Study
-    cases: dict[str, tuple[Case, str]]  # each with its start, by their names in the study
+    cases: dict[str, tuple[Case, str]]  # by name in the study, with their starts
     engine_note: str  # whether an uncertain engine is drawn
 
 

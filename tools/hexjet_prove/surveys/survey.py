@@ -24,7 +24,7 @@ from cosim.studies import Campaign, Study, design_warnings, run_campaign
 
 T = TypeVar("T")
 
-LEVEL_DEG = 5.0  # chosen by us: within this of what is asked, on every axis over the last second, the vehicle is held
+LEVEL_DEG = 5.0  # held: within it on all axes for 1 s
 
 
 class Subject(NamedTuple):

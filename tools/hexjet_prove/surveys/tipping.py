@@ -19,13 +19,13 @@ from cosim.spec.vehicle import load_vehicle
 from hexjet_prove.surveys.survey import Subject
 
 # Chosen by us.
-FRICTION = 100.0  # legs that hold the ground whatever the load on them
+FRICTION = 100.0  # legs that hold under any load
 ABOVE_M = 0.005  # the lowest leg at the start
-HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # directions of motion relative to the nose
+HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # of motion, relative to the nose
 FASTEST_M_S = 8.0  # no faster is tried
 WITHIN_M_S = 0.02  # the speed is found to this
-LONGEST_S = 8.0  # in which it tips or stands; a turbine needs 3 to 5 s to come down to idle
-TIPPED = radians(60.0)  # past every vehicle's centre of gravity above its legs
+LONGEST_S = 8.0  # a turbine idles after 3 to 5 s
+TIPPED = radians(60.0)  # past any centre of gravity over legs
 
 
 class _ClosedThrottles:
