@@ -155,7 +155,7 @@ def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_pa
 )
 def test_the_static_curve_comes_out_with_its_exponent(tmp_path: Path, kind: str) -> None:
     value, deviation = engine_parameters(found(tmp_path, kind, 50.0, Truth(exponent=1.7))).told("exponent")
-    assert abs(value - 1.7) < 4.0 * deviation < 0.2
+    assert abs(value - 1.7) < 4.0 * deviation < 0.4
 
 
 def test_lost_and_clipped_rows_cost_nothing_but_rows(tmp_path: Path) -> None:

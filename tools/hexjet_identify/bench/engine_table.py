@@ -29,7 +29,7 @@ DELAY = "delay_samples"
 class Parameters(NamedTuple):
     """Parameters of the library's engine ``fitted``, with their covariance.
 
-    ``miss``: by how much its power law is off a static level at most, as a share of the range.
+    ``miss``: by how much its power law is off a static level at most, beyond its bounds, as a share of the range.
     """
 
     names: tuple[str, ...]
@@ -76,8 +76,8 @@ def engine_parameters(found: Identification) -> Parameters:
     law = fit_power_law(knots, levels, weights)
     miss = levels - law[1] - law[0] * knots ** law[2]
     if rows > 3:
-        # What the law misses of the levels is as uncertain as noise of theirs.
-        covariance[first:, first:] += np.eye(rows) * float(miss @ miss) / (rows - 3)
+        # What the law misses of the levels is as uncertain as noise of theirs, by how well each level is told.
+        covariance[first:, first:] += np.diag(float(np.sum((miss * weights) ** 2)) / (rows - 3) / weights**2)
     values = np.array(list(at.values()))
     steps = np.concatenate([np.full(first, 1e-4), np.full(rows, 1e-3 * max(float(np.ptp(levels)), 1e-300))])
     slopes = [
@@ -85,7 +85,7 @@ def engine_parameters(found: Identification) -> Parameters:
         for row, step in zip(np.diag(steps), steps, strict=True)
     ]
     slope = np.array(slopes).T
-    share = float(np.max(np.abs(miss))) / max(float(np.ptp(levels)), 1e-300)
+    share = max(float(np.max(np.abs(miss) - DEVIATIONS_95 * sizes)), 0.0) / max(float(np.ptp(levels)), 1e-300)
     return Parameters(tuple(at), values, slope @ covariance @ slope.T, share)
 
 
