@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 PAGE = "comparison.html"
 LETTERS = "ABCDEFGH"  # one per distinguishable colour
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
-MAX_INPUTS = 12  # lines of a pair; the page has all
-EARLIEST = 5  # further signals shown, first that differ
 
 
 class CompareResult(Result):
@@ -83,12 +81,13 @@ class CompareResult(Result):
         from cosim.results.report.comparison import describe_pair, inputs_between
 
         lines = [f"{flight.label[0]} {flight.source}: {describe(flight)}" for flight in self.flights]
+        max_inputs = 12  # lines of a pair; the page has all
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
             lines.append(" ".join(describe_pair(pair)))
             inputs = inputs_between(self.flights[0], flight)
-            lines += [f"  {key}: {one}; {flight.label[0]} {other}" for key, one, other in inputs[:MAX_INPUTS]]
-            if len(inputs) > MAX_INPUTS:
-                lines.append(f"  and {len(inputs) - MAX_INPUTS} inputs more that are not the same")
+            lines += [f"  {key}: {one}; {flight.label[0]} {other}" for key, one, other in inputs[:max_inputs]]
+            if len(inputs) > max_inputs:
+                lines.append(f"  and {len(inputs) - max_inputs} inputs more that are not the same")
         return lines
 
     def tables(self) -> list[Table]:
@@ -118,7 +117,8 @@ class CompareResult(Result):
 
         if self._patterns:
             return [each for each in pair.signals if any(fnmatchcase(each.name, one) for one in self._patterns)]
-        names = dict.fromkeys([*SIGNALS, *(signal.name for signal in by_time(pair.signals)[:EARLIEST])])
+        max_signals = 5  # further signals shown, first that differ
+        names = dict.fromkeys([*SIGNALS, *(signal.name for signal in by_time(pair.signals)[:max_signals])])
         found = {signal.name: signal for signal in pair.signals}
         return [found[name] for name in names if name in found]
 

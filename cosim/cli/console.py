@@ -17,8 +17,6 @@ from cosim.base.wording import printable, printable_line
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-_PIPE_WIDTH = 120  # where COLUMNS states none
-_NARROWEST = 20
 _bars: list[Bar] = []  # on the terminal now
 
 
@@ -243,9 +241,10 @@ def terminal() -> Any:
             """Make what is printed of a text, which a file may state, without its control characters."""
             return super().render_str(printable(text), **how)
 
+    pipe_width = 120  # where COLUMNS states none
     if sys.stdout is None:  # closed by whoever started this
-        return Console(file=StringIO(), width=_PIPE_WIDTH, emoji=False)
+        return Console(file=StringIO(), width=pipe_width, emoji=False)
     columns = os.environ.get("COLUMNS", "")
     if columns.isdigit():
-        return Console(width=max(int(columns), _NARROWEST), emoji=False)
-    return Console(emoji=False) if sys.stdout.isatty() else Console(width=_PIPE_WIDTH, emoji=False)
+        return Console(width=max(int(columns), 20), emoji=False)
+    return Console(emoji=False) if sys.stdout.isatty() else Console(width=pipe_width, emoji=False)

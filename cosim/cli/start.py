@@ -13,9 +13,6 @@ from typing import Any
 from cosim.base.errors import OUTPUT
 from cosim.base.runtime.kernels import set_for_command
 
-# Thresholds of gc: the hundred thousand objects that a command imports stay.
-COLLECTION = 200_000, 20, 100
-
 
 def main() -> None:
     """Run the command ``hexjet``."""
@@ -32,7 +29,8 @@ def main() -> None:
 
 def _collect_seldom() -> None:
     """Let Python look for garbage in circles now and then only, and not in what is left at the end of the process."""
-    gc.set_threshold(*COLLECTION)
+    # The hundred thousand objects that a command imports stay, so that collecting them is in vain.
+    gc.set_threshold(200_000, 20, 100)
     atexit.register(gc.freeze)
 
 

@@ -15,7 +15,6 @@ from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure
 
 # First column of a table of parameters.
 WITH_BOUNDS = "with 95 % bounds"
-MOST_POINTS = 4000  # a curve
 _BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
 
 
@@ -73,4 +72,5 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
 
 
 def _thin(values: Array) -> Any:
-    return np.arange(0, len(values), max(1, len(values) // MOST_POINTS))
+    max_points = 4000  # a curve
+    return np.arange(0, len(values), max(1, len(values) // max_points))

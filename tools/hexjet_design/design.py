@@ -66,12 +66,6 @@ from hexjet_design.proof.result import Proof
 from hexjet_design.tune import TuningResult, settle, tune, tune_near
 
 CHANNELS = (*AXES, "altitude")
-# Part of the throttle around hover: the limits on an engine's acceleration do not see so little.
-SWING = 0.005
-# Times the movement of the thrust at rest, where a mapping file states one.
-ABOVE_REST = 2.0
-# More than one lag and a delay is fitted where these have a larger misfit.
-MISFIT = 0.005
 
 
 @dataclass(frozen=True)
@@ -368,17 +362,23 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
 def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
     """Identify the engine around the throttle of hover."""
     throttle = throttle_for(spec, vehicle)
+    # Part of the throttle around hover: the limits on an engine's acceleration do not see so little.
+    min_swing = 0.005
+    # Times the movement of the thrust at rest, where a mapping file states one.
+    times_rest = 2.0
     if amplitude is None:
         # an engine that never stands still has to be moved by more than it moves by itself
-        rest_swing = ABOVE_REST * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
-        amplitude = min(max(SWING, rest_swing), 0.4 * min(throttle, 1.0 - throttle))
+        rest_swing = times_rest * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
+        amplitude = min(max(min_swing, rest_swing), 0.4 * min(throttle, 1.0 - throttle))
     return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
 
 
 def make_dynamics(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
     """Return the identified lag and delay, or larger dynamics with their misfit where these miss the response."""
     model = identified.chosen.model
-    if identified.chosen.misfit <= MISFIT and model.rate > 0.0:
+    # More than one lag and a delay is fitted where these have a larger misfit.
+    max_misfit = 0.005
+    if identified.chosen.misfit <= max_misfit and model.rate > 0.0:
         one = make_lag_dynamics([1.0 / model.rate], model.delay_samples, model.step)
         return replace(one, misfit=identified.chosen.misfit, unsure=unsure)
     fitted = fit_dynamics(identified.response, model.delay_samples, 1.0 / max(model.rate, 0.01))

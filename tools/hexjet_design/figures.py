@@ -18,8 +18,6 @@ from hexjet_design.loop.tuning import Tuning
 
 Figure = dict[str, Any]
 
-POINTS = 1500
-
 
 def design_figures(design: Design) -> dict[str, Figure]:
     """Draw Plotly figures, by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
@@ -34,7 +32,7 @@ def design_figures(design: Design) -> dict[str, Figure]:
 
 
 def _loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
-    points = FrequencyGrid(axis_design.channel, close=POINTS)
+    points = FrequencyGrid(axis_design.channel, close=1500)
     loops = []
     states: list[tuple[str, str, Tuning, bool]] = [
         ("shipped", ORANGE, axis_design.before.tuning, axis_design.before.stable)

@@ -24,8 +24,6 @@ from hexjet_design.tune import tune_near
 DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
 # Where a requirement is missed between the designed levels, one is designed there too.
 PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
-# This is slow beside the answers of the loops and fast beside the changes of fuel and payload.
-FILTER_S = 2.0
 # Engines answer these alone: a tilt means the same moment at every thrust.
 THRUST_AXES = ("roll", "altitude")
 
@@ -106,7 +104,8 @@ def make_schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, 
     """Return the gain schedule of the tunings at each level, in the form of a vehicle's file."""
     rows = [level for level in reversed(levels) if all(level.fuel in of for of in tunings.values())]
     return Schedule(
-        filter_s=FILTER_S,
+        # This is slow beside the answers of the loops and fast beside the changes of fuel and payload.
+        filter_s=2.0,
         level=[
             ThrustLevel(
                 share=round_gain(level.thrust_fraction),

@@ -20,17 +20,11 @@ from hexjet_design.loop.tuning import Tuning
 
 UNSTABLE = 1e3
 PENALTY = 100.0  # cost of missing by 100 %, a logarithm
-SEED = 1  # the same design every time
-POPULATION = 6  # times the number of parameters
 GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
-# Times the poles of the engine (nor faster than two steps): more adds no phase, only noise.
-FASTEST_LEAD = 10.0
 # The requirements may be missed by this, relatively, where a search begins at its own answer.
 CLOSE = 0.02
 WRITTEN = 1500  # points of the circle for rounding
-# Of the objective: a search that is begun at its own answer finds as much again.
-NEGLIGIBLE_GAIN = 0.003
 LEAST_GAIN = 1e-6  # of the objective, to change a digit
 MOST_PASSES = 1000  # over all numbers, so that a search ends
 # The search stays inside the requirements by this, for what lies between its points.
@@ -75,7 +69,8 @@ class TuningBounds:
         ends += [knob.search for knob in self._own]
         if lead is not None:
             most = 0.5 / channel.step / lead.natural_rad_s
-            ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
+            # A lead over ten times the poles of the engine, or over two steps, adds no phase, only noise.
+            ends.append((1.0, max(1.1, min(10.0, most))))
         if channel.name == "altitude":
             ends[3] = (0.0, 0.0)  # its controller has no derivative
         self._tau, self._gain, self._size = tau, channel.paced_gain, len(ends)
@@ -156,10 +151,11 @@ def tune(
     searched = differential_evolution(
         cost,
         list(zip(bounds.low, bounds.high, strict=True)),
-        popsize=POPULATION,
+        popsize=6,
         maxiter=GENERATIONS,
         init="sobol",
-        rng=np.random.default_rng(SEED),
+        # The same seed makes the same design every time.
+        rng=np.random.default_rng(1),
         polish=False,
         tol=1e-4,
     )
@@ -288,7 +284,9 @@ def tune_near(
     here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
     if here is None or there is None:
         return here or there
-    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - NEGLIGIBLE_GAIN else here
+    # Of the objective: a search that is begun at its own answer finds as much again.
+    negligible = 0.003
+    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - negligible else here
 
 
 def digits(value: float) -> Digits:

@@ -22,7 +22,6 @@ from cosim.results.wording import Metric
 Figure = dict[str, Any]
 
 KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))
-CURVE_POINTS = 160
 CURVES = 12  # most influential keys that get a curve
 
 
@@ -264,13 +263,14 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
     """
     data = []
     largest: list[float] = []
+    max_points = 160
     for controller in controller_indices(table):
         rows = table.rows_of(controller)
         values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
         finite = values[np.isfinite(values)]
         if not finite.size:
             continue
-        picked = np.unique(np.linspace(0, finite.size - 1, CURVE_POINTS).round().astype(np.intp))
+        picked = np.unique(np.linspace(0, finite.size - 1, max_points).round().astype(np.intp))
         name = table.controllers[controller]
         largest.append(float(finite[-1]))
         data.append(

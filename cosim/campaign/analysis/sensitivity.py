@@ -22,12 +22,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_classes
 
-# With fewer flights, chance alone looks like an effect of a quarter.
-FEWEST = 30
-SHUFFLES = 200
-SEED = 1
-LEVEL = 0.95  # quantile of chance's largest index
-
 
 @dataclass(frozen=True)
 class KeyEffect:
@@ -62,7 +56,9 @@ def rank_effects(keys: Mapping[str, Array], choices: Sequence[str], result: Arra
     None if there are too few flights, or if they all came out alike.
     """
     n = result.size
-    if n < FEWEST or not keys or np.ptp(result) == 0.0:
+    # With fewer flights, chance alone looks like an effect of a quarter.
+    min_flights = 30
+    if n < min_flights or not keys or np.ptp(result) == 0.0:
         return None
     classed = {key: assign_classes(values, max_classes(n)) for key, values in keys.items()}
     floor = noise_floor(list(classed.values()), result)
@@ -118,22 +114,24 @@ def noise_floor(classed: Sequence[Counts], result: Array) -> float:
     """Return the first-order index that no key exceeds by chance alone, in 19 of 20 cases.
 
     The results are shuffled over the draws, which breaks every link to the keys and nothing else, and the largest index
-    of all keys is noted, as often as ``SHUFFLES`` says.
+    of all keys is noted, 200 times.
     """
-    generator = np.random.default_rng(SEED)
+    generator = np.random.default_rng(1)
     n = result.size
     centred = result - result.mean()
     total = float(centred @ centred)
     counts = [np.bincount(numbered) for numbered in classed]
-    largest = np.full(SHUFFLES, -np.inf)
-    for shuffle in range(SHUFFLES):
+    shuffles = 200
+    largest = np.full(shuffles, -np.inf)
+    for shuffle in range(shuffles):
         shuffled = generator.permutation(centred)
         for numbered, count in zip(classed, counts, strict=True):
             if n > count.size:
                 sums = np.bincount(numbered, shuffled)
                 rest = 1.0 - float(np.sum(sums**2 / count)) / total
                 largest[shuffle] = max(largest[shuffle], 1.0 - rest * (n - 1) / (n - count.size))
-    return max(0.0, float(np.quantile(largest, LEVEL, method="higher")))
+    quantile = 0.95  # quantile of chance's largest index
+    return max(0.0, float(np.quantile(largest, quantile, method="higher")))
 
 
 def joint(first: Array, second: Array, result: Array) -> float:

@@ -18,15 +18,10 @@ from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
-FLIGHTS_PER_CELL = 15  # mean of the cells of random draws
 # With fewer flights in a cell, the interval of its share is wider than 60 points.
 MIN_PER_CELL = 5
 MAP_KEYS = 6
-MAP_METRICS = 6
-# A page can hold this many cells over all pairs of keys, for one controller.
-MAP_CELLS = 6000
 MAX_POINTS = 400  # successes, and as many other flights
-SEED = 1  # seed of the sample of single flights
 
 
 def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
@@ -38,7 +33,7 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
     chosen = [table.keys[key] for key in keys]
     pairs = list(combinations(range(len(chosen)), 2))
     sides = [_sides(table, key, max(len(pairs), 1)) for key in chosen]
-    metrics = table.metrics[:MAP_METRICS]
+    metrics = table.metrics[:6]
     fewest = 1 if table.grid else MIN_PER_CELL
     return {
         "grid": table.grid,
@@ -85,7 +80,10 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(finite, key.numbers, -1).astype(np.intp)
     flights = max((int(np.sum(table.rows_of(controller))) for controller in controller_indices(table)), default=0)
-    count = int(np.clip(isqrt(flights // FLIGHTS_PER_CELL), 3, max(16, min(40, isqrt(MAP_CELLS // pairs)))))
+    flights_per_cell = 15  # mean of the cells of random draws
+    # A page can hold this many cells over all pairs of keys, for one controller.
+    max_cells = 6000
+    count = int(np.clip(isqrt(flights // flights_per_cell), 3, max(16, min(40, isqrt(max_cells // pairs)))))
     numbers = np.where(finite, key.numbers, key.numbers[finite][0] if finite.any() else 1.0)
     levels = np.unique(numbers)
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
@@ -140,7 +138,7 @@ def _medians(cell: Counts, values: Array, total: int, fewest: int) -> list[float
 
 
 def _points(table: FlightTable, controller: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
-    generator = np.random.default_rng(SEED)
+    generator = np.random.default_rng(1)
     flown = table.rows_of(controller)
     samples = []
     for group in (flown & table.success, flown & ~table.success):

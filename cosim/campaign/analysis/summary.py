@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 SUCCESS = "success"
-_PAIRS = 3  # pairs of controllers on a terminal
 NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 BRACKETS = re.compile(r"\s*\([^()]*\)")
 
@@ -321,7 +320,8 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     Where there are more than three pairs the others are left to the page, and that is said.
     """
     pairs = summary["comparisons"]
-    listed = pairs if len(pairs) <= _PAIRS else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
+    max_pairs = 3  # pairs of controllers on a terminal
+    listed = pairs if len(pairs) <= max_pairs else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
     for pair in listed:
         yield f"  {_compared_line(pair)}"
     if len(listed) < len(pairs):

@@ -29,7 +29,6 @@ T = TypeVar("T")
 
 # What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
-MAX_METRICS = 8  # in the report; the data set has all
 OF_AXES = (
     "overshoot_percent",
     "rmse_rad",
@@ -217,7 +216,7 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 
 def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
-    """Return the names of the metrics to show: at most ``MAX_METRICS``, and those of ``OF_THE_WHOLE``.
+    """Return the names of the metrics to show: at most eight, and those of ``OF_THE_WHOLE``.
 
     First those of the study's success, then the custom ones, then those of axes that were commanded in steps, then the
     errors of the other axes and of height.  ``OF_THE_WHOLE`` says where the vehicles went and by what means.  A metric
@@ -239,7 +238,8 @@ def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list
     moving = [
         name for name in dict.fromkeys(order) if name in finite and finite[name].size and np.ptp(finite[name]) > 0.0
     ]
-    return list(dict.fromkeys([*moving[:MAX_METRICS], *(name for name in moving if name in OF_THE_WHOLE)]))
+    max_metrics = 8  # in the report; the data set has all
+    return list(dict.fromkeys([*moving[:max_metrics], *(name for name in moving if name in OF_THE_WHOLE)]))
 
 
 def describe_criterion(success: Mapping[str, Range]) -> str:

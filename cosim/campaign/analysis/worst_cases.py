@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
     from cosim.spec.scenario import Scenario
 
-LISTED = 3  # flights listed for each way of being bad
 NONE = "–"
 CASE_COLUMNS = ("controller", "flight", "draw", "why", "ended", "drawn", "scenario")
 
@@ -74,7 +73,7 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
     for why, rows, by in order:
         chosen = np.flatnonzero(rows)
         fresh = [int(row) for row in chosen[np.argsort(by[chosen], kind="stable")] if int(row) not in cases]
-        cases |= {row: Case(row, why) for row in fresh[:LISTED]}
+        cases |= {row: Case(row, why) for row in fresh[:3]}
     return list(cases.values())
 
 

@@ -59,7 +59,6 @@ FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stati
 OF_ENGINE = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)
 CUSTOM_TUNING = "vehicle.control.predictor.own."
 LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")
-MAX_SUGGESTIONS = 4  # names in a message
 
 
 def find_key(scenario: Scenario, text: str) -> Key:
@@ -422,7 +421,7 @@ def _nearest(name: str, keys: Iterable[str]) -> str:
     by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
     scored = sorted((-_similarity(name, path), len(path), path) for path in by_name.values())
     threshold = max(0.6, -scored[0][0] - 0.15)
-    close = [path for score, _, path in scored[:MAX_SUGGESTIONS] if -score >= threshold]
+    close = [path for score, _, path in scored[:4] if -score >= threshold]
     if close:
         return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
     return "hexjet sweep SCENARIO --keys lists all of them"

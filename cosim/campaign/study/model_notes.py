@@ -14,7 +14,6 @@ from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
 from cosim.spec.scenario import Scenario, flown_parameters
 
-MAX_DRAWN = 1000  # flights compared for ends of what varies
 # prefixes of keys that change neither model nor stated vehicle
 UNSEEN = ("mismatch.", "command.", "controller_parameters.")
 
@@ -86,7 +85,8 @@ def _extreme_flights(study: Study) -> Iterator[Flight]:
     count = len(names)
     controllers = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
     controllers += [k for k, name in enumerate(names) if name not in PREDICTORS]
-    first_flights = [planned[n] for n in range(0, min(len(planned), MAX_DRAWN * count), count)]
+    max_flights = 1000  # flights compared for ends of what varies
+    first_flights = [planned[n] for n in range(0, min(len(planned), max_flights * count), count)]
     chosen = {0}
     for key in study.drawn:
         if not key.startswith(UNSEEN):

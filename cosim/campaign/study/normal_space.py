@@ -27,8 +27,6 @@ from cosim.campaign.study.study import Study
 
 # A coordinate beyond this maps to the value at it: 1 - 6e-16 is the last quantile below 1.
 FURTHEST = 8.0
-# Every reader of the results takes a whole number of this many bits without loss.
-SEED_BITS = 53
 
 
 class NormalSpace:
@@ -89,4 +87,5 @@ def _engine_columns(engine: EngineDraw, first: int, quantiles: Array) -> list[li
 
 def draw_seed(random: np.random.Generator) -> int:
     """Return a new seed of a flight's noise and turbulence: all of its 53 bits are equally likely."""
-    return int(random.integers(2**SEED_BITS))
+    # Every reader of the results takes a whole number of 53 bits without loss.
+    return int(random.integers(2**53))

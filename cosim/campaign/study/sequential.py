@@ -30,8 +30,6 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 
 Decision = Literal["shown", "refuted", "open"]
-# A study that states no number has this many times the fewest flights that can show its claim.
-TIMES_FEWEST = 10
 MAX_TESTED = 1_000_000  # flights; summing then takes seconds
 
 
@@ -75,7 +73,8 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
 
 def default_runs(text: str) -> int:
     """Return how many draws a study with this claim has where nobody says it.  Raises InputError as parse_claim."""
-    return min(TIMES_FEWEST * parse_claim(text).fewest, MAX_TESTED)
+    # A study that states no number has ten times the fewest flights that can show its claim.
+    return min(10 * parse_claim(text).fewest, MAX_TESTED)
 
 
 def _percentage(text: str, least: float, where: str) -> float:

@@ -43,14 +43,8 @@ if TYPE_CHECKING:
 # Chosen by us.
 CONNECT_S = 4.0  # s until a scheduler must have answered
 FIRST_WORKER_S = 10.0  # s until the scheduler must have a worker
-# In the middle of a campaign a batch system may take a machine away and bring another.
-NO_WORKER_S = 120.0
-CHECK_S = 20.0  # s; a busy worker says it with a task
-CLOSE_S = 2.0  # s to close a connection in order
 LOOK_S = 1.0  # s between counts of the workers
-TASK_S = 0.5  # s; handing one out takes 5 ms
 MAX_IN_TASK = 64  # flights
-TASKS_A_THREAD = 2  # one running and one waiting
 
 
 class DaskWorkers:
@@ -117,7 +111,8 @@ class DaskWorkers:
                 raise InputError(f"cluster {self._where}: has no workers; one is started with: dask worker {option}")
             sleep(0.1)
         installed = {name: self._client.submit(installed_versions, workers=[name], pure=False) for name in workers}
-        end = monotonic() + CHECK_S
+        check_s = 20.0  # s; a busy worker says it with a task
+        end = monotonic() + check_s
         for name, future in installed.items():
             try:
                 remote_versions = future.result(timeout=max(0.1, end - monotonic()))
@@ -135,7 +130,8 @@ class DaskWorkers:
         tasks = _Tasks(self._client, study, self._packed(study), flights, limit)
         try:
             while not tasks.is_done:
-                tasks.hand_out(TASKS_A_THREAD * self._threads.count)
+                # One task of a thread is running and one is waiting.
+                tasks.hand_out(2 * self._threads.count)
                 yield from tasks.collect()
                 self._need_cluster()
         finally:
@@ -152,7 +148,9 @@ class DaskWorkers:
         if self._client.status in ("closing", "closed"):
             raise FlightError(f"{self._where}: the scheduler is lost")
         without = self._threads.without_s
-        if without > NO_WORKER_S:
+        # In the middle of a campaign a batch system may take a machine away and bring another.
+        max_without_s = 120.0
+        if without > max_without_s:
             raise FlightError(f"{self._where}: has had no workers for {without:.0f} s")
 
     def close(self) -> None:
@@ -164,7 +162,7 @@ class DaskWorkers:
             for opened in (client, cluster):
                 with suppress(TimeoutError):
                     if opened is not None:
-                        opened.close(timeout=CLOSE_S)
+                        opened.close(timeout=2.0)
             if cluster is not None:
                 remote.end_idle()
         finally:
@@ -257,7 +255,8 @@ class _Tasks:
 
     def _next(self, tasks: int) -> list[Flight]:
         """Return the flights of the next of ``tasks``: one until a flight's duration is known, and fewer at the end."""
-        size = 1 if self._mean_s is None else min(MAX_IN_TASK, max(1, round(TASK_S / max(self._mean_s, 1e-3))))
+        task_s = 0.5  # s; handing one out takes 5 ms
+        size = 1 if self._mean_s is None else min(MAX_IN_TASK, max(1, round(task_s / max(self._mean_s, 1e-3))))
         missing = size * tasks - len(self._buffer)
         self._buffer.extend(islice(self._flights, max(0, missing)))
         self._is_exhausted = not self._buffer

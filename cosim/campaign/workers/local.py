@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 Fly = Callable[["Study", "Flight"], Row]
 Failed = Callable[["Study", "Flight", str], Row]
 
-AHEAD_S = 0.25  # s of work queued in a process
-MAX_AHEAD = 8  # flights
 LOOK_S = 1.0  # s between checks for ended processes
 # So long after its limit a flight ends its process by itself, should nobody be there to do it.
 BACKSTOP_S = 10.0
@@ -201,7 +199,9 @@ class _QueueDepth:
 
     def learn(self, seconds: float) -> None:
         self._mean_s = update_mean(self._mean_s, seconds)
-        self.flights = min(MAX_AHEAD, ceil(AHEAD_S / max(self._mean_s, 1e-3))) if self._mean_s < AHEAD_S else 0
+        ahead_s = 0.25  # s of work queued in a process
+        max_flights = 8  # flights
+        self.flights = min(max_flights, ceil(ahead_s / max(self._mean_s, 1e-3))) if self._mean_s < ahead_s else 0
 
 
 class _Process:

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 # A flight that took so many processes with it is given up.
 LOSSES = 3
-MIN_LIMIT_S = 60.0  # s wall time; some engines load in 20 s
-LIMIT_FACTOR = 10.0  # of simulated time; 0.01 is usual
 
 
 class Workers(Protocol):
@@ -44,7 +42,9 @@ def time_limit(study: Study) -> float:
     before = 0.0 if study.autopilot is None else study.autopilot.before_s
     # Flights on arrays are handed out many at a time.
     together = 10.0 if study.batch else 1.0
-    return together * max(MIN_LIMIT_S, LIMIT_FACTOR * (study.base().duration_s + before))
+    min_limit_s = 60.0  # s wall time; some engines load in 20 s
+    factor = 10.0  # of simulated time; 0.01 is usual
+    return together * max(min_limit_s, factor * (study.base().duration_s + before))
 
 
 def update_mean(mean: float | None, seconds: float) -> float:

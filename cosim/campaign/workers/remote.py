@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-IDLE_S = 60.0  # s; then a process without flights ends
-
 _studies: RecentCache[Study] = RecentCache(4)
 _unpacking = Lock()
 
@@ -45,7 +43,8 @@ class _Processes:
         return idle
 
     def give_back(self, workers: LocalWorkers, limit: float) -> None:
-        timer = Timer(IDLE_S, self._end, (workers,))
+        idle_s = 60.0  # s; then a process without flights ends
+        timer = Timer(idle_s, self._end, (workers,))
         timer.daemon = True
         with self._lock:
             self._idle[workers] = limit, timer

@@ -12,8 +12,6 @@ from cosim.campaign.workers.local import LocalWorkers
 T = TypeVar("T")
 R = TypeVar("R")
 
-LIMIT_S = 86_400.0  # s: a task may be long, but ends
-
 
 @dataclass(frozen=True)
 class _Task:
@@ -29,7 +27,8 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     """
     tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act
-    with LocalWorkers(workers, LIMIT_S, _answer, _lost) as pool:
+    limit_s = 86_400.0  # s: a task may be long, but ends
+    with LocalWorkers(workers, limit_s, _answer, _lost) as pool:
         for row in pool.fly(study, tasks):
             result: dict[str, Any] = dict(row)
             if "error" in result:

@@ -39,15 +39,9 @@ Pairs = Sequence[tuple[float, float]]
 
 # The search stays inside the requirements by this, for what lies between its points.
 SPARE = 0.004
-CORNER_SPARE = 0.1  # of a corner's overshoot, for noise
-ROUGH = 100  # points of the circle for time responses
-CLOSE = 1500  # points while bounds are drawn closer
-TURNS = 12  # of drawing them closer
-FREE_STEP = 100.0  # s: no bound, the lags alone say it
 # A search may begin at these times the poles of START, because an engine may be slow itself.
 SLOWER = (1.0, 0.7, 0.5, 0.35)
 LONGER = (1.0, 1.3, 1.7, 2.4, 3.5)  # times the shortest lag
-FIRST_ERROR = 0.3  # of the delay's tolerance, asked first
 FIRST, FIRST_LAG = 0.02, 0.2  # simplex: of weights' length, of log lag
 ROUNDS = 300  # of the simplex
 PENALTY, UNSTABLE = 100.0, 1e3  # cost of missing by 100 %, and of no loop
@@ -80,11 +74,11 @@ class _Search:
 
     def __init__(self, channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> None:
         self.channel, self.model, self.fixed, self.need = channel, model, fixed, need
-        self.points = FrequencyGrid(channel, close=CLOSE)
+        self.points = FrequencyGrid(channel, close=1500)
         # a delay between two steps is the nearest whole one to the law
         self.believed = model.model_copy(update={"delay_samples": float(round(model.delay_samples))})
         self.delay = low_frequency_delay(model)
-        self.corners = [FrequencyGrid(corner, close=ROUGH) for corner in _late_corners(channel, need)]
+        self.corners = [FrequencyGrid(corner, close=100) for corner in _late_corners(channel, need)]
 
     def missed(self, closed: ClosedLoop, flown: bool = True) -> dict[str, float]:
         """Return the relative parts by which requirements are missed, those that are.
@@ -94,8 +88,9 @@ class _Search:
         if closed.unstable_poles:
             return {"tolerances": 1.0}
         parts = excesses(closed, self.need, SPARE)
+        spare = 0.1  # of a corner's overshoot, for noise
         if flown:
-            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - CORNER_SPARE)
+            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - spare)
             worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
             parts["corners"] = min(worst / allowed - 1.0, 10.0)
         return {name: part for name, part in parts.items() if part > 0.0}
@@ -137,9 +132,11 @@ class _Search:
     def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
-        bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), FREE_STEP)
+        free_step = 100.0  # s: no bound, the lags alone say it
+        bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), free_step)
         wide = need.delay_samples(self.channel.transport_samples)
-        for _ in range(TURNS):
+        first_error = 0.3  # of the delay's tolerance, asked first
+        for _ in range(12):
             try:
                 low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
                 tuning = self.tuning(low.target)
@@ -150,9 +147,9 @@ class _Search:
                 return tuning
             error = bounds.delay_error
             if "tolerances" in missed:
-                error = min(max(FIRST_ERROR * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
+                error = min(max(first_error * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
             peak = bounds.peak_sensitivity / (1.0 + min(missed.get("peak sensitivity", 0.0), 1.0))
-            closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), FREE_STEP, error)
+            closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), free_step, error)
             if closer == bounds:  # what is missed is the lag's
                 return None
             bounds = closer

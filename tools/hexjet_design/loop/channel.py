@@ -47,16 +47,6 @@ from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Veh
 from hexjet_design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
 from hexjet_design.loop.dynamics import CARRIED
 
-# So many frequencies of what others add to an axis are 4 % apart; more counts below than there is.
-OTHERS_POINTS = 160
-# The delay at low frequency and the pace may be apart by this part of either; one lag alone has 0.64.
-MET = 0.5
-# A lead takes the second pole with it up to this times the slowest one.
-SECOND_POLE_WITHIN = 5.0
-# With a zero beside a pole of the engine, poles slower than this times the channel's pace are not led.
-LED_WITHIN = 3.0
-SLOWEST = 1e-5  # rad/s, a day: the search begins here
-TURNS = 400  # frequencies until then, 5 % apart
 # A lag with a smaller pole in z is over within a step: it is a 20th of one, far below what acts.
 INSTANT = 1e-9
 
@@ -138,7 +128,9 @@ class Channel:
         over it does.
         """
         turned = self._turned_s() if self.identified is None else self.slowness_s
-        return self.slowness_s if MET < turned / max(self.slowness_s, INSTANT) < 1.0 / MET else turned
+        # The delay at low frequency and the pace may be apart by this part of either; one lag alone has 0.64.
+        min_ratio = 0.5
+        return self.slowness_s if min_ratio < turned / max(self.slowness_s, INSTANT) < 1.0 / min_ratio else turned
 
     @property
     def paced_gain(self) -> float:
@@ -165,8 +157,10 @@ class Channel:
     def _turned_s(self) -> float:
         """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
         dynamics = self.actuator.dynamics
+        slowest = 1e-5  # rad/s, a day: the search begins here
+        points = 400  # frequencies until then, 5 % apart
         # At the last frequency, half a step of hold alone has turned the phase by 2 rad.
-        omega = np.geomspace(SLOWEST, 4.0 / self.step, TURNS)
+        omega = np.geomspace(slowest, 4.0 / self.step, points)
         late = (0.5 + self.transport_samples) * self.step + 0.5 * (self.rate_hold - 1) * self.step
         turned = late * omega + np.arctan(self.rate_filter_s * omega)
         for pole in dynamics.poles:
@@ -353,7 +347,8 @@ def _with_others(
     ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A
     design that stands all that are as far off stands this one.  ``engine`` answers where another has no servos.
     """
-    hertz = np.geomspace(1e-3, 0.49, OTHERS_POINTS) / step
+    # These are 4 % apart; more counts below them than there is.
+    hertz = np.geomspace(1e-3, 0.49, 160) / step
     z = np.exp(2j * np.pi * hertz * step)
     main_response = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
     deviation = np.full(len(z), -sum([part.fraction for part in others]), complex)
@@ -429,15 +424,19 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
+    # With a zero beside a pole of the engine, poles slower than this times the channel's pace are not led.
+    led_within = 3.0
     if channel.pace_s != channel.slowness_s:
         # A zero beside a slow pole leaves nothing of it to be led.
-        poles = [pole for pole in poles if abs(pole) * channel.pace_s * LED_WITHIN >= 1.0]
+        poles = [pole for pole in poles if abs(pole) * channel.pace_s * led_within >= 1.0]
     if not poles:
         return None
     slowest, *others = poles
     w = abs(slowest)
     # a slow lag beside two poles that swing stands alone
-    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
+    # A lead takes the second pole with it up to this times the slowest one.
+    second_within = 5.0
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < second_within * w)):
         natural, damping = combine_poles(slowest, others[0])
         return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
     return EngineLead(natural_rad_s=w, pole_rad_s=w)

@@ -29,14 +29,11 @@ from hexjet_design.loop.frequency import LoopMargins, loop_margins
 from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
-# What a load leaves at rest counts as none where it is less than this part of the largest response.
-NEGLIGIBLE_LOAD = 1e-3
 WINDOW = 50.0  # times the channel's pace, in time
 # The same in times of the longest answer: 5 % of a slow part are left then.
 LONGEST = 3.0
 # Of what comes a period later so much is left in a response in time; rounding is as small.
 FADED = 1e-10
-BAND = 0.05  # of a step, as in metrics of a flight
 
 
 class FrequencyGrid:
@@ -181,8 +178,8 @@ class ClosedLoop:
 
     @property
     def settling_s(self) -> float:
-        """From a step of the set-point until the angle stays within :data:`BAND` of it, s; NaN if it does not."""
-        outside = np.flatnonzero(np.abs(1.0 - self.steps.angle) > BAND)
+        """Time from a step until the angle stays within 5 % of it (as in metrics), s; NaN if it does not."""
+        outside = np.flatnonzero(np.abs(1.0 - self.steps.angle) > 0.05)
         if len(outside) and outside[-1] == len(self.steps.angle) - 1:
             return nan
         return float(outside[-1] + 1) * self.points.channel.step if len(outside) else 0.0
@@ -204,7 +201,9 @@ class ClosedLoop:
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """
         at_rest = float(self.load_response[0].real)
-        return at_rest if abs(at_rest) > NEGLIGIBLE_LOAD * float(np.abs(self.load_response).max()) else 0.0
+        # What a load leaves at rest counts as none where it is less than this part of the largest response.
+        negligible = 1e-3
+        return at_rest if abs(at_rest) > negligible * float(np.abs(self.load_response).max()) else 0.0
 
     @cached_property
     def load_response(self) -> Complex:

@@ -22,16 +22,7 @@ from cosim.spec.vehicle import RateModel
 FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))
 # A zero in the right half plane: thrust first goes the wrong way.  Tried where none of those above follows.
 WRONG_WAY: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
-POOR = 0.02  # misfit above which that is tried
-GOOD = 0.001  # misfit at which no larger form is tried
 SEARCHED = 5  # samples either side of the free delay
-# Above this part of the sampling rate, a sampled first lag is 3 % or more off what a hold leaves of it.
-HELD = 0.1
-# Parts of a swept band are 5 % wide over two decades, as a mode with damping 0.02 is.
-BANDS = 80
-# A smaller imaginary part of a pole in z is none, and a smaller pole is over within its step.
-PAIR = 1e-9
-OVER = 25.0  # rad/s times the step: 1e-11 is left
 # A design carries misfits from here: below, none moves a peak sensitivity of 1.7 by 3 %.
 CARRIED = 0.01
 
@@ -131,12 +122,15 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
     ones; one that turns by more than half a circle in a step has its other half above the axis.
     """
     real, pairs = [p.real for p in poles if not p.imag], []
+    # A smaller imaginary part of a pole in z is none, and a smaller pole is over within its step.
+    negligible = 1e-9
+    fastest = 25.0  # rad/s times the step: 1e-11 is left
     for pole in poles:
         z = complex(np.exp(pole * step))
-        if pole.imag > 0.0 and abs(z.imag) > PAIR * abs(z) and abs(z) > PAIR:
+        if pole.imag > 0.0 and abs(z.imag) > negligible * abs(z) and abs(z) > negligible:
             pairs.append((z.real, abs(z.imag)))
         elif pole.imag > 0.0:
-            real += [-min(abs(pole), OVER / step)] * 2
+            real += [-min(abs(pole), fastest / step)] * 2
     return [exp(-decay * step) for decay in separate_equal([-p for p in real])], pairs
 
 
@@ -151,14 +145,16 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
     ``delay`` [samples] and ``lag`` [s] are where the search begins.
     """
     best: Dynamics | None = None
+    good = 0.001  # misfit at which no larger form is tried
     for form in FORMS:
         fit = _fit(response, form, delay, lag)
         if best is None or (fit.misfit < 0.7 * best.misfit and _runs(fit)):
             best = fit
-        if best.misfit <= GOOD:
+        if best.misfit <= good:
             break
     assert best is not None
-    for form in WRONG_WAY if best.misfit > POOR else ():
+    poor = 0.02  # misfit above which these are tried
+    for form in WRONG_WAY if best.misfit > poor else ():
         fit = _fit(response, form, delay, lag)
         if fit.misfit < 0.7 * best.misfit and _runs(fit):
             best = fit
@@ -182,11 +178,13 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
 def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
     """Return how far a response is off its model, as :attr:`Dynamics.unsure`, without losing a mode between two points.
 
-    The band in :data:`BANDS` parts, and at each end of a part the largest of the parts on both its sides.
+    The band in 80 parts, and at each end of a part the largest of the parts on both its sides.
     """
-    ends = np.geomspace(hertz[0], hertz[-1], BANDS + 1)
-    part = np.clip(np.searchsorted(ends, hertz, side="right") - 1, 0, BANDS - 1)
-    most = np.zeros(BANDS)
+    # Parts of a swept band are 5 % wide over two decades, as a mode with damping 0.02 is.
+    bands = 80
+    ends = np.geomspace(hertz[0], hertz[-1], bands + 1)
+    part = np.clip(np.searchsorted(ends, hertz, side="right") - 1, 0, bands - 1)
+    most = np.zeros(bands)
     np.maximum.at(most, part, off)
     widest = np.maximum(np.append(most, most[-1]), np.append(most[0], most))
     return tuple((float(f), float(x)) for f, x in zip(ends, widest, strict=True))
@@ -207,7 +205,9 @@ class _FormFit:
 
     def __init__(self, response: FrequencyResponse, form: Sequence[str]) -> None:
         weight = np.sqrt(counts(response))
-        use = (weight > 0.0) & (response.hertz * response.step <= HELD)
+        # Above this part of the sampling rate, a sampled first lag is 3 % or more off what a hold leaves of it.
+        max_hertz_samples = 0.1
+        use = (weight > 0.0) & (response.hertz * response.step <= max_hertz_samples)
         use = use if use.any() else weight > 0.0
         hertz, self._value, self._weight = response.hertz[use], response.value[use], weight[use]
         # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that

@@ -41,7 +41,6 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.spec.vehicle import RateGains
 
-BETAFLIGHT_LOOP_S = 125e-6  # of its SITL, by a step of its gyro
 # As it ships, both are first order; that the first rises with throttle is off.
 GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0
 LEVEL_HZ = 50.0  # ATTITUDE_CUTOFF_HZ, behind attitude P
@@ -187,7 +186,8 @@ def _reached(a: Array, c: Array) -> list[int]:
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
     """Return the law's A and B over a step of the flight, and C and D of the first loop's P, I and D part."""
     size, loop = _STATES[name], find_law(name, axis)
-    count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
+    loop_s = 125e-6  # of its SITL, by a step of its gyro
+    count = max(1, round(step / loop_s)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)
     results = [loop(list(column[:size]), column[size], column[size + 1], period, hertz) for column in columns]

@@ -44,13 +44,10 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import ON_CIRCLE, polynomial
 
-DEGREE = 3  # of the splines
 KNOTS_A_DELAY = 3.25  # knots within the plant's delay
 EVEN_DELAYS = 24  # delays with even knots, sparser behind
 GROWTH, FARTHEST = 1.08, 8.0  # growth from knot to knot, and its limit
 FREQUENCIES = 620  # of the sensitivity, evenly in log
-LOWEST = 2e-3  # rad per sample, the first of them
-QUARTER = 0.25  # samples: resolution of the tolerance
 RELAXED = 0.1  # of a bound, to see its price
 FACTOR = 2.0  # of the peak with an error of the delay
 WORDS = {
@@ -184,16 +181,17 @@ def _delay_error(closed: ClosedLoop) -> float:
 
 
 def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, most: float) -> float:
-    """Return the largest error, in steps of QUARTER and up to ``most``, up to which the peak is at most ``allowed``.
+    """Return the largest error, in steps of a quarter and up to ``most``, up to which the peak is at most ``allowed``.
 
     ``peak_at`` gives the peak sensitivity with an error of the delay in samples; None where that is unstable.
     """
     error = 0.0
-    while error + QUARTER <= most:
-        peak = peak_at(error + QUARTER)
+    resolution = 0.25  # samples: resolution of the tolerance
+    while error + resolution <= most:
+        peak = peak_at(error + resolution)
         if peak is None or peak > allowed:
             break
-        error += QUARTER
+        error += resolution
     return error
 
 
@@ -334,7 +332,7 @@ class Programme:
 
     @cached_property
     def _theta(self) -> Array:
-        return np.geomspace(LOWEST, pi, self.frequencies)
+        return np.geomspace(2e-3, pi, self.frequencies)
 
     def _rows(self, t: Any = None, y: Any = None, load: Any = None, step: Any = None, sizes: Any = None) -> Any:
         """Return rows of the matrix from the blocks that they have; ``sizes`` are bounds on |S| and |T_i|, if any."""
@@ -497,5 +495,6 @@ def _splines(samples: int, late: int) -> Array:
     while knots[-1] < samples:
         apart = min(apart * GROWTH, FARTHEST * distance)
         knots.append(min(float(samples), knots[-1] + apart))
-    clamped = np.r_[[0.0] * DEGREE, knots, [knots[-1]] * DEGREE]
-    return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, DEGREE).toarray())
+    degree = 3  # of the splines
+    clamped = np.r_[[0.0] * degree, knots, [knots[-1]] * degree]
+    return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, degree).toarray())

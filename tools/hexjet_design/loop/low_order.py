@@ -28,9 +28,6 @@ from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
 # where a search of poles begins: natural frequency times the delay at low frequency, and damping
 START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
 COARSE = 160  # frequencies at which a search looks
-ROUNDS = 130  # of the search
-FIRST = 0.12  # of its simplex, in logarithms
-NONE = 1e6  # times the delay: poles keep no bounds
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def reduce_limit(
     bounds: Bounds,
     lag_s: float,
     start: Sequence[tuple[float, float]] = START,
-    rounds: int = ROUNDS,
+    rounds: int = 130,
     frequencies: int = FREQUENCIES,
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
@@ -124,10 +121,12 @@ def reduce_limit(
         try:
             return solve(at(x), COARSE).loop.load_error
         except InputError:
-            return NONE * delay
+            # Poles that keep no bounds have a load error of a million delays.
+            return 1e6 * delay
 
     x = np.log(np.array(start, np.float64)).ravel()
+    size = 0.12  # of the simplex, in logarithms
     if rounds:
-        simplex = np.vstack([x, x + FIRST * np.eye(len(x))])
+        simplex = np.vstack([x, x + size * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
     return solve(at(x), frequencies)

@@ -39,11 +39,8 @@ from cosim.laws import Axis, AxisLaw, Pid, RateLaw, positive_parameter
 from cosim.spec.vehicle import RateModel
 
 LAGS = 3  # of the answer to a set-point
-PAIRS = 4  # of poles of the answer to a load
 # Zeros so near to the unit circle are not inverted, and poles of the rate so near to 1 are at 1.
 ON_CIRCLE = 1e-6
-# A pole of the rate is answered as rest is if it is nearer to 1 than this part of the slowest pole of ``t``.
-SLOW = 0.5
 AT_ZERO = LAGS + 1  # states that keep the last samples
 
 
@@ -102,7 +99,9 @@ class ModelForm:
         kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
         inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
         slow = max(model.poles, default=0.0)
-        is_slow = 1.0 - slow < SLOW * (1.0 - target.slowest(model.sample_time_s))
+        # A pole of the rate is answered as rest is if it is nearer to 1 than this part of the slowest pole of ``t``.
+        nearness = 0.5
+        is_slow = 1.0 - slow < nearness * (1.0 - target.slowest(model.sample_time_s))
         fast = list(poles)
         if is_slow:
             fast.remove(slow)
@@ -147,8 +146,9 @@ class Target:
     @classmethod
     def of(cls, values: Mapping[str, float], delay: float) -> Target:
         """Return the target of a law's parameters, which are in units of the delay at low frequency [s]."""
-        pairs = tuple((values[f"speed_{k}"] / delay, values[f"damping_{k}"]) for k in range(1, PAIRS + 1))
-        weights = tuple(values[f"weight_{k}"] / sqrt(delay) for k in range(1, 2 * PAIRS + 1))
+        pair_count = 4  # of poles of the answer to a load
+        pairs = tuple((values[f"speed_{k}"] / delay, values[f"damping_{k}"]) for k in range(1, pair_count + 1))
+        weights = tuple(values[f"weight_{k}"] / sqrt(delay) for k in range(1, 2 * pair_count + 1))
         return cls(values["response"] * delay, pairs, weights)
 
     def to_values(self, delay: float) -> dict[str, float]:

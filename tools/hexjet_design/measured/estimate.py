@@ -20,9 +20,6 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
 from hexjet_design.loop.frequency import LoopMargins, loop_margins
 
-FEW = 10  # lines, of which no margins are made
-# Lines at which the standard deviation of S is larger say nothing about margins.
-NOISY = 0.1
 # So many points are between two measured ones, on straight lines of log gain and phase over log frequency.
 FINE = 20
 
@@ -64,8 +61,11 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     scatter = np.sum(np.abs(sensitivity - mean) ** 2, axis=0) / (periods - 1)
     spread = np.sqrt(scatter / periods)
     loop = 1.0 / mean - 1.0
-    used = spread <= NOISY * np.abs(mean)
-    if int(used.sum()) < FEW:
+    # Lines at which the standard deviation of S is larger say nothing about margins.
+    max_relative_spread = 0.1
+    used = spread <= max_relative_spread * np.abs(mean)
+    min_lines = 10  # lines, of which no margins are made
+    if int(used.sum()) < min_lines:
         raise FlightError(
             f"only {int(used.sum())} of {len(hertz)} lines stand out of the noise: more amplitude or periods"
         )

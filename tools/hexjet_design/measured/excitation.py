@@ -36,8 +36,6 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.tank import Tank
 
-# Power of 1 / f by which lines grow from ten times the lowest down, where they would be hidden otherwise.
-RISE = 0.5
 USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak that is added: share of thrust, rad
 
 
@@ -73,7 +71,9 @@ def multisine(
         )
     count = ceil(lines_per_decade * np.log10(last / first)) + 1
     bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
-    size = np.maximum(1.0, 10.0 * first / bins) ** RISE
+    # Power of 1 / f by which lines grow from ten times the lowest down, where they would be hidden otherwise.
+    exponent = 0.5
+    size = np.maximum(1.0, 10.0 * first / bins) ** exponent
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
     cosines, sines = np.cos(turn) * size, np.sin(turn) * size
     phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (draws, len(bins)))

@@ -31,17 +31,9 @@ from hexjet_design.measured.judgement import Judged, find_worst, judge_axis
 # The multisine has the longer period where the loop crosses over below WITHIN periods.
 PERIOD_S, LONG_S = 20.0, 60.0
 WITHIN = 10.0
-PERIODS = 5
 LEAST_PERIODS = 3  # that say a spread
-TO_HZ = 0.1  # over the control step
-# A |L| that falls less than to this in the band's last octave is measured up to half the control rate.
-FALLS = 0.7
-LITTLE = 0.01  # |L| at the band's end: 40 dB of gain
 LESS, TRIES = 0.4, 5  # amplitude after a loss, and attempts
-# A number may change by this beside its bounds at half the amplitude.
-LINEAR = 0.05
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
-COHERENT = 0.9
 
 Say = Callable[[str], None]
 
@@ -145,7 +137,7 @@ def measure_margins(
     from_hz: float | None = None,
     to_hz: float | None = None,
     period_s: float | None = None,
-    periods: int = PERIODS,
+    periods: int = 5,
     limit: bool = False,
     say: Say = lambda text: None,
 ) -> MeasuredMargins:
@@ -211,7 +203,7 @@ class _MarginRequest:
     say: Say
 
     def measure(self, computed: Computed | None) -> AxisMargins:
-        period, to_hz = self.period_s or PERIOD_S, self.to_hz or TO_HZ / self.scenario.step_s
+        period, to_hz = self.period_s or PERIOD_S, self.to_hz or 0.1 / self.scenario.step_s
         sine, size, response = self._measured(period, to_hz, self.amplitude or self.tap.usual)
         if self.period_s is None and _slow(response):
             period = LONG_S
@@ -276,7 +268,10 @@ def _stays_up(response: Response) -> bool:
     """Return whether the loop's gain does not fall towards the band's end, so that a margin may lie above it."""
     hertz, size = response.hertz[response.used], abs(response.loop[response.used])
     octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
-    return bool(size[-1] > LITTLE and size[-1] > FALLS * octave)
+    # A |L| that falls less than to this in the band's last octave is measured up to half the control rate.
+    min_fall = 0.7
+    min_gain = 0.01  # |L| at the band's end: 40 dB of gain
+    return bool(size[-1] > min_gain and size[-1] > min_fall * octave)
 
 
 def _notes(response: Response, half: Response) -> tuple[str, ...]:
@@ -285,12 +280,14 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
     if hidden:
         lines = f"{hidden} of {len(response.used)} lines"
         notes.append(f"{lines} are hidden in noise and left out; settings sensor_noise=false flies without it")
+    # A number may change by this beside its bounds at half the amplitude.
+    max_change = 0.05
     for name, difference in relative_differences(half.margins, response.margins).items():
         if name not in JUDGED:
             continue
         one, two = response.margins[name], half.margins[name]
         wide = sum(0.5 * (bounded.high - bounded.low) for bounded in (one, two) if isfinite(bounded.high))
-        if abs(difference) > LINEAR and abs(one.value - two.value) > wide:
+        if abs(difference) > max_change and abs(one.value - two.value) > wide:
             notes.append(
                 f"{name} is {100.0 * difference:+.0f} % off at half the amplitude: the loop is not linear at this one"
             )
@@ -299,6 +296,6 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
         notes.append("the loop's gain does not pass 1 in the band: widen it")
     else:
         there = float(response.coherence[abs(response.hertz - crossing.value).argmin()])
-        if there < COHERENT:
+        if there < 0.9:
             notes.append(f"coherence {there:.2f} at the crossover: more amplitude or more periods")
     return tuple(notes)

@@ -5,7 +5,7 @@ response that it does not follow, a light mode above the band that was swept, an
 throttle, a limit on its acceleration, dead times that differ up and down.  So every design ends here:
 
 1. What the model leaves of the response is in the search already (:func:`hexjet_design.loop.dynamics.with_misfit`);
-   beyond :data:`MOST_MISFIT` it is no model.
+   beyond one half it is no model.
 2. The engine is swept once more, to three times the highest crossover of its loops and to where their gain stays below
    :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
    model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
@@ -37,17 +37,9 @@ from hexjet_design.loop.dynamics import Dynamics, bounds
 from hexjet_design.proof.flights import HOVER, compare_with_shipped, find_allowing, fly_all, lean_of
 from hexjet_design.proof.result import Proof, ProofFlight
 
-# A predictor is told nothing by a model that is off by half the response or 29 deg.
-MOST_MISFIT = 0.50
-PAST = 3.0  # times the crossover: measured up to it
-MOST_HZ = 0.4  # over the step: highest that is swept
-SHARE_LEFT = 0.8  # of |T (r - 1)|; stability allows 1
 WORSE = 1.25  # times the sensitivity asked for
 NOT_KEPT = "flown with the engine itself it does not keep what it promises"
-LESS = 0.125  # of the noise, where it moves a hover
 LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
-# Loop gain where nothing was measured is at most this: the engine may answer twice as much as its model.
-ABOVE = 0.5
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
@@ -80,12 +72,14 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
     Raises InputError if a flight cannot be set up at all.
     """
     proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
+    # A predictor is told nothing by a model that is off by half the response or 29 deg.
+    max_misfit = 0.50
     if design.identification is not None:
         dynamics = design.engine_dynamics
-        if dynamics.misfit > MOST_MISFIT:
+        if dynamics.misfit > max_misfit:
             why = (
                 f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
-                f"{100.0 * MOST_MISFIT:.0f} % is the most that a design rests on"
+                f"{100.0 * max_misfit:.0f} % is the most that a design rests on"
             )
             return replace(proof, reason=why)
         say("the engine past the crossover")
@@ -95,9 +89,10 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
     flights = fly_all(design, say)
     bad = [flight for flight in flights if flight.fault]
     reason = ""
+    less_noise = 0.125  # of the noise, where it moves a hover
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
-        hint = LESS_NOISE.format(LESS * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
+        hint = LESS_NOISE.format(less_noise * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
         reason = f"{NOT_KEPT}: {bad[0].words}: {bad[0].fault}{more}{hint}"
     compared = compare_with_shipped(design, flights, say)
     allowing = find_allowing(design, flights, say) if bad else {}
@@ -127,9 +122,13 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     identification = design.identification
     assert identification is not None
     swept = identification.response
+    # Loop gain where nothing was measured is at most this: the engine may answer twice as much as its model.
+    max_unmeasured_gain = 0.5
     # A lead may hold the gain up far behind the crossover.
-    reach = max(_crossover(closed, ABOVE) for closed in wide.values())
-    end = min(max(PAST * crossing, 1.1 * reach, float(swept.hertz[-1])), MOST_HZ / step)
+    reach = max(_crossover(closed, max_unmeasured_gain) for closed in wide.values())
+    past_crossover = 3.0  # times the crossover: measured up to it
+    max_hz_steps = 0.4  # over the step: highest that is swept
+    end = min(max(past_crossover * crossing, 1.1 * reach, float(swept.hertz[-1])), max_hz_steps / step)
     low = min(float(swept.hertz[-1]), crossing) / 4.0
     size = identification.sweep.amplitude
     try:
@@ -162,14 +161,15 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
             above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
     reason = ""
     unsure = bounds(hertz, np.asarray(np.abs(ratio - 1.0)))
-    if largest > SHARE_LEFT:
+    max_share = 0.8  # of |T (r - 1)|; stability allows 1
+    if largest > max_share:
         reason = (
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
-            f"loop may be unstable ({largest:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
+            f"loop may be unstable ({largest:.2f} of what the small gain theorem allows, {max_share:g} at most)"
         )
     elif peak > WORSE * design.need.max_sensitivity:
         reason = f"with the engine's own response peak |S| is {peak:.2f}, {design.need.max_sensitivity:g} was asked for"
-    elif above > ABOVE:
+    elif above > max_unmeasured_gain:
         reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"
     return Proof(reason, end, largest, peak, above, (), unsure if reason else ())
 

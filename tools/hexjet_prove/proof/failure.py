@@ -15,7 +15,6 @@ from hexjet_prove.rare.simulation import Plan
 from hexjet_prove.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
 from hexjet_prove.search.worst_folder import SavedWorst, run_worst
 
-NOTED = 3  # keys that are named of a failure
 LIKELY, WORST = "likely", "worst"  # searches, and their folders
 SAID = {  # of one that was not made
     LIKELY: "no search for the most likely failure was made",
@@ -79,7 +78,7 @@ def _part(saved: SavedWorst, place: str) -> Part:
 
 def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
     """Return what was found in a clause of the proof's sentence."""
-    moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:NOTED]
+    moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:3]
     keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
     place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
     effort = f"{found.flights:,} flights that searched"

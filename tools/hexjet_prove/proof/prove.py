@@ -63,7 +63,6 @@ from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
 RARE = "rare"
 NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
-LISTED = 3  # smallest margins that are flown again
 PACKAGE = "hexjet-cosim"
 
 Say = Callable[[str], None]
@@ -180,7 +179,7 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
     rows = [campaign.row(int(number)) for number in table.flight]
     margins = np.array([row_margin(row, campaign.study) for row in rows])
     failed = np.flatnonzero(~table.success)
-    chosen = {int(index): LEAST for index in np.argsort(margins, kind="stable")[:LISTED]}
+    chosen = {int(index): LEAST for index in np.argsort(margins, kind="stable")[:3]}
     if failed.size:
         nearest = int(failed[np.argmin(eccentricity(table)[failed])])
         chosen = {index: why for index, why in chosen.items() if index != nearest} | {nearest: NEAREST}

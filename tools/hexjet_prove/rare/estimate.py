@@ -20,7 +20,6 @@ from cosim.base.errors import InputError
 from cosim.studies import LEVEL, proportion
 from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 
-REPEATS = 8  # 7 degrees of freedom of Student's t
 CONFIDENCE = LEVEL
 # Below this seed_effect noise decides; it is 0.1 to 0.4 where half of the margin's variance is noise.
 SEEDS_DECIDE = 0.5
@@ -35,7 +34,7 @@ class Budget:
 
     target: float
     flights: int
-    repeats: int = REPEATS
+    repeats: int = 8
 
     @property
     def most_levels(self) -> int:

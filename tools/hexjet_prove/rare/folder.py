@@ -27,7 +27,6 @@ from hexjet_prove.search.question import Answered, fly_cases
 RESULT, REPORT = "rare.json", "rare.html"
 COMMAND = {"command": "hexjet rare"}  # as a folder records it
 SavedRare = Answered[RareResult]
-CASES_RECORDED = 3  # most likely failures, flown again
 
 
 def resolve_rare(
@@ -64,7 +63,7 @@ def run_rare(
     """
     asked = COMMAND | plan.table()
     campaign, result = run_sampler(study, out, partial(simulate, plan), workers, resume, progress, asked)
-    likely = sorted(result.failures, key=lambda failure: (failure.distance, failure.number))[:CASES_RECORDED]
+    likely = sorted(result.failures, key=lambda failure: (failure.distance, failure.number))[:3]
     cases = [
         (f"failure-{place}", int(result.rows[failure.number]["flight"] or 0), True, failure.distance)
         for place, failure in enumerate(likely, 1)

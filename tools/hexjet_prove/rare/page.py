@@ -23,8 +23,6 @@ SHIFTED = (
     "Where each key is in the failures, in standard deviations of what is drawn: of all flights the mean is 0 and the "
     "spread 1. Furthest out first."
 )
-POINTS = 40  # of a curve, at even parts of a level
-SHOWN = 12  # keys, those furthest out in failures
 LIMITS = (
     "The margin must lead there: failures that nothing announces, in a region that no level leads to, are not found, "
     "and not in the interval"
@@ -95,7 +93,7 @@ def _named_repeats(result: RareResult) -> list[tuple[list[str], Repeat]]:
 
 def shift_rows(result: RareResult) -> list[list[str]]:
     """Return a row for each key: where the failures are in it, in standard deviations, and how wide they lie."""
-    return [[shift.name, f"{shift.mean:+.2f}", f"{shift.spread:.2f}"] for shift in result.shifts[:SHOWN]]
+    return [[shift.name, f"{shift.mean:+.2f}", f"{shift.spread:.2f}"] for shift in result.shifts[:12]]
 
 
 def describe_deciders(result: RareResult) -> str:
@@ -130,9 +128,10 @@ def _levels(result: RareResult) -> Figure:
 def _curve(repeat: Repeat) -> tuple[list[float], list[float]]:
     """Return margins, falling, and the probability of less than each, level by level."""
     margins: list[float] = []
+    points = 40  # of a curve, at even parts of a level
     for level in repeat.levels:
         inside = np.unique(level.margins[level.margins >= level.threshold])[::-1]
-        margins += inside[:: max(1, inside.size // POINTS)].tolist()
+        margins += inside[:: max(1, inside.size // points)].tolist()
     margins = sorted({*margins, 0.0}, reverse=True)
     logs = [(margin, repeat.log_below(margin)) for margin in margins]
     kept = [(margin, float(np.exp(log))) for margin, log in logs if log is not None]

@@ -29,7 +29,6 @@ from hexjet_prove.rare.subset import Candidates
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 
 ASKED = "a rare failure"
-REPEAT_STREAMS = 2  # index of a seed's random streams
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,8 @@ def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
     space = NormalSpace(study)
     flyer = _Flyer(study, space, controller)
     seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
-    streams = np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(plan.budget.repeats)
+    # The draws of a study have the streams 0 and 1 of its seed.
+    streams = np.random.SeedSequence(study.seed, spawn_key=(2,)).spawn(plan.budget.repeats)
     randoms = [np.random.default_rng(stream) for stream in streams]
     simulations = yield from answer_by(simulate_groups(space.dimension, plan.budget, randoms, seed), flyer.margins)
     left = 0 if simulations.counted else plan.budget.flights - len(flyer.rows)

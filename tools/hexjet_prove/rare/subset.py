@@ -35,9 +35,6 @@ from hexjet_prove.rare.groups import Group
 Index = np.ndarray[Any, np.dtype[np.int64]]
 
 LEVEL_FRACTION = 0.1  # of flights: next starts (Au and Beck)
-ACCEPTED = 0.44  # part of steps (Papaioannou et al.)
-FIRST_STEP = 0.6  # of the spread (Papaioannou et al.)
-SEED_REDRAWN = 0.5  # probability, for a candidate
 # Chosen by trial on known truths: part of the candidates that are drawn by the linear model, and how well that must
 # agree with the level's flights before any is.
 BY_MODEL, LEAST_AGREEMENT = 0.75, 0.3
@@ -156,7 +153,9 @@ def subset_simulation(
     states = _States(first.points, first.seeds, *group.judge(flown), np.arange(count))
     levels: list[Level] = []
     judgements: list[Array] = [np.zeros((0, 2))]  # whether new seed, whether accepted
-    flights, scale = count, FIRST_STEP
+    flights, scale = count, 0.6  # of the spread (Papaioannou et al.)
+    target_accepted = 0.44  # part of steps (Papaioannou et al.)
+    redraw_probability = 0.5  # probability, for a candidate
     while True:
         failed = states.margins < 0.0
         least = round(LEVEL_FRACTION * failed.size)
@@ -183,7 +182,7 @@ def subset_simulation(
                 by_model[:, None], model.draw(normal, random), np.sqrt(1.0 - step**2) * now.points + step * normal
             )
             candidates = np.round(candidates, DIGITS)
-            redrawn = random.random(moving) < (SEED_REDRAWN if seed is None else 0.0)
+            redrawn = random.random(moving) < (redraw_probability if seed is None else 0.0)
             seeds = [draw_seed(random) if new else old for new, old in zip(redrawn, now.seeds, strict=True)]
             margins, shares = group.judge((yield Candidates(candidates, seeds, len(levels))))
             ratio = np.where(by_model, model.log_weight(now.points) - model.log_weight(candidates), 0.0)
@@ -194,7 +193,7 @@ def subset_simulation(
             judgements.append(np.stack([redrawn, accepted], axis=1))
             judged = ~redrawn & ~by_model
             if np.any(judged):
-                scale = min(scale * exp((float(np.mean(accepted[judged])) - ACCEPTED) / sqrt(steps)), 10.0)
+                scale = min(scale * exp((float(np.mean(accepted[judged])) - target_accepted) / sqrt(steps)), 10.0)
             parts.append(now)
             flights, left = flights + moving, left - moving
         states = _States.joined(parts)

@@ -35,16 +35,6 @@ R = TypeVar("R")
 Steps = Generator[Array, Array, R]  # yields rows of points, gets margins
 
 NEAR = 0.01  # standard deviations, of a failure
-# A generation with less spread than this part of the region has converged, if it is the best.
-CONVERGED = 0.02
-COARSE = 0.08  # the same for any other
-# A descent that comes so near to the end of an earlier one (of the region's size) ends there too.
-ALIKE = 0.8
-STALLED = 12  # generations that were no better
-SLIGHT = 0.001  # of a generation's largest difference
-# The corners of a box are evaluated first, if they are no more than the budget over this.
-CORNERS = 4
-RAY_POINTS = 4  # evaluated at a time, towards a failure
 
 
 class BudgetSpentError(Exception):
@@ -155,10 +145,12 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
     """
     descent = _Descent(region, dimension, budget, nearest)
     starts = begun = 0
+    # The corners of a box are evaluated first, if they are no more than the budget over this.
+    budget_over_corners = 4
     try:
         yield from descent.margins(np.zeros((1, dimension)))
         yield from descent.shrink()
-        corners = region.corners(dimension, budget // CORNERS)
+        corners = region.corners(dimension, budget // budget_over_corners)
         if len(corners):
             yield from descent.margins(corners)
         while descent.region.size > 0.0:
@@ -183,6 +175,11 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
 def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
     """Run one descent until it has converged, or goes where an earlier one has ended."""
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
+    # A generation with less spread than this part of the region has converged, if it is the best.
+    narrow_if_best = 0.02
+    narrow_otherwise = 0.08  # the same for any other
+    max_stalled = 12  # generations that were no better
+    min_improvement = 0.001  # of a generation's largest difference
     while descent.region.size > 0.0 and not optimiser.should_stop():
         size = descent.region.size
         points = descent.region.project(np.array([optimiser.ask() for _ in range(optimiser.population_size)]))
@@ -193,14 +190,14 @@ def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
         yield from descent.shrink()
         least = int(np.argmin(margins))
         slope = max(slope, float(np.ptp(known)) if len(known) else 0.0)
-        if margins[least] < lowest - SLIGHT * slope or descent.region.size < size:
+        if margins[least] < lowest - min_improvement * slope or descent.region.size < size:
             stalled, lowest = 0, float(margins[least])
         else:
             stalled += 1
         improves = descent.best_at > begun
         is_known = not improves and descent.is_known(points[least], float(margins[least]))
-        is_narrow = float(np.max(np.std(points, axis=0))) < (CONVERGED if improves else COARSE) * size
-        if stalled >= STALLED or is_known or is_narrow:
+        is_narrow = float(np.max(np.std(points, axis=0))) < (narrow_if_best if improves else narrow_otherwise) * size
+        if stalled >= max_stalled or is_known or is_narrow:
             descent.ends.append((points[least], float(margins[least])))
             return
 
@@ -249,7 +246,9 @@ class _Descent:
 
     def is_known(self, point: Array, margin: float) -> bool:
         """Return whether an earlier descent has ended near a point, with a margin that is no larger."""
-        near = ALIKE * self.region.size
+        # A descent that comes so near to the end of an earlier one (of the region's size) ends there too.
+        max_distance = 0.8
+        near = max_distance * self.region.size
         return any(low <= margin and float(np.linalg.norm(point - end)) < near for end, low in self.ends)
 
     def shrink(self) -> Steps[None]:
@@ -264,7 +263,8 @@ class _Descent:
         def between(a: float, b: float) -> float | None:
             return None if (b - a) * reach <= NEAR * (1.0 + 1e-9) else 0.5 * (a + b)
 
-        way = scan_outward([step / RAY_POINTS for step in range(RAY_POINTS + 1)], between)
+        count = 4  # evaluated at a time, towards a failure
+        way = scan_outward([step / count for step in range(count + 1)], between)
         try:
             asked = next(way)
             while True:

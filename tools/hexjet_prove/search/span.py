@@ -13,9 +13,6 @@ from cosim.base.errors import InputError
 from cosim.studies import Key, Value, Vary, absolute_support, check_vary, quantum, whole_bounds
 from hexjet_prove.search.line_search import Between
 
-SCAN_POINTS = 21  # of a scan over the whole range
-RESOLUTION = 200  # the range over the default tolerance
-
 
 @dataclass(frozen=True)
 class Span:
@@ -131,7 +128,7 @@ def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
         low,
         high,
         min(max(nominal, low), high),
-        vary.levels or SCAN_POINTS,
-        tolerance or (1.0 if key.kind == "int" else (high - low) / RESOLUTION),
+        vary.levels or 21,
+        tolerance or (1.0 if key.kind == "int" else (high - low) / 200),
         vary.scale == "log",
     )

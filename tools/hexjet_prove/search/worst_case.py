@@ -30,8 +30,6 @@ from hexjet_prove.search.search import describe_flight
 
 WORST_WITHIN = 3.0  # standard deviations, by default
 LIKELY_WITHIN = 6.0  # 1e-9 of draws lie beyond, on each side
-# Where more than this part of the flights has one margin, the result says that it learnt little.
-MUCH_FLAT = 0.5
 
 
 @dataclass(frozen=True)
@@ -136,13 +134,15 @@ class WorstSearch:
             f"{', and the smallest margin counts' if many else ''}: they are not searched"
         ]
         lines += [self.study.engine_note] if self.study.engine_note else []
+        # Where more than this part of the flights has one margin, the result says that it learnt little.
+        max_flat = 0.5
         for case in self.cases:
             if case.impossible:
                 lines.append(
                     f"{short_name(case.controller)}: {case.impossible} points were left out, the first because: "
                     f"{case.impossible_reason}; {NOT_FLOWN}"
                 )
-            if case.flat > MUCH_FLAT:
+            if case.flat > max_flat:
                 lines.append(
                     f"{short_name(case.controller)}: {100.0 * case.flat:.0f} % of the flights have the same margin, "
                     "which says nothing of where it is worse: there the search is no better than random draws; a "

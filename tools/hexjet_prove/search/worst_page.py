@@ -16,7 +16,6 @@ MEANT = (
     "A margin below 0 is a failure. The share is of the squared distance from the middle; without it: the key is put "
     "back to the middle and all others are kept; with it alone: all others are put back."
 )
-SHOWN = 12  # keys of a controller in the table
 NONE = "–"
 
 
@@ -33,7 +32,7 @@ def rows(result: WorstSearch) -> list[list[str]]:
 
 def _rows(case: WorstCase) -> list[list[str]]:
     listed = []
-    for effect in important(case.effects)[:SHOWN]:
+    for effect in important(case.effects)[:12]:
         value, middle = (NONE if each is None else text(each) for each in (effect.value, effect.middle))
         moved = [f"{effect.place:+.2f}", f"{100.0 * effect.share:.0f} %"]
         margins = [NONE if each is None else f"{each:.3g}" for each in (effect.without, effect.alone)]

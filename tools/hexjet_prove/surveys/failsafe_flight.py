@@ -35,16 +35,11 @@ if TYPE_CHECKING:
 
 # Chosen by us.
 MOVING_S = 10.0  # the drag is learnt in half of it
-FAR_M = 1000.0  # m to the target of a moving start
-SETTLED_S = 5.0  # holding before anything fails, at least
 SLOW_M_S, SLOW_S = 0.3, 1.0  # m/s and s: then it does hold
 LONGEST_SETTLING_S = 60.0  # then it fails at any speed
 LONGEST_S = 180.0  # three descents from 30 m
 PER_METRE_S = 4.0  # of height: slower than any vehicle
 LATER_S = 10.0  # after disarming
-DISARMED_S = 1.0  # flights of a cell but the first
-STANDING_S = 1.1  # on the ground: home is known then
-HOLD_S = 8.0  # at least, and until slow near its place
 HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
 HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
 LONGEST_HOLD_S = 60.0
@@ -138,7 +133,7 @@ class FailsafeFlight:
             self.settle()
         if table.speed_m_s:
             # whatever it was on its way to; further than it comes, so that it does not brake
-            self.ask((Goto(FAR_M, speed=table.speed_m_s),))
+            self.ask((Goto(1000.0, speed=table.speed_m_s),))
             self.fly(MOVING_S)
         if case.waits:
             self.fly(LONGEST_SETTLING_S, lambda: bool(self.pilot.failsafe))
@@ -178,17 +173,18 @@ class FailsafeFlight:
         """Fly until the vehicle holds."""
         simulation, slow = self.simulation, 0
         dt = simulation.dt
+        min_settled_s = 5.0  # holding before anything fails, at least
         while simulation.k * dt < LONGEST_SETTLING_S:
             self._step()
             north, east, down = simulation.state.velocity
             slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
-            if simulation.k * dt >= SETTLED_S and slow * dt >= SLOW_S:
+            if simulation.k * dt >= min_settled_s and slow * dt >= SLOW_S:
                 break
 
     def take_off(self) -> bool:
         """Climb from standing, once home is known, and hold; return False where there is too little fuel for it."""
         height = self.table.height_m
-        self.fly(STANDING_S)
+        self.fly(1.1)  # home is known then
         self.ask((Arm(),))
         if self.case.waits:
             self.refused = self.pilot.energy.describe_climb_shortage(self.pilot.status.altitude + height)
@@ -208,7 +204,8 @@ class FailsafeFlight:
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * table.height_m) / dt)
-        watched, disarmed, thrust = LATER_S if table.number <= 1 else DISARMED_S, -1, nan
+        disarmed_s = 1.0  # flights of a cell but the first
+        watched, disarmed, thrust = LATER_S if table.number <= 1 else disarmed_s, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
             sample = self._step()
@@ -217,7 +214,7 @@ class FailsafeFlight:
             if disarmed >= 0 and (k - disarmed) * dt >= watched:
                 thrust = sum(sample.engines.thrust) if watched == LATER_S else nan
                 break
-            if case.holds and target.is_held() and (k - begin) * dt >= HOLD_S:
+            if case.holds and target.is_held() and (k - begin) * dt >= 8.0:
                 break
         x, y, _ = simulation.state.position
         off, height_off = target.deviation() if case.holds else (nan, nan)

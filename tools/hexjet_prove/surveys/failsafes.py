@@ -44,8 +44,6 @@ HEIGHTS_M = (3.0, 10.0, 30.0)
 TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
 WINDS_M_S = (0.0, 5.0, 10.0)
 # Chosen by us.
-SPEED_M_S = 5.0  # above cruise, below a full lean's drag
-MOVING_FROM_M = 10.0  # they begin no lower
 HOVER_S = (2.0, 20.0)  # from the take-off until it fails
 
 
@@ -98,7 +96,7 @@ class Conditions:
 
     heights: Sequence[float] = ()
     winds: Sequence[float] = WINDS_M_S
-    speed: float = SPEED_M_S
+    speed: float = 5.0  # m/s: above cruise, below a full lean's drag
     flights: int = 3
     airborne: bool = False
     seed: int = 0
@@ -122,7 +120,7 @@ class Conditions:
         number is 0 for a flight that begins in the air.
         """
         heights = self.heights or HEIGHTS_M
-        moving = [height for height in heights if case.moving and self.speed and height >= MOVING_FROM_M]
+        moving = [height for height in heights if case.moving and self.speed and height >= 10.0]
         if self.airborne:
             begun = [Start(height, wind) for height in heights for wind in self.winds]
             return [

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 WHOLE_CONTROLLER = "controller"  # a level: cascade and engine monitor
 STARTS = ("hover", "roll")
-ROLL_DEG = 10.0
-HEIGHT_M = 30.0
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault; the roll has settled
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")
 AFTER_S = 6.0  # flown with the fault
@@ -53,7 +51,7 @@ class Case(NamedTuple):
     def settings_from(self, start: str) -> dict[str, Any]:
         """Return what it sets in the scenario."""
         begin = SETTLED_S[start]
-        roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
+        roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": 10.0}
         return {
             "duration_s": begin + AFTER_S,
             "command": [roll] if start == "roll" else [],
@@ -182,7 +180,8 @@ def plan_faults(
     subject = load_subject(aircraft, engine)
     kinds = [*kinds, LIMIT] if limits and kinds else kinds
     chosen = select_cases(cases(subject.vehicle, limits), kinds, "fault", lambda case: case.kind)
-    scenario = subject.scenario("survival", BASELINE.name, HEIGHT_M, AFTER_S)
+    height_m = 30.0
+    scenario = subject.scenario("survival", BASELINE.name, height_m, AFTER_S)
     draw, note = default_draw(scenario, nominal_engine)
     planned = {case.name(start): (case, start) for case in chosen for start in STARTS}
 
@@ -193,7 +192,7 @@ def plan_faults(
     study = make_study(
         f"faults-{subject.vehicle.name}",
         f"Every single fault of {subject.vehicle.name}, engine {subject.engine}",
-        subject.settings(HEIGHT_M, AFTER_S) | Case("none", "", None).settings_from("roll"),
+        subject.settings(height_m, AFTER_S) | Case("none", "", None).settings_from("roll"),
         [{"name": name, "settings": settings(*each)} for name, each in planned.items()],
         controllers=list(controllers or subject.controllers()),
     )

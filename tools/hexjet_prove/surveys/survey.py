@@ -24,8 +24,6 @@ from cosim.studies import Campaign, Study, design_warnings, run_campaign
 
 T = TypeVar("T")
 
-LEVEL_DEG = 5.0  # held: within it on all axes for 1 s
-
 
 class Subject(NamedTuple):
     """The vehicle that is surveyed, with its engine."""
@@ -110,6 +108,7 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
 
 
 def held_formula(duration_s: float) -> str:
-    """Return what a vehicle keeps that is held: every axis level to ``LEVEL_DEG`` over the last second."""
-    level = " and ".join(f"abs({axis}_error_deg) <= {LEVEL_DEG:g}" for axis in AXES)
+    """Return what a vehicle keeps that is held: every axis level to 5 deg over the last second."""
+    max_error_deg = 5.0  # held: within it on all axes for 1 s
+    level = " and ".join(f"abs({axis}_error_deg) <= {max_error_deg:g}" for axis in AXES)
     return f"after({duration_s - 1.0:.9g} s, always({level}))"

@@ -19,11 +19,7 @@ from cosim.spec.vehicle import load_vehicle
 from hexjet_prove.surveys.survey import Subject
 
 # Chosen by us.
-FRICTION = 100.0  # legs that hold under any load
-ABOVE_M = 0.005  # the lowest leg at the start
 HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # of motion, relative to the nose
-FASTEST_M_S = 8.0  # no faster is tried
-WITHIN_M_S = 0.02  # the speed is found to this
 LONGEST_S = 8.0  # a turbine idles after 3 to 5 s
 TIPPED = radians(60.0)  # past any centre of gravity over legs
 
@@ -46,7 +42,7 @@ class _ClosedThrottles:
 
 
 @cache
-def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
+def tip_speed(aircraft: str, engine: str, above_m: float = 0.005) -> float:
     """Return the speed over the ground (m/s) from which a vehicle tips over legs that catch.
 
     The least of eight headings, in still air, at full weight; found by bisection to 0.02 m/s, infinite if 8 m/s does
@@ -57,8 +53,9 @@ def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
     subject = Subject(aircraft, load_vehicle(aircraft)[0], engine)
     contacts = [contact.model_dump() for contact in subject.vehicle.contacts]
     legs = [contact for contact in contacts if contact["kind"] == "leg"]
+    friction = 100.0  # legs that hold under any load
     for leg in legs:
-        leg |= {"friction_static": FRICTION, "friction_dynamic": FRICTION}
+        leg |= {"friction_static": friction, "friction_dynamic": friction}
     scenario = subject.scenario(
         "tipping",
         BASELINE.name,
@@ -67,16 +64,18 @@ def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
         sensor_noise=False,
         vehicle={"contacts": contacts},
     )
-    slowest = FASTEST_M_S
+    fastest_m_s = 8.0  # no faster is tried
+    slowest = fastest_m_s
+    resolution_m_s = 0.02  # the speed is found to this
     for heading in HEADINGS_DEG:
         if not _tips(scenario, slowest, heading):
             continue
         stands, tips = 0.0, slowest
-        while tips - stands > WITHIN_M_S:
+        while tips - stands > resolution_m_s:
             middle = 0.5 * (stands + tips)
             stands, tips = (stands, middle) if _tips(scenario, middle, heading) else (middle, tips)
         slowest = tips
-    return slowest if slowest < FASTEST_M_S else inf
+    return slowest if slowest < fastest_m_s else inf
 
 
 def _tips(scenario: Scenario, speed: float, heading_deg: float) -> bool:
