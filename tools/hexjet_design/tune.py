@@ -24,9 +24,9 @@ GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
 # The requirements may be missed by this, relatively, where a search begins at its own answer.
 CLOSE = 0.02
-WRITTEN = 1500  # points of the circle for rounding
-LEAST_GAIN = 1e-6  # of the objective, to change a digit
-MOST_PASSES = 1000  # over all numbers, so that a search ends
+ROUNDING_POINTS = 1500  # points of the circle for rounding
+MIN_GAIN = 1e-6  # of the objective, to change a digit
+MAX_PASSES = 1000  # over all numbers, so that a search ends
 # The search stays inside the requirements by this, for what lies between its points.
 SPARE = 0.004
 PREDICTOR = "predictor."  # before a predictor's own parameters
@@ -197,7 +197,7 @@ def settle(
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
     ``start`` keeps the requirements.  At a ``level`` of a schedule only what follows the level is changed.
     """
-    points = FrequencyGrid(channel, close=WRITTEN)
+    points = FrequencyGrid(channel, close=ROUNDING_POINTS)
     firmware = start.firmware
     if firmware is not None and firmware.units is not None:
         return _settle_in_whole_numbers(channel, start, need)
@@ -207,12 +207,12 @@ def settle(
 
     values = {name: digits(value) for name, value in _search_values(start, predictor and not level).items()}
     best = cost(values)
-    for _ in range(MOST_PASSES):
+    for _ in range(MAX_PASSES):
         moved = False
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
-                if (value := cost(trial)) < best - LEAST_GAIN:
+                if (value := cost(trial)) < best - MIN_GAIN:
                     values, best, moved = trial, value, True
         if not moved:
             break
@@ -225,7 +225,7 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
-    points, firmware = FrequencyGrid(channel, close=WRITTEN), start.firmware
+    points, firmware = FrequencyGrid(channel, close=ROUNDING_POINTS), start.firmware
     assert firmware is not None
     names = [name for name in ("angle_gain", "p", "i", "d") if not (name == "angle_gain" and firmware.angle_gain)]
     units = {name: firmware.unit(name) or 1.0 for name in names}
@@ -244,14 +244,11 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
     ways = [{name: way} for name in names for way in (1, -1)]
     ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
     best = cost(values)
-    for _ in range(MOST_PASSES):
+    for _ in range(MAX_PASSES):
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
-            if (
-                all(1 <= trial[name] <= firmware.max_gain for name in way)
-                and (value := cost(trial)) < best - LEAST_GAIN
-            ):
+            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_GAIN:
                 values, best, moved = trial, value, True
         if not moved:
             break

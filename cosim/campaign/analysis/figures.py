@@ -22,7 +22,7 @@ from cosim.results.wording import Metric
 Figure = dict[str, Any]
 
 KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))
-CURVES = 12  # most influential keys that get a curve
+MAX_CURVES = 12  # most influential keys that get a curve
 
 
 def campaign_figures(
@@ -34,7 +34,7 @@ def campaign_figures(
     """Return every figure of the report by its name; ``order`` are the keys by influence."""
     figures = {"outcomes": outcomes(table), "probability": probability(table, proportions)}
     figures |= {f"ranking-{name}": ranking_figure(table, ranking) for name, ranking in rankings.items() if any(ranking)}
-    figures |= {f"key-{number}": success_over(table, table.keys[key]) for number, key in enumerate(order[:CURVES])}
+    figures |= {f"key-{number}": success_over(table, table.keys[key]) for number, key in enumerate(order[:MAX_CURVES])}
     return figures | {f"metric-{number}": distribution(table, metric) for number, metric in enumerate(table.metrics)}
 
 
@@ -125,7 +125,7 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
     by_key = {controller: {effect.key: effect for effect in ranking.effects} for controller, ranking in ranked}
     labels = {key.path: wrap_label(key.label) for key in table.keys}
     largest = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
-    paths = sorted(labels, key=lambda path: largest[path])[-CURVES:]
+    paths = sorted(labels, key=lambda path: largest[path])[-MAX_CURVES:]
     data = []
     for controller, _ in reversed(ranked):  # the first on top
         effects = [by_key[controller][path] for path in paths]

@@ -31,7 +31,7 @@ from cosim.base.runtime.threads import ONE_THREAD
 from cosim.base.storage.scratch import scratch
 from cosim.base.trust import decision, inherit
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
-from cosim.campaign.workers.protocol import LOSSES, describe_loss, describe_timeout, time_limit, update_mean
+from cosim.campaign.workers.protocol import MAX_LOSSES, describe_loss, describe_timeout, time_limit, update_mean
 
 if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
@@ -45,7 +45,7 @@ LOOK_S = 1.0  # s between checks for ended processes
 BACKSTOP_S = 10.0
 START_LIMIT_S = 60.0  # s; half a second is usual
 # Where so many processes in a row end before they are ready, something else is wrong.
-STARTS = 8
+MAX_FAILED_STARTS = 8
 READY = "ready"
 _COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
 
@@ -144,9 +144,11 @@ class LocalWorkers:
         queued = self._end(process)
         if not was_ready:
             self._starts += 1
-            if self._starts >= STARTS:
-                raise FlightError(f"{STARTS} processes in a row ended before they could fly; the last {ending}")
-        elif queued and waiting.lose(queued[0]) >= LOSSES:
+            if self._starts >= MAX_FAILED_STARTS:
+                raise FlightError(
+                    f"{MAX_FAILED_STARTS} processes in a row ended before they could fly; the last {ending}"
+                )
+        elif queued and waiting.lose(queued[0]) >= MAX_LOSSES:
             yield self._failed(study, queued.pop(0), describe_loss(ending)) | process.worker_columns()
         waiting.put_back(queued)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
 
 # A flight that took so many processes with it is given up.
-LOSSES = 3
+MAX_LOSSES = 3
 
 
 class Workers(Protocol):
@@ -54,7 +54,7 @@ def update_mean(mean: float | None, seconds: float) -> float:
 
 def describe_loss(end: str) -> str:
     """Return the reason of a flight that was given up; ``end`` says how its last process ended."""
-    return f"the process was lost in this flight {LOSSES} times; the last {end}"
+    return f"the process was lost in this flight {MAX_LOSSES} times; the last {end}"
 
 
 def describe_timeout(limit: float) -> str:

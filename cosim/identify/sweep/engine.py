@@ -13,7 +13,7 @@ from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.identify.sweep.fit import NEARLY_WHOLE, Fit, fit
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.identify.sweep.result import (
-    LONGEST_SWEEP_S,
+    MAX_SWEEP_S,
     Identification,
     Sweep,
     check_band,
@@ -22,7 +22,7 @@ from cosim.identify.sweep.result import (
 )
 from cosim.simulation.script.command_script import make_sweep as chirp
 
-LONGEST_S = 60.0  # that the thrust gets to come to rest
+MAX_SETTLING_S = 60.0  # that the thrust gets to come to rest
 SWING = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
 DECADES = (0.1, 10.0)  # of the corner frequency: automatic band
 
@@ -107,7 +107,7 @@ def _band(
         return low, high
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
     # An engine's own start is a little above the lowest frequency that the longest sweep tells.
-    least = 1.01 * (shortest_record(1.0) / LONGEST_SWEEP_S)
+    least = 1.01 * (shortest_record(1.0) / MAX_SWEEP_S)
     start = max(DECADES[0] * slow, least) if low is None else low
     end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
     return float(start), float(end)
@@ -133,7 +133,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
         before = bank.reset(throttle).thrust[0]
         course: list[float] = []
         window = engine.settling_window
-        while len(course) * step < LONGEST_S:
+        while len(course) * step < MAX_SETTLING_S:
             course += [bank.step(len(course) + i, (throttle + size,)).thrust[0] for i in range(window)]
             swing = np.abs(np.array(course) - before).max()
             if swing > 0.0 and np.ptp(course[-window:]) <= 1e-6 * swing:
@@ -174,7 +174,7 @@ def fly_sweep(
                 swing = float(np.ptp(thrust))
             if k > end and (k - end) % window == 0:
                 tail = np.abs(np.array(thrust[-window:]) - start).max()
-                if tail <= still * swing or (k - end) * step > LONGEST_S:
+                if tail <= still * swing or (k - end) * step > MAX_SETTLING_S:
                     break
     injected: Array = np.array(command)
     return Record(injected, injected, np.array(thrust[:-1]) - start, step)

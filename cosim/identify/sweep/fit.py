@@ -18,7 +18,7 @@ from cosim.base.errors import InputError
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
-LEAST_COHERENCE = 0.6  # Tischler and Remple's bound
+MIN_COHERENCE = 0.6  # Tischler and Remple's bound
 NEARLY_WHOLE = 0.05  # samples to a whole number, taken as one
 
 
@@ -124,9 +124,9 @@ def names(lags: int) -> list[str]:
 
 
 def counts(response: FrequencyResponse) -> Array:
-    """Weigh each point by ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), by 0 below LEAST_COHERENCE."""
+    """Weigh each point by ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), by 0 below MIN_COHERENCE."""
     weight = (1.58 * (1.0 - np.exp(-response.coherence))) ** 2
-    return np.asarray(np.where(response.coherence >= LEAST_COHERENCE, weight, 0.0))
+    return np.asarray(np.where(response.coherence >= MIN_COHERENCE, weight, 0.0))
 
 
 def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, float] | None = None) -> Fit:

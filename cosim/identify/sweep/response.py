@@ -20,7 +20,7 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
 # A group has three complex unknowns, so six bins are left to tell noise from response.
-BINS = 9
+MIN_BINS = 9
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def shortest_record(low: float, max_width: float = 0.25) -> float:
 
     ``max_width``: half a group's width over its centre, at most: beyond it the parabola would bend the response.
     """
-    return (BINS - 1) / (2.0 * max_width * low)
+    return (MIN_BINS - 1) / (2.0 * max_width * low)
 
 
 def estimate(
@@ -104,12 +104,12 @@ def estimate(
 
 def _groups(seconds: float, low: float, high: float, count: int, max_groups: int = 60) -> list[tuple[int, int]]:
     """Return each group's first bin and the one behind its last: even in log frequency where the bins allow it."""
-    first = max(1, round(low * seconds) - BINS // 2)
-    end = min(round(high * seconds) + BINS // 2 + 1, count)
+    first = max(1, round(low * seconds) - MIN_BINS // 2)
+    end = min(round(high * seconds) + MIN_BINS // 2 + 1, count)
     edges = [first]
     growth = (end / first) ** (1.0 / max_groups)
-    while edges[-1] + BINS <= end:
-        edges.append(min(end, max(edges[-1] + BINS, round(edges[-1] * growth))))
+    while edges[-1] + MIN_BINS <= end:
+        edges.append(min(end, max(edges[-1] + MIN_BINS, round(edges[-1] * growth))))
     if edges[-1] < end and len(edges) > 2:
         edges[-1] = end
     return list(pairwise(edges))

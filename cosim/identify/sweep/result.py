@@ -11,14 +11,14 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
+from cosim.identify.sweep.fit import MIN_COHERENCE, Fit
 from cosim.identify.sweep.response import FrequencyResponse, shortest_record
 from cosim.identify.verdict import NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
 # The chirp runs from this times the lowest to this times the highest frequency of the band.
 CHIRP_MARGIN = (0.7, 1.2)
-LONGEST_SWEEP_S = 3600.0
+MAX_SWEEP_S = 3600.0
 # A form whose rms of |ln(model / response)| is above this, 10 % or 6 deg, is not found.
 MISFIT = 0.1
 # A delay counts as known within its value or this many samples, whichever is more.
@@ -93,7 +93,7 @@ class Identification:
         """Return how far the reference is at most from the coherent response, dB and deg; None without a reference."""
         if self.reference is None:
             return None
-        use = self.response.coherence >= LEAST_COHERENCE
+        use = self.response.coherence >= MIN_COHERENCE
         error = np.log(rate_response(self.reference, self.response.hertz[use]) / self.response.value[use])
         return float(np.abs(error.real).max() * 20.0 / np.log(10.0)), float(np.degrees(np.abs(error.imag).max()))
 
@@ -169,10 +169,10 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
         raise InputError(f"to_hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
     if not 0.0 < low < high:
         raise InputError(f"from_hz {low:g}, to_hz {high:g}: the band must go from a lower to a higher frequency")
-    if shortest_record(low) > LONGEST_SWEEP_S:
-        raise InputError(f"from_hz {low:g}: must be at least {shortest_record(1.0) / LONGEST_SWEEP_S:.2g}")
-    if duration is not None and not duration <= LONGEST_SWEEP_S:
-        raise InputError(f"duration_s {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
+    if shortest_record(low) > MAX_SWEEP_S:
+        raise InputError(f"from_hz {low:g}: must be at least {shortest_record(1.0) / MAX_SWEEP_S:.2g}")
+    if duration is not None and not duration <= MAX_SWEEP_S:
+        raise InputError(f"duration_s {duration:g}: must be at most {MAX_SWEEP_S:g} s")
     if duration is not None and duration < shortest_record(low):
         raise InputError(
             f"duration_s {duration:g}: too short for {low:g} Hz; it takes {shortest_record(low):.3g} s, "
@@ -187,7 +187,7 @@ def suitable_duration(low: float, cycles: float = 20.0) -> float:
 
     ``cycles``: of the lowest frequency, in a sweep of automatic duration.
     """
-    return min(float(ceil(cycles / low)), LONGEST_SWEEP_S)
+    return min(float(ceil(cycles / low)), MAX_SWEEP_S)
 
 
 def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, usable: float = 0.5) -> list[str]:
@@ -195,17 +195,17 @@ def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, 
 
     ``usable``: share of the points that must have coherence.
     """
-    good = response.coherence >= LEAST_COHERENCE
+    good = response.coherence >= MIN_COHERENCE
     if np.mean(good) < usable:
         raise NotIdentifiedError(
-            f"{subject} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
+            f"{subject} does not answer the sweep: coherence is at least {MIN_COHERENCE:g} at {int(good.sum())} of "
             f"{len(good)} points (median {np.median(response.coherence):.2f}); "
             f"raise amplitude (now {amplitude:g}), sweep longer, or narrow the band"
         )
     if not good.all():
         first = response.hertz[~good]
         return [
-            f"{int((~good).sum())} of {len(good)} points left out, coherence below {LEAST_COHERENCE:g} "
+            f"{int((~good).sum())} of {len(good)} points left out, coherence below {MIN_COHERENCE:g} "
             f"({first.min():.2g} to {first.max():.2g} Hz)"
         ]
     return []

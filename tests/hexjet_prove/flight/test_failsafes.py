@@ -464,7 +464,7 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
 @pytest.mark.parametrize("moved", [rq.Goto(4.0, 0.0), rq.Goto(altitude=4.0)])
 def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     """A place or a height that jumps when HOLD begins: the mode alone would say that all is well."""
-    monkeypatch.setattr(failsafe_flight, "LONGEST_HOLD_S", 12.0)
+    monkeypatch.setattr(failsafe_flight, "MAX_HOLD_S", 12.0)
     elsewhere = Case("elsewhere", (), (moved,), True)
     monkeypatch.setattr(failsafe_flight, "cases", lambda vehicle: [elsewhere])
     row = flown("elsewhere")

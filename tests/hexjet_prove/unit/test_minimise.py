@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from hexjet_prove.search.minimise import NEAR, Ball, Box, Found, descend
+from hexjet_prove.search.minimise import DISTANCE_RESOLUTION, Ball, Box, Found, descend
 from hexjet_prove.search.probe import answer_all
 
 Margin = Callable[[Array], float]
@@ -37,10 +37,10 @@ def two_regions(x: Array) -> float:
 @pytest.mark.parametrize("dimension", [1, 2, 6])
 @pytest.mark.parametrize("distance", [2.0, 4.5])
 def test_the_nearest_failure_behind_a_plane(dimension: int, distance: float) -> None:
-    """Known to NEAR along a ray, and a direction that is off by e adds 1 - cos e."""
+    """Known to DISTANCE_RESOLUTION along a ray, and a direction that is off by e adds 1 - cos e."""
     nearest = found(plane(distance, dimension), Ball(6.0), dimension, 800, nearest=True)
     assert nearest.fails
-    assert distance <= nearest.distance < distance + 3.0 * NEAR
+    assert distance <= nearest.distance < distance + 3.0 * DISTANCE_RESOLUTION
 
 
 def test_the_nearest_failure_of_an_island() -> None:
@@ -125,7 +125,7 @@ def test_what_does_not_exist_neither_fails_nor_is_the_worst() -> None:
         return float("nan") if np.linalg.norm(x - 1.0) < 0.8 else 3.0 - float(np.sum(x)) / sqrt(3.0)
 
     nearest = found(margin, Ball(6.0), 3, 800, nearest=True)
-    assert 3.0 <= nearest.distance < 3.0 + 3.0 * NEAR
+    assert 3.0 <= nearest.distance < 3.0 + 3.0 * DISTANCE_RESOLUTION
     worst = found(margin, Ball(1.8), 3, 500)
     assert np.isfinite(worst.margin)
     assert np.linalg.norm(worst.point - 1.0) >= 0.8

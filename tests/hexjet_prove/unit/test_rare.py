@@ -18,7 +18,7 @@ from scipy.stats import binom, norm
 from cosim.base.errors import InputError
 from cosim.results.requirements import parse_formula
 from hexjet_prove.rare.estimate import (
-    SEEDS_DECIDE,
+    MIN_SEED_EFFECT,
     Budget,
     Estimate,
     estimate,
@@ -174,7 +174,7 @@ def test_candidates_keep_the_normal_distribution_and_their_seeds_all_values() ->
 
 def test_seeds_that_decide_are_told() -> None:
     """A new seed is accepted as often as an old one where it does nothing, and seldom where half of it is noise."""
-    for name, least, most in (("plane 6", 0.8, 1.2), ("noise", 0.05, SEEDS_DECIDE)):
+    for name, least, most in (("plane 6", 0.8, 1.2), ("noise", 0.05, MIN_SEED_EFFECT)):
         _, made = simulated(TRUTHS[name], 1e-4, Budget(1e-4, 3000), 1)
         effect = seed_effect(made.repeats[0])
         assert effect is not None

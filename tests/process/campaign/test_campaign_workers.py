@@ -277,7 +277,7 @@ def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], note
 
 
 def test_processes_that_do_not_start_end_it(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "STARTS", 3)
+    monkeypatch.setattr(local, "MAX_FAILED_STARTS", 3)
     with LocalWorkers(2, fly=tools.Deadly()) as workers:  # type: ignore[arg-type]
         with pytest.raises(FlightError, match="3 processes in a row ended before they could fly; the last ended with"):
             list(workers.fly(study, flights(study)))
@@ -288,7 +288,7 @@ def test_processes_that_start_too_slowly_are_called_that(study: Study, monkeypat
     """They have neither left nor closed anything: the machine has too much to do."""
     monkeypatch.setattr(local, "START_LIMIT_S", 0.0)
     monkeypatch.setattr(local, "LOOK_S", 0.0)
-    monkeypatch.setattr(local, "STARTS", 2)
+    monkeypatch.setattr(local, "MAX_FAILED_STARTS", 2)
     with LocalWorkers(1) as workers:
         with pytest.raises(FlightError, match="the last was not ready after 0 s"):
             list(workers.fly(study, flights(study)))

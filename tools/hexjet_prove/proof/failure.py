@@ -21,7 +21,7 @@ SAID = {  # of one that was not made
     WORST: "no search for the worst case was made",
 }
 # The levels reach down to this probability, as those of hexjet rare do by default.
-TARGET = 1e-6
+MIN_PROBABILITY = 1e-6
 KEPT = (
     "probability",
     "low",
@@ -92,7 +92,7 @@ def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
 def check_flights(flights: int) -> None:
     """Raise InputError for fewer flights than a simulation of rare failures needs."""
     try:
-        Budget(TARGET, flights).check()
+        Budget(MIN_PROBABILITY, flights).check()
     except InputError as error:
         raise InputError(str(error).replace("budget", "rare", 1)) from error
 
@@ -103,7 +103,7 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
     Seeds of noise and turbulence are part of what varies.  Raises FlightError if no more can be flown.
     """
     asked = study.changed(until=None, runs=flights)
-    plan = Plan(Budget(TARGET, flights))
+    plan = Plan(Budget(MIN_PROBABILITY, flights))
     saved = run_rare(asked, plan, folder, workers, True, _tell(say, "rare"))
     told = saved.to_json()
     cases = [

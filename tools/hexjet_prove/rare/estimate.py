@@ -22,7 +22,7 @@ from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 
 CONFIDENCE = LEVEL
 # Below this seed_effect noise decides; it is 0.1 to 0.4 where half of the margin's variance is noise.
-SEEDS_DECIDE = 0.5
+MIN_SEED_EFFECT = 0.5
 # Flights a level at least, of one group of requirements (five starts) and of one of several (docs/campaigns.md), and
 # the part of all flights that several groups leave to the search for the nearest failure.
 SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05

@@ -22,7 +22,7 @@ from cosim.studies import (
     only_controller,
     requirement_margins,
 )
-from hexjet_prove.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
+from hexjet_prove.rare.estimate import MIN_SEED_EFFECT, Budget, Estimate, estimate, probability_text, seed_effect
 from hexjet_prove.rare.nearest import NearestSearch, search_nearest
 from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups
 from hexjet_prove.rare.subset import Candidates
@@ -133,7 +133,7 @@ class RareResult:
     def seed_note(self) -> str:
         """A warning where noise and turbulence decide, which no chain can lead to failure; empty elsewhere."""
         effect = seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats])
-        if effect is None or effect >= SEEDS_DECIDE:
+        if effect is None or effect >= MIN_SEED_EFFECT:
             return ""
         return (
             f"a flight with another seed stays as near to failure {effect:.2f} times as often as with the same one: "

@@ -34,7 +34,7 @@ from hexjet_prove.search.line_search import scan_outward
 R = TypeVar("R")
 Steps = Generator[Array, Array, R]  # yields rows of points, gets margins
 
-NEAR = 0.01  # standard deviations, of a failure
+DISTANCE_RESOLUTION = 0.01  # standard deviations, of a failure
 
 
 class BudgetSpentError(Exception):
@@ -256,12 +256,12 @@ class _Descent:
         if not self._nearest or not self.best.fails or self.best.distance > self.region.size:
             return
         end, reach = self.best.point, self.best.distance
-        if reach <= NEAR:
+        if reach <= DISTANCE_RESOLUTION:
             self.region = Ball(0.0)
             return
 
         def between(a: float, b: float) -> float | None:
-            return None if (b - a) * reach <= NEAR * (1.0 + 1e-9) else 0.5 * (a + b)
+            return None if (b - a) * reach <= DISTANCE_RESOLUTION * (1.0 + 1e-9) else 0.5 * (a + b)
 
         count = 4  # evaluated at a time, towards a failure
         way = scan_outward([step / count for step in range(count + 1)], between)
@@ -276,4 +276,4 @@ class _Descent:
         except StopIteration:
             pass
         finally:
-            self.region = Ball(max(self.best.distance - NEAR, 0.0))
+            self.region = Ball(max(self.best.distance - DISTANCE_RESOLUTION, 0.0))

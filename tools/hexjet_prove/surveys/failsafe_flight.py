@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 # Chosen by us.
 MOVING_S = 10.0  # the drag is learnt in half of it
 SLOW_M_S, SLOW_S = 0.3, 1.0  # m/s and s: then it does hold
-LONGEST_SETTLING_S = 60.0  # then it fails at any speed
-LONGEST_S = 180.0  # three descents from 30 m
+MAX_SETTLING_S = 60.0  # then it fails at any speed
+MAX_FLIGHT_S = 180.0  # three descents from 30 m
 PER_METRE_S = 4.0  # of height: slower than any vehicle
 LATER_S = 10.0  # after disarming
 HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
 HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
-LONGEST_HOLD_S = 60.0
+MAX_HOLD_S = 60.0
 
 
 # What is measured of a flight, NaN where there is no number; hexjet_prove.surveys.failsafes.Row says what each is.
@@ -136,7 +136,7 @@ class FailsafeFlight:
             self.ask((Goto(1000.0, speed=table.speed_m_s),))
             self.fly(MOVING_S)
         if case.waits:
-            self.fly(LONGEST_SETTLING_S, lambda: bool(self.pilot.failsafe))
+            self.fly(MAX_SETTLING_S, lambda: bool(self.pilot.failsafe))
         return self.fail()
 
     def finish(self) -> Run:
@@ -174,7 +174,7 @@ class FailsafeFlight:
         simulation, slow = self.simulation, 0
         dt = simulation.dt
         min_settled_s = 5.0  # holding before anything fails, at least
-        while simulation.k * dt < LONGEST_SETTLING_S:
+        while simulation.k * dt < MAX_SETTLING_S:
             self._step()
             north, east, down = simulation.state.velocity
             slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
@@ -192,7 +192,7 @@ class FailsafeFlight:
                 return False
         self.ask((Takeoff(height),))
         is_up = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
-        self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, is_up)
+        self.fly(MAX_SETTLING_S + PER_METRE_S * height, is_up)
         return True
 
     def fail(self) -> tuple[dict[str, float], Verdict]:
@@ -203,7 +203,7 @@ class FailsafeFlight:
         self.ask(case.failing_requests)
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
-        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * table.height_m) / dt)
+        last = begin + round((MAX_HOLD_S if case.holds else MAX_FLIGHT_S + PER_METRE_S * table.height_m) / dt)
         disarmed_s = 1.0  # flights of a cell but the first
         watched, disarmed, thrust = LATER_S if table.number <= 1 else disarmed_s, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:

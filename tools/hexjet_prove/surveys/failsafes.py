@@ -25,8 +25,8 @@ from cosim.spec.vehicle import Vehicle, aircraft_name
 from cosim.studies import Campaign, Study, default_draw
 from hexjet_prove.surveys.failsafe_cases import Case, cases
 from hexjet_prove.surveys.failsafe_flight import (
-    LONGEST_S,
-    LONGEST_SETTLING_S,
+    MAX_FLIGHT_S,
+    MAX_SETTLING_S,
     MEASURED,
     MOVING_S,
     OWN,
@@ -297,7 +297,7 @@ def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, A
     """Return the settings of a flight, without what is asked in it; it begins in the air."""
     return subject.settings(
         height,
-        LONGEST_SETTLING_S + MOVING_S + LONGEST_S + 2.0 * PER_METRE_S * height,
+        MAX_SETTLING_S + MOVING_S + MAX_FLIGHT_S + 2.0 * PER_METRE_S * height,
         monitor=subject.vehicle.control.monitor is not None,
         environment={"wind_ned_m_s": [0.0, wind, 0.0]},
     )

@@ -20,7 +20,7 @@ from hexjet_prove.surveys.survey import Subject
 
 # Chosen by us.
 HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # of motion, relative to the nose
-LONGEST_S = 8.0  # a turbine idles after 3 to 5 s
+MAX_TIPPING_S = 8.0  # a turbine idles after 3 to 5 s
 TIPPED = radians(60.0)  # past any centre of gravity over legs
 
 
@@ -60,7 +60,7 @@ def tip_speed(aircraft: str, engine: str, above_m: float = 0.005) -> float:
         "tipping",
         BASELINE.name,
         max(leg["position_m"][2] for leg in legs) + above_m,
-        LONGEST_S,
+        MAX_TIPPING_S,
         sensor_noise=False,
         vehicle={"contacts": contacts},
     )
@@ -84,7 +84,7 @@ def _tips(scenario: Scenario, speed: float, heading_deg: float) -> bool:
     velocity = (speed * cos(heading), speed * sin(heading), 0.0)
     with build(scenario.replace(initial={"velocity_ned_m_s": velocity})) as simulation:
         simulation.controller = _ClosedThrottles(simulation.controller)
-        for _ in range(round(LONGEST_S / simulation.dt)):
+        for _ in range(round(MAX_TIPPING_S / simulation.dt)):
             simulation.step()
             roll, pitch, _ = simulation.state.euler
             if acos(cos(roll) * cos(pitch)) > TIPPED:
