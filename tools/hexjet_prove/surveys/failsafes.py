@@ -96,7 +96,7 @@ class Conditions:
 
     heights: Sequence[float] = ()
     winds: Sequence[float] = WINDS_M_S
-    speed: float = 5.0  # m/s: above cruise, below a full lean's drag
+    speed: float = 5.0  # above cruise, below a full lean's drag
     flights: int = 3
     airborne: bool = False
     seed: int = 0
