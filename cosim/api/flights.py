@@ -27,6 +27,8 @@ class FlightResult(Result):
         Everything.
     """
 
+    short_lines = 6
+
     def __init__(self, run: Run) -> None:
         from cosim.results.run import REPORT
 
@@ -38,21 +40,25 @@ class FlightResult(Result):
         return self.run.to_dict()
 
     def lines(self) -> list[str]:
-        """Return how it ended, what flew, what is to be known of the verdict, and what is not as it was expected."""
+        """Return how it ended with the least margin, the commanded axes, what flew, what is not as expected, notes."""
         from cosim.base.outcomes import Verdict
+        from cosim.results.report.flight import axis_sentences
+        from cosim.results.report.requirements import checked_rows
         from cosim.results.verdict import NOTHING_EXPECTED
 
         summary, controller = self.run.summary, self.run.summary.own_controller
+        checked = checked_rows(summary) if summary.outcome == "completed" else []
+        least = [f"; least margin {margin}: {label} {allowed}" for _, (label, _, allowed, margin, _) in checked[:1]]
         speed = "" if summary.realtime_factor is None else f", {summary.realtime_factor:.0f} x real time"
         lines = [
-            f"{summary.scenario}: {summary.ending}",
+            f"{summary.scenario}: {summary.ending}{''.join(least)}",
+            *axis_sentences(summary),
             f"{summary.aircraft}, engine {summary.engine_shown}{_other_engines(summary)}, controller "
             f"{summary.controller_shown}, seed {summary.seed}"
             f"{f', sensors {summary.sensors}' if summary.sensors else ''}: {summary.duration_s:.2f} s flown{speed}",
         ]
-        lines += [NOTHING_EXPECTED] if summary.verdict == Verdict.NOTHING_CHECKED else []
-        lines += note_lines(summary.notes)
         lines += [f"beyond its limit: {text}" for text in summary.exceeded]
+        lines += [*summary.own_metrics_failed, *(f"not as expected: {text}" for text in summary.complaints)]
         lines += [f"requirement {each.describe()}" for each in summary.requirements if each.source == "require"]
         if controller is not None and controller.repeatable is False:
             name = summary.controller
@@ -61,7 +67,8 @@ class FlightResult(Result):
             lines.append(
                 f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself"
             )
-        return [*lines, *summary.own_metrics_failed, *(f"not as expected: {text}" for text in summary.complaints)]
+        lines += note_lines(summary.notes)
+        return [*lines, *([NOTHING_EXPECTED] if summary.verdict == Verdict.NOTHING_CHECKED else [])]
 
     def tables(self) -> list[Table]:
         """Return the metrics of the axes and of the whole flight, and what was checked, each with its margin."""

@@ -34,9 +34,9 @@ def _show_aircraft(path: Path) -> None:
         )
 
 
-def _show_mapping(result: Any) -> None:
+def _show_mapping(result: Any, verbose: bool) -> None:
     """Print what is found and what is open, and what to do next."""
-    show_result(result)
+    show_result(result, verbose)
     mapping = result.files["mapping"]
     echo(f"next: hexjet fmu check {mapping}" if result.is_complete else f"next: state in {mapping} what is open")
 

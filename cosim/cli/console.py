@@ -58,7 +58,8 @@ def output_to_stderr(active: bool) -> Iterator[None]:
 class TerminalProgress(Progress):
     """Shows a call on a terminal: notes on standard error, and a bar of how far it is and how long the rest takes.
 
-    Ctrl-C is answered in a line; ``goes_on`` is the command that goes on, ``{folder}`` that of the call.
+    ``notes`` is what notes are called; empty: none is printed.  Ctrl-C is answered in a line; ``goes_on`` is the
+    command that goes on, ``{folder}`` that of the call.
     """
 
     def __init__(self, quiet: bool, goes_on: str = "", notes: str = "note") -> None:
@@ -94,8 +95,9 @@ class TerminalProgress(Progress):
 
     def note(self, text: str) -> None:
         """Print it on standard error."""
-        with without_bars():
-            echo(f"hexjet: {self._notes}: {printable_line(text)}", err=True)
+        if self._notes:
+            with without_bars():
+                echo(f"hexjet: {self._notes}: {printable_line(text)}", err=True)
 
     def update(self, part: str, done: int, of: int) -> None:
         """Show how far the call is."""
@@ -123,15 +125,24 @@ class TerminalProgress(Progress):
 REPORTED = "told"  # note of an interruption
 
 
-def show_result(result: Result) -> None:
-    """Print a result: its lines, its tables, and where its files are."""
+def show_result(result: Result, verbose: bool = False, screen: int = 24) -> None:
+    """Print a result: its lines, its tables, and where its files are.
+
+    Without ``verbose``, what has a page and is longer than a ``screen`` of lines is printed in short: no tables, and
+    no more lines than the result says.
+    """
     from rich.markup import escape
 
-    first, *others = result.lines() or [""]
+    lines, tables = result.lines() or [""], result.tables()
+    height = len(lines) + len(result.files) + sum(len(table.rows) + 4 for table in tables)
+    if not verbose and height > screen and result.report is not None:
+        more = len(lines[result.short_lines :]) if result.short_lines else 0
+        lines, tables = [*lines[: result.short_lines], *([f"{more} more lines with --verbose"] if more else [])], []
+    first, *others = lines
     say(f"[bold]{escape(first)}[/bold]", marked=True)
     for line in others:
         say(line, wrap=not isinstance(line, WholeLine))
-    for table in result.tables():
+    for table in tables:
         if table.title:
             say(table.title)
         right = [n for n in range(len(table.columns)) if _is_numeric([row[n] for row in table.rows if n < len(row)])]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from json import dumps
 from math import isfinite
+from os import devnull
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
@@ -41,7 +42,8 @@ _FILES = frozenset((
     ".bin", ".c", ".csv", ".fmu", ".h", ".htm", ".html", ".jpg", ".json", ".jsonl", ".log", ".mat", ".mcap", ".md",
     ".parquet", ".pdf", ".png", ".py", ".ssp", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
 ))  # fmt: skip
-_JSON, _TRUST = "as_json", "trust"  # options that every command may add
+# Options that every command may add.
+_JSON, _TRUST, _VERBOSE, _QUIET = "as_json", "trust", "verbose", "quiet"
 _HELP = ("-h", "--help")
 
 
@@ -75,7 +77,8 @@ class Option:
     def label(self) -> str:
         """What the help shows of it."""
         if self.kind is bool:
-            return self.names[0] if not self.default else f"{self.names[0]}/--no-{self.names[0][2:]}"
+            short = "".join(f"{name}, " for name in self.names if name[1] != "-")
+            return f"{short}{self.names[0]}" if not self.default else f"{self.names[0]}/--no-{self.names[0][2:]}"
         return f"{self.names[0]} {self.metavar}" if self.names else self.metavar
 
     @property
@@ -118,8 +121,9 @@ class Command:
     ends: str = ""
     # Whether it may run code of the user's, which ``--trust`` allows.
     runs_code: bool = True
-    # Print a result, and make what ``--json`` prints; without ``data`` there is no such option.
-    show: Callable[[Any], None] = show_result
+    # Print a result, whole where it has an argument ``verbose``; and make what ``--json`` prints.  Without ``data``
+    # there is no such option.
+    show: Callable[..., None] = show_result
     data: Callable[[Any], Any] | None = lambda result: result.to_dict()
     # Endings of files that ``out`` may be; else it is a folder.
     writes: tuple[str, ...] = ()
@@ -222,12 +226,20 @@ class Command:
     def _added(self) -> list[Option]:
         """The options that are none of the function's."""
         added = [("--json", _JSON, "Print one JSON object and nothing else.")] if self.data is not None else []
+        if self._shows_more:
+            added.append(("--verbose -v", _VERBOSE, "Print the tables too that the page has."))
+        added.append(("--quiet -q", _QUIET, "Print nothing but errors."))
         if self.runs_code:
             text = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
             added.append(("--trust", _TRUST, text))
         return [
-            Option(name, (option,), bool, False, None, "", text, False, False, None) for option, name, text in added
+            Option(name, tuple(names.split()), bool, False, None, "", text, False, False, None)
+            for names, name, text in added
         ]
+
+    @property
+    def _shows_more(self) -> bool:
+        return "verbose" in inspect.signature(self.show).parameters
 
     def help(self, width: int | None = None) -> str:
         """Return the help, ``width`` columns wide, by default as the terminal."""
@@ -363,7 +375,8 @@ class Command:
             return DONE
         arguments = self.read(words)
         self.check_out(arguments.get("out"))
-        as_json = arguments.pop(_JSON, False)
+        as_json, quiet = arguments.pop(_JSON, False), arguments.pop(_QUIET, False)
+        shown = {_VERBOSE: arguments.pop(_VERBOSE, False)} if self._shows_more else {}
         if arguments.pop(_TRUST, False):
             trust_everything()
         arguments |= self.given
@@ -376,16 +389,19 @@ class Command:
         with ExitStack() as stack:
             stack.enter_context(nullcontext() if self.runs_code else without_code())
             stack.enter_context(output_to_stderr(as_json))
+            if quiet:
+                stack.enter_context(redirect_stdout(stack.enter_context(open(devnull, "w"))))
             self.before(_Arguments(parameters, arguments))
             if "progress" in parameters:
                 again = self.goes_on or f"hexjet {self.name} {{folder}} --resume"
                 goes_on = again if "resume" in parameters else ""
-                arguments["progress"] = stack.enter_context(TerminalProgress(as_json, goes_on, self.notes))
+                shows = TerminalProgress(as_json or quiet, goes_on, "" if quiet else self.notes)
+                arguments["progress"] = stack.enter_context(shows)
             result = self.call(*_by_place(parameters, arguments), **arguments)
         if as_json and self.data is not None:
             echo(dumps(self.data(result)))
-        else:
-            self.show(result)
+        elif not quiet:
+            self.show(result, **shown)
         return DONE if self.succeeded(result) else FLIGHT_FAILED
 
 

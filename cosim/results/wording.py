@@ -109,4 +109,4 @@ def display_unit(unit: str) -> tuple[str, float]:
 
 def show_value(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     """Format a value of a table; return a dash for what a flight cannot tell."""
-    return NONE if value is None else f"{factor * value:.{digits}f}"
+    return NONE if value is None else f"{factor * value:z.{digits}f}"

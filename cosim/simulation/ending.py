@@ -52,4 +52,4 @@ class TerminationCheck:
 
 
 def _lean(state: State) -> str:
-    return ", ".join(f"{axis} {degrees(angle):.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))
+    return ", ".join(f"{axis} {degrees(angle):z.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))

@@ -10,39 +10,49 @@ from cosim.commands import Command, one_thread, say, show_table, terminal
 
 if TYPE_CHECKING:
     from hexjet_design.api import DesignResult
+    from hexjet_design.design import Design
 
 
 # columns at a fuel level; the report has every column
 AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
 
 
-def print_design(result: DesignResult) -> None:
-    """Print the answer and the files, the margins of the linear loops, what they rest on, and the flights compared."""
-    from hexjet_design.proof.comparison import WORSE_WORDS, comparison_columns, comparison_rows
-    from hexjet_design.result import COLUMNS, answer_lines, channel_rows, detail_lines, level_rows, row_lines
-
-    def say_all(lines: Iterable[str]) -> None:
-        for line in lines:
-            say(line)
+def print_design(result: DesignResult, verbose: bool = False) -> None:
+    """Print the answer and the files; ``verbose``: the linear margins, what they rest on, and the flights compared."""
+    from hexjet_design.result import answer_lines
 
     design = result.designed
     say(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", marked=True)
-    say_all(answer_lines(design))
+    _say_all(answer_lines(design))
     for name, path in result.files.items():
         say(f"{name}: {path}", wrap=False)
+    if verbose:
+        _print_details(design)
+    if result.fly_command:
+        say(f"next: {result.fly_command}", wrap=False)
+
+
+def _print_details(design: Design) -> None:
+    """Print the margins of the linear loops, what they rest on, and the flights compared."""
+    from hexjet_design.proof.comparison import WORSE_WORDS, comparison_columns, comparison_rows
+    from hexjet_design.result import COLUMNS, channel_rows, detail_lines, level_rows, row_lines
+
     columns_shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     columns = [list(column) for column in zip(COLUMNS, *channel_rows(design), strict=True)]
     _show_in_pieces([columns[k] for k in columns_shown])
     if levels := level_rows(design):
         columns_of_levels = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
         _show([[row[k] for k in columns_of_levels] for row in (COLUMNS, *levels)])
-    say_all([*row_lines(design), *detail_lines(design)])
+    _say_all([*row_lines(design), *detail_lines(design)])
     if design.proof is not None and design.proof.compared:
         compared = design.proof.compared
         _show_in_pieces([comparison_columns(compared), *comparison_rows(compared)])
         say(WORSE_WORDS)
-    if result.fly_command:
-        say(f"next: {result.fly_command}", wrap=False)
+
+
+def _say_all(lines: Iterable[str]) -> None:
+    for line in lines:
+        say(line)
 
 
 def _show_in_pieces(lines: Sequence[Sequence[str]]) -> None:

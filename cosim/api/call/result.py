@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 from cosim.base.errors import InputError, notify
 
@@ -74,6 +74,8 @@ class Result:
     """
 
     files: dict[str, Path]
+    # How many of its lines the command prints without ``--verbose`` where it prints no tables; None: all.
+    short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as a table of numbers, texts and lists, which the command prints as JSON.

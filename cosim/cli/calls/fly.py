@@ -30,7 +30,8 @@ class RepeatedResult(FlightResult):
 
     def lines(self) -> list[str]:
         """Return the lines of the flight, and whether it is what it was."""
-        return [*super().lines(), f"flight {self.repeated.number}: {self.repeated.verdict}", *self.repeated.otherwise]
+        first, *others = super().lines()
+        return [first, f"flight {self.repeated.number}: {self.repeated.verdict}", *self.repeated.otherwise, *others]
 
 
 def fly(

@@ -125,11 +125,16 @@ def verdict(summary: Summary) -> str:
     sentences += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
     if summary.verdict == Verdict.NOTHING_CHECKED:
         sentences.append(NOTHING_EXPECTED)
-    commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
-    sentences += commanded or [_worst_error(summary)]
+    sentences += axis_sentences(summary)
     if summary.touchdown_m_s is not None:
         sentences.append(f"Touched down at {summary.touchdown_m_s:.2f} m/s.")
-    return " ".join(part for part in sentences if part)
+    return " ".join(sentences)
+
+
+def axis_sentences(summary: Summary) -> list[str]:
+    """Return a sentence on each commanded axis, or on the largest attitude error where none was commanded."""
+    commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
+    return [text for text in commanded or [_worst_error(summary)] if text]
 
 
 def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:

@@ -75,7 +75,7 @@ def checked_rows(summary: Summary) -> list[tuple[str, tuple[str, ...]]]:
     for result in by_margin(summary):
         if result.source in ("limits", "expect") and not (result.margin is None and result.kept):
             of = metric(result.name)
-            margin = result.note if result.margin is None else f"{of.factor * result.margin:.4g} {of.unit}".strip()
+            margin = result.note if result.margin is None else f"{of.factor * result.margin:z.4g} {of.unit}".strip()
             at = "overall" if result.decided_at_s is None else f"{result.decided_at_s:.3f} s"
             rows.append((result.name, (of.label, SOURCES[result.source], _allowed(result, summary), margin, at)))
     return rows
@@ -114,7 +114,7 @@ def _margin_cell(result: RequirementResult) -> tuple[str, str]:
 def describe_margin(result: RequirementResult) -> str:
     """Format a margin with its unit; a dash where there is none."""
     unit, factor = display_unit(result.unit)
-    return NONE if result.margin is None else f"{factor * result.margin:.4g} {'' if unit == '1' else unit}".strip()
+    return NONE if result.margin is None else f"{factor * result.margin:z.4g} {'' if unit == '1' else unit}".strip()
 
 
 def shortened(formula: str) -> str:

@@ -195,7 +195,7 @@ def test_report_and_export_of_a_run(hexjet, tmp_path: Path) -> None:  # type: ig
 
 
 def test_fmu_check_and_build(hexjet) -> None:  # type: ignore[no-untyped-def]
-    done = hexjet("fmu", "check", "turbojet")
+    done = hexjet("fmu", "check", "turbojet", "-v")
     assert done.status == 0
     assert "delay 25 samples" in done.out
     found = json.loads(hexjet("fmu", "check", "edf-as-flown-fmi2", "--json").out)

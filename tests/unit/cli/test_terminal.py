@@ -29,7 +29,7 @@ def test_a_run_fits_so_many_columns(
 ) -> None:
     """COLUMNS counts in a pipe, and no cell is cut short."""
     monkeypatch.setenv("COLUMNS", str(width))
-    show_result(FlightResult(open_run(RUN)))
+    show_result(FlightResult(open_run(RUN)), verbose=True)
     lines = capsys.readouterr().out.splitlines()
     report = [line for line in lines if line.startswith("report: ")]
     assert len(report) == 1  # a path is not broken, so that it can be copied
@@ -38,6 +38,33 @@ def test_a_run_fits_so_many_columns(
     assert "…" not in text
     for figure in ("0.0", "roll", "altitude", "completed, nothing checked; flew", "Nothing was expected of it"):
         assert figure in text
+
+
+def test_a_flight_prints_eight_lines_the_tables_when_asked_and_nothing_when_quiet(
+    hexjet: Hexjet, tmp_path: Path
+) -> None:
+    short, whole, quiet = (
+        hexjet("fly", "hover", "--set", "duration_s=2.0", "--out", str(tmp_path / name), *words)
+        for name, words in (("short", ()), ("whole", ("-v",)), ("quiet", ("--quiet",)))
+    )
+    lines = short.out.splitlines()
+    assert "least margin" in lines[0]
+    assert lines[-1] == f"report: {tmp_path / 'short' / 'report.html'}"
+    assert len(lines) <= 8
+    assert "largest ground speed" in whole.out
+    assert len(whole.out.splitlines()) > 24
+    assert quiet == (0, "", "")
+
+
+def test_of_many_lines_the_first_are_printed_and_the_others_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    class Noted(FlightResult):
+        def lines(self) -> list[str]:
+            return [*super().lines(), *(f"note {n}" for n in range(20))]
+
+    show_result(Noted(open_run(RUN)))
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert re.fullmatch(r"\d+ more lines with --verbose", lines[-2])
 
 
 def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,10 +35,10 @@ def read_or_identify(log: str, *, channels: bool = False, **choices: Any) -> Fli
     return identify_log(log, **choices)
 
 
-def show(found: FlightLog | LogIdentifyResult) -> None:
+def show(found: FlightLog | LogIdentifyResult, verbose: bool) -> None:
     """Print what was identified; or what a log holds: its remarks, and each channel with its rate and span."""
     if isinstance(found, Result):
-        show_result(found)
+        show_result(found, verbose)
         return
     table = found.to_dict()
     echo(f"{table['log']}: {table['kind']}")

@@ -52,9 +52,9 @@ def _flies_several(arguments: Mapping[str, Any]) -> bool:
     return "all" in arguments["aircraft"] or len(set(arguments["aircraft"])) > 1
 
 
-def _show_all(results: Sequence[FailsafesResult]) -> None:
+def _show_all(results: Sequence[FailsafesResult], verbose: bool) -> None:
     for result in results:
-        show_result(result)
+        show_result(result, verbose)
 
 
 faults = Command(
