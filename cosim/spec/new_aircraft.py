@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from itertools import groupby
 from pathlib import Path
+from shutil import copyfile
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.files import map_os_errors
-from cosim.spec.vehicle import VEHICLE, aircraft_names, find_aircraft, load_vehicle
+from cosim.base.storage.toml import toml_text
+from cosim.spec.vehicle import VEHICLE, aircraft_names, engine_of, find_aircraft, is_file, load_vehicle, read_tables
 
 HEAD = """\
 # {name}: begun as a copy of {base}.  Every number here is yours to change; hexjet aircraft check looks it over.
@@ -56,15 +59,31 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
     folder = Path(name if out is None else out)
     source = find_aircraft(base)
     original, path = load_vehicle(base)[0], folder / VEHICLE
-    text = source.read_text(encoding="utf-8")
+    text = _without_references(source.read_text(encoding="utf-8"))
+    if "\n[scaled]\n" in text:
+        # The numbers that fly are those to edit: what follows from the base by the law of scaling is written out.
+        # Each list of numbers is put on one line.
+        lists = r"\[\n([^][{]*),\n\]"
+        text = re.sub(lists, lambda found: f"[{' '.join(found[1].split())}]", "\n" + toml_text(read_tables(base)))
     begin = text.index("\nname = ") + 1
     text = HEAD.format(name=name, base=base) + (MODELS.format(base=base) if original.identified else "") + text[begin:]
     text = text.replace(f'name = "{original.name}"', f'name = "{name}"', 1)
     text = text.replace(f'title = "{original.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
-    text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
+    if original.engine is not None and is_file(original.engine):
+        text = text.replace(f'engine = "{original.engine}"', f'engine = "{engine_of(base)}"', 1)
+    if not original.surfaces:
+        text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name, or another folder (out)")
     with map_os_errors(InputError, path):
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
+        if original.surfaces and original.model:
+            copyfile(source.with_name(original.model), folder / original.model)
     return path
+
+
+def _without_references(text: str) -> str:
+    """Return a vehicle's text without the comments that name a file, which is not beside the copy."""
+    blocks = ("".join(lines) for _, lines in groupby(text.splitlines(keepends=True), lambda line: line.startswith("#")))
+    return "".join(block for block in blocks if block[0] != "#" or not re.search(r"\w\.(md|py|toml)\b", block))
