@@ -179,7 +179,7 @@ def _examples() -> str:
 
 def _python() -> dict[str, str]:
     """The pages of the Python API, by a process that runs from source: what is compiled has no docstrings."""
-    printed = subprocess.run([sys.executable, str(DOCS / "api.py")], capture_output=True, text=True, check=True)
+    printed = subprocess.run([sys.executable, "-P", str(DOCS / "api.py")], capture_output=True, text=True, check=True)
     made: dict[str, str] = json.loads(printed.stdout)
     return made
 

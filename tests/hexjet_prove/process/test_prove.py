@@ -379,10 +379,10 @@ def test_a_design_knows_where_its_aircraft_and_engine_are(hexjet: Hexjet, tmp_pa
     with pytest.raises(InputError, match="designed for aircraft 'gryphon', not for 'quadjet'"):
         choose("hover", controller="ours/gryphon.toml", aircraft="quadjet")
     (tmp_path / "ours/my-engine/engine.fmu").rename(tmp_path / "elsewhere.fmu")
-    with pytest.raises(InputError, match=f"engine 'my-engine', which is not at {there[1]}; give its file with "):
+    with pytest.raises(InputError, match=f"engine 'my-engine', which is not at {there[1]}; give its file as engine"):
         proof_study("ours/gryphon.toml", "99%@95%")
     there[0].rename(tmp_path / "elsewhere")
-    with pytest.raises(InputError, match=f"aircraft 'gryphon', which is not at {there[0]}; name it with "):
+    with pytest.raises(InputError, match=f"aircraft 'gryphon', which is not at {there[0]}; name it as aircraft"):
         choose("hover", controller="ours/gryphon.toml")
 
 

@@ -302,7 +302,7 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
 # asked for where the rest can do without: at the build, on a cluster, by one law
 OPTIONAL = {
     "clarabel", "cmake", "cmaes", "distributed", "gymnasium", "nptdms", "osqp", "pandas", "plotly", "pyulog",
-    "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
+    "setuptools", "jax", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
 }  # fmt: skip
 
 
