@@ -364,11 +364,9 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
     throttle = throttle_for(spec, vehicle)
     # Part of the throttle around hover: the limits on an engine's acceleration do not see so little.
     min_swing = 0.005
-    # Times the movement of the thrust at rest, where a mapping file states one.
-    times_rest = 2.0
     if amplitude is None:
-        # an engine that never stands still has to be moved by more than it moves by itself
-        rest_swing = times_rest * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
+        # An engine that never stands still has to be moved by twice what it moves by itself.
+        rest_swing = 2.0 * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
         amplitude = min(max(min_swing, rest_swing), 0.4 * min(throttle, 1.0 - throttle))
     return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
 
@@ -390,9 +388,6 @@ def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
     curve = spec.curve
     thrust = curve.thrust[0] + hover_fraction(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
     return float(np.interp(thrust, curve.thrust, curve.throttle))
-
-
-# ---- the axes
 
 
 @dataclass(frozen=True)
