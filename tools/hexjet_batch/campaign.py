@@ -37,8 +37,6 @@ from hexjet_batch.make import read_flight
 from hexjet_batch.referee import judge
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from cosim.spec.scenario import Scenario
 
 __all__ = ["BatchWorkers", "check", "judge"]
@@ -106,9 +104,7 @@ class BatchWorkers:
     def __enter__(self) -> BatchWorkers:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

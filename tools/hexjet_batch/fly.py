@@ -20,7 +20,7 @@ from cosim.spec.vehicle import Limits
 from cosim.vehicle.airframe import start_height
 from hexjet_batch.log import BatchLog, FlightLog, state_values
 from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import Numbers, find_structure, is_absent, stack
+from hexjet_batch.numbers import Numbers, flatten, is_absent, stack
 from hexjet_batch.script import Script, find_mode
 from hexjet_batch.stages.airframe import Motion
 from hexjet_batch.stages.rotations import Vector, to_euler
@@ -52,10 +52,11 @@ def fly_batch(
     if together < 1:
         raise InputError(f"together = {together}: a batch has at least 1 flight")
     groups: dict[Any, list[tuple[int, Scenario, Numbers]]] = {}
+    known: dict[Any, Any] = {}
     for number, scenario in enumerate(scenarios):
-        numbers, limits = read_flight(scenario), scenario.resolved_vehicle()[0].limits
-        key = (find_structure(numbers), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
-        groups.setdefault(key, []).append((number, scenario, numbers))
+        own, limits = read_flight(scenario, known), scenario.resolved_vehicle()[0].limits
+        key = (flatten(own, []), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
+        groups.setdefault(key, []).append((number, scenario, own))
         if len(groups[key]) == together:
             yield from _fly_group(groups.pop(key), further)
     for group in groups.values():
@@ -65,19 +66,13 @@ def fly_batch(
 def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence[str]) -> Iterator[BatchFlight]:
     """Fly scenarios of one structure."""
     numbers_asked, scenarios, flights = zip(*group, strict=True)
-    n: Numbers = stack(flights)
-    vehicles = [scenario.resolved_vehicle()[0] for scenario in scenarios]
-    heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
-    script, rows = Script(scenarios, heights), scenarios[0].steps
+    n, script, noise, heights, lowest, limits, motion = prepare(scenarios, flights)
+    rows = scenarios[0].steps
     log = BatchLog(scenarios, rows + 1, n.jets.channels, further)
-    noise = make_noise(n, scenarios)
-    limits = vehicles[0].limits
-    # Nothing but the air may act: contacts are this far from the ground whatever the attitude.
-    lowest = 0.5 + np.array([max(hypot(*contact.position_m) for contact in v.contacts) for v in vehicles])
     flies = np.ones(len(group), dtype=np.bool_)
-    endings: dict[int, tuple[int, Ending | None, Any]] = {}
+    endings: dict[int, tuple[int, Ending | None, Any, str]] = {}
     with np.errstate(all="ignore"):  # lost flights go on to infinity
-        state = start(n, start_motion(scenarios, heights), np.array(heights), script.at(0)[1])
+        state = start(n, motion, heights, script.at(0)[1])
         for k in range(rows):
             command, inputs = script.at(k)
             if noise is not None:
@@ -90,25 +85,35 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
             for i in np.flatnonzero(flies & ~goes_on).tolist():
                 flies[i] = False
                 if not burns[i % burns.size] or altitude[i] <= lowest[i]:
-                    endings[i] = k + 1, None, "near the ground" if altitude[i] <= lowest[i] else "an engine went out"
+                    why = "near the ground" if altitude[i] <= lowest[i] else "an engine went out"
+                    endings[i] = k + 1, None, None, why
                 else:
-                    endings[i] = k + 1, *_find_ending(state.motion, altitude[i], i, limits, (k + 1) * n.step)
+                    endings[i] = k + 1, *_find_ending(state.motion, altitude[i], i, limits, (k + 1) * n.step), ""
             if not flies.any():
                 break
     log.finish(k + 1)
     for i, (number, own) in enumerate(zip(numbers_asked, flights, strict=True)):
-        end, ending, said = endings.get(i, (rows, Ending("completed", f"flew {rows} steps"), None))
-        if ending is None:
-            yield BatchFlight(number, own, None, log.of(i, end), said)
-        else:
-            yield BatchFlight(number, own, ending, log.of(i, end, said))
+        end, ending, last, why = endings.get(i, (rows, Ending("completed", f"flew {rows} steps"), None, ""))
+        yield BatchFlight(number, own, ending, log.of(i, end, last), why)
 
 
-def make_noise(n: Numbers, scenarios: Sequence[Scenario]) -> Noise | None:
-    """Return the noise of flights that all have it, None of flights without."""
-    if not scenarios[0].sensor_noise:
-        return None
-    return Noise([scenario.seed for scenario in scenarios], not is_absent(n.sensors.attitude.ahrs_time_constant_s))
+def prepare(
+    scenarios: Sequence[Scenario], numbers: Sequence[Numbers] | None = None
+) -> tuple[Numbers, Script, Noise | None, Any, Any, Limits, Motion]:
+    """Return what flies scenarios of one structure; ``numbers``: of the flights, where they are known.
+
+    After the noise: the heights of the start, those below which a flight is not judged [m], limits, first motion.
+    """
+    n: Numbers = stack([read_flight(scenario) for scenario in scenarios] if numbers is None else numbers)
+    vehicles = [scenario.resolved_vehicle()[0] for scenario in scenarios]
+    heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
+    noise = None
+    if scenarios[0].sensor_noise:
+        noise = Noise([s.seed for s in scenarios], not is_absent(n.sensors.attitude.ahrs_time_constant_s))
+    # Nothing but the air may act: contacts are this far from the ground whatever the attitude.
+    lowest = 0.5 + np.array([max(hypot(*contact.position_m) for contact in v.contacts) for v in vehicles])
+    motion = _start_motion(scenarios, heights)
+    return n, Script(scenarios, heights), noise, np.array(heights), lowest, vehicles[0].limits, motion
 
 
 def is_within(limits: Limits, motion: Motion) -> Flags:
@@ -119,7 +124,7 @@ def is_within(limits: Limits, motion: Motion) -> Flags:
     return np.asarray(upright & (most < radians(limits.rate_deg_s)))
 
 
-def start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
+def _start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
     """Return the motion of the flights at their start."""
     initial = [scenario.initial for scenario in scenarios]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -55,14 +56,14 @@ class BatchLog:
         block: int = 64,
     ) -> None:
         self._vehicle = logged_vehicle(scenarios[0].resolved_vehicle()[0])
-        self._names = list(dict.fromkeys((*columns(self._vehicle), *further)))
+        self._names = dict.fromkeys((*columns(self._vehicle), *further))
         # Jets of one channel have one throttle, which is kept once.
         self._first = {f"throttle_{jet}": f"throttle_{channels.index(of) + 1}" for jet, of in enumerate(channels, 1)}
         self._channels = channels
         self._flights, self._size, self._rows = len(scenarios), rows, block
         self._varied: dict[str, Array] = {}
         self._block: dict[str, Array] = {}
-        self._shared: dict[str, Array] = {}
+        self._shared: dict[str, Array] = defaultdict(lambda: np.full(rows, np.nan))
 
     def add(self, k: int, command: Command, inputs: Inputs, outputs: Outputs) -> None:
         """Record step ``k``."""
@@ -70,12 +71,12 @@ class BatchLog:
         for name, value in self._values(command, inputs, outputs).items():
             if value is None or name not in self._names:
                 continue
-            if np.ndim(value) and name not in self._varied:
+            if isinstance(value, np.ndarray) and value.ndim and name not in self._varied:
                 self._vary(name)
             if name in self._varied:
                 self._block[name][row] = value
             else:
-                self._shared.setdefault(name, np.full(self._size, np.nan))[k] = value
+                self._shared[name][k] = value
         if row == self._rows - 1:
             self._turn(k - row, self._rows)
 
@@ -94,8 +95,7 @@ class BatchLog:
 
     def finish(self, rows: int) -> None:
         """Turn the last block; call it after the last of ``rows`` steps."""
-        left = rows % self._rows
-        if left:
+        if left := rows % self._rows:
             self._turn(rows - left, left)
 
     def of(self, flight: int, rows: int, last: Mapping[str, Any] | None = None) -> FlightLog:

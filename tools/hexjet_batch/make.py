@@ -83,22 +83,20 @@ def check_covered(scenario: Scenario, vehicle: Vehicle) -> None:
             raise InputError(f"scenario {scenario.name}: {what}: not flown in a batch; fly it without batch")
 
 
-def read_flight(scenario: Scenario) -> Numbers:
-    """Return the numbers of one flight.  Raises InputError where a batch does not cover it, as a flight otherwise."""
+def read_flight(scenario: Scenario, known: dict[Any, Any] | None = None) -> Numbers:
+    """Return the numbers of a flight; ``known`` keeps what flights share.  Raises InputError for what is refused."""
     vehicle, _ = scenario.resolved_vehicle()
     check_covered(scenario, vehicle)
-    engine, *stations = load_engines(scenario, vehicle)
-    engines = flown_engines(scenario, vehicle, stations)
     flown, where = apply_mismatch(vehicle, scenario.mismatch), f"scenario {scenario.name}"
     factors, late = compute_engine_mismatch(scenario.mismatch, len(vehicle.jets))
-    thrust_map, hover = make_thrust_map(vehicle, engine, stations)
+    engine, engines, thrust_map, predictors = _believe(scenario, vehicle, {} if known is None else known)
+    hover = thrust_map.fraction(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
     _check_hover(scenario, vehicle, engine, hover, thrust_map.low + thrust_map.span)
     step, control, servo = scenario.step_s, vehicle.control, vehicle.servo
     # JSBSim's flight has the same tables: they keep their names.
     tables = name_values(vehicle.model_dump(include={"sensors", "servo", "airflow"}))
     gains = name_values(control.model_dump(include={"attitude", "rate", "altitude", "allocation"}))
     leads = [_lead(getattr(control.lead, name, None), step) for name in (*AXES, "altitude")]
-    predictors = [read_predictor(predictor, where) for predictor in make_predictors(scenario, vehicle, engine)]
     rates = [getattr(gains.rate, axis) for axis in AXES]
     if servo is not None:
         banks = TiltAllocator(vehicle.jets, control.allocation, servo.range_rad, hover, thrust_map.idle)
@@ -151,6 +149,22 @@ def read_flight(scenario: Scenario) -> Numbers:
         flown=_body(scenario, flown),
         sensors=_sensors(tables.sensors, scenario),
     )  # fmt: skip
+
+
+def _believe(scenario: Scenario, vehicle: Vehicle, known: dict[Any, Any]) -> Any:
+    """Return the assumed engine, those that fly, the map of thrust and the predictors, made once of the same."""
+    height = scenario.environment.ground_m + start_height(vehicle, scenario.initial)
+    asked = ("name", "aircraft", "controller", "step_s", "added_delay_samples", "stations", "engine",
+             "engine_parameters", "engine_unchecked", "engine_isolated")  # fmt: skip
+    stated: Any = {**dict.fromkeys(asked, True), "mismatch": {"engine_parameters", "stations"}}
+    told: Any = {"name": True, "jets": True, "identified": True, "control": {"predictor"}}
+    texts = scenario.model_dump_json(include=stated), vehicle.model_dump_json(include=told)
+    if (key := (scenario.folder, height, vehicle.allocation, *texts)) not in known:
+        engine, *stations = load_engines(scenario, vehicle)
+        where, thrust_map = f"scenario {scenario.name}", make_thrust_map(vehicle, engine, stations)[0]
+        predictors = [read_predictor(made, where) for made in make_predictors(scenario, vehicle, engine)]
+        known[key] = engine, flown_engines(scenario, vehicle, stations), thrust_map, predictors
+    return known[key]
 
 
 def _check_hover(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, hover: float, most: float) -> None:

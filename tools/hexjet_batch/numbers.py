@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,28 +30,39 @@ def stack(values: Sequence[Any]) -> Any:
     Tables and tuples, named ones too, are stacked entry by entry; what is no number must be the same in all flights.
     Raises ValueError where flights differ in structure: in the length of a tuple, in a text.
     """
-    first = values[0]
-    if isinstance(first, Numbers):
-        return Numbers(**{key: stack([getattr(value, key) for value in values]) for key in vars(first)})
-    if isinstance(first, tuple):
-        members = [stack(member) for member in zip(*values, strict=True)]
-        return type(first)(*members) if hasattr(first, "_fields") else tuple(members)
-    if _is_number(first) and any(value != first for value in values):
-        return np.array(values, dtype=np.float64)
-    if not _is_number(first) and any(find_structure(value) != find_structure(first) for value in values):
+    if len(values) == 1:
+        return values[0]
+    rows: list[list[float]] = [[] for _ in values]
+    structures = [flatten(value, row) for value, row in zip(values, rows, strict=True)]
+    if any(structure != structures[0] for structure in structures):
         raise ValueError("flights of one batch differ in structure")
-    return first
+    table = np.ascontiguousarray(np.array(rows, dtype=np.float64).T)
+    is_shared = np.all(table == table[:, :1], axis=1).tolist()
+    return _build(values[0], iter([x if same else row for x, row, same in zip(rows[0], table, is_shared, strict=True)]))
 
 
-def find_structure(value: Any) -> Any:
-    """Return what must be equal for flights to be stacked: the shapes of numbers, and all that is no number."""
-    if isinstance(value, Numbers):
-        return tuple((key, find_structure(entry)) for key, entry in vars(value).items())
+def flatten(value: Any, numbers: list[float]) -> Any:
+    """Append the numbers of a value and return all else, which must be equal for flights to be stacked."""
+    if type(value) is float or _is_number(value):
+        numbers.append(value)
+        return "number"
     if isinstance(value, tuple):
-        return tuple(find_structure(entry) for entry in value)
-    if isinstance(value, np.ndarray):
-        return value.tobytes()
-    return "number" if _is_number(value) else value
+        return tuple([flatten(entry, numbers) for entry in value])
+    if isinstance(value, Numbers):
+        return tuple([(key, flatten(entry, numbers)) for key, entry in vars(value).items()])
+    return value.tobytes() if isinstance(value, np.ndarray) else value
+
+
+def _build(value: Any, numbers: Iterator[Any]) -> Any:
+    """Return a value with other numbers, in the order of :func:`flatten`."""
+    if _is_number(value):
+        return next(numbers)
+    if isinstance(value, tuple):
+        members = [_build(entry, numbers) for entry in value]
+        return type(value)(*members) if hasattr(value, "_fields") else tuple(members)
+    if isinstance(value, Numbers):
+        return Numbers(**{key: _build(entry, numbers) for key, entry in vars(value).items()})
+    return value
 
 
 def is_absent(*values: Any) -> bool:

@@ -47,7 +47,8 @@ class Script:
             self._last = command, stack([script.at(k)._replace(gust=None) for script in self._disturbances])
         command, acting = self._last
         if command.attitude is not self._setpoint[0]:
-            self._setpoint = command.attitude, _turn(command.attitude)
+            roll, pitch, yaw = map(np.asarray, command.attitude)
+            self._setpoint = command.attitude, from_euler(roll, pitch, yaw, np)
         mass, *place = acting.payload
         return command, Inputs(
             k, self._setpoint[1], command.altitude, command.rate, command.collective, acting.force, acting.moment,
@@ -66,11 +67,6 @@ class Script:
             if np.any(share):
                 steady = add(steady, gust.velocity_ned_m_s, share)
         return steady
-
-
-def _turn(attitude: Vector) -> Quaternion:
-    roll, pitch, yaw = map(np.asarray, attitude)
-    return from_euler(roll, pitch, yaw, np)
 
 
 def _read_gusts(scenarios: Sequence[Scenario]) -> list[Any]:

@@ -6,7 +6,6 @@ With ``hexjet_gym`` the only module that imports ``gymnasium``, which the extra 
 from __future__ import annotations
 
 from collections import deque
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,10 @@ import numpy as np
 
 from cosim import InputError, Scenario
 from cosim.base.arrays import Array, Flags
-from cosim.base.constants import GRAVITY
-from cosim.vehicle.airframe import start_height
-from hexjet_batch.fly import is_within, make_noise, start_motion
+from hexjet_batch.fly import is_within, prepare
 from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import stack
-from hexjet_batch.script import Script
 from hexjet_batch.stages.rotations import from_euler
-from hexjet_batch.stages.step import start, step, to_throttle
+from hexjet_batch.stages.step import hold_up, start, step
 from hexjet_gym import ANGLE, HEIGHT, HexJetEnv, Vary
 
 
@@ -91,20 +86,12 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
         noise = [int(generator.integers(2**31)) for generator in self._seeds]
         flown = [self._scenario if self._vary is None else self._vary(self._scenario, each) for each in self._seeds]
         scenarios = [each.model_copy(update={"seed": seed}) for each, seed in zip(flown, noise, strict=True)]
-        vehicles = [each.resolved_vehicle()[0] for each in scenarios]
-        heights = [start_height(vehicle, each.initial) for vehicle, each in zip(vehicles, scenarios, strict=True)]
-        contacts = [max(hypot(*contact.position_m) for contact in vehicle.contacts) for vehicle in vehicles]
-        self._lowest, self._limits = 0.5 + np.array(contacts), vehicles[0].limits
-        self._n = stack([read_flight(each) for each in scenarios])
-        self._script, self._k, self._last = Script(scenarios, heights), 0, scenarios[0].steps
-        self._noise = make_noise(self._n, scenarios)
+        self._n, self._script, self._noise, self._height, self._lowest, self._limits, motion = prepare(scenarios)
+        self._k, self._last, self._lost = 0, scenarios[0].steps, np.zeros(self.num_envs, dtype=np.bool_)
         self._asked, self._inputs = self._script.at(0)
-        self._state = start(self._n, start_motion(scenarios, heights), np.array(heights), self._inputs)
-        self._height, self._lost = np.array(heights), np.zeros(self.num_envs, dtype=np.bool_)
-        lift, channels = self._n.height, max(self._n.jets.channels) + 1
-        hover = ((lift.mass_kg - self._state.burnt) * GRAVITY / lift.jets - lift.low) / lift.span
+        self._state = start(self._n, motion, self._height, self._inputs)
         tilt = None if self._n.servo is None else (0.0, 0.0)
-        first = self._positions(to_throttle(self._n, np.stack([hover] * channels)), tilt)
+        first = self._positions(hold_up(self._n, self._state.burnt)[1], tilt)
         self._actuators.extend([first] * (self._actuators.maxlen or 0))
         self._seen = self._observation()
         return self._seen.copy(), {"time_s": np.zeros(self.num_envs)}

@@ -10,11 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cosim.spec.scenario import Scenario
-from cosim.vehicle.airframe import start_height
-from hexjet_batch.fly import make_noise, start_motion
-from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import Numbers, stack
-from hexjet_batch.script import Script
+from hexjet_batch.fly import prepare
+from hexjet_batch.numbers import Numbers
 from hexjet_batch.stages.step import Outputs, start, step
 
 try:
@@ -36,14 +33,12 @@ def make_flight(scenarios: Sequence[Scenario]) -> tuple[Numbers, Callable[[Numbe
     for what a batch does not cover.
     """
     jax.config.update("jax_enable_x64", True)
-    xp, numbers = jax.numpy, stack([read_flight(scenario) for scenario in scenarios])
-    heights = [start_height(scenario.resolved_vehicle()[0], scenario.initial) for scenario in scenarios]
-    script, noise = Script(scenarios, heights), make_noise(numbers, scenarios)
+    xp, (numbers, script, noise, heights, _, _, begin) = jax.numpy, prepare(scenarios)
     rows = [
         script.at(k)[1]._replace(draws=None if noise is None else noise.at(k).copy()) for k in range(scenarios[0].steps)
     ]
     inputs = jax.tree.map(lambda *values: xp.asarray(np.array(values)), *rows)
-    motion = jax.tree.map(xp.asarray, start_motion(scenarios, heights))
+    motion = jax.tree.map(xp.asarray, begin)
 
     def fly(n: Numbers) -> Outputs:
         # After the first step the state has the types and shapes that it keeps.

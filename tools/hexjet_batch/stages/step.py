@@ -80,11 +80,10 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
     """Return flights at rest with their engines settled at the throttle that holds the vehicle up."""
     xp, zero, fuel = n.xp, 0.0 * motion.position[0], n.flown.fuel
     burnt = zero if fuel is None else (1.0 - fuel.share) * fuel.mass_kg + zero
-    hover = ((n.height.mass_kg - burnt) * GRAVITY / n.height.jets - n.height.low) / n.height.span
-    throttle = to_throttle(n, xp.stack([hover + zero] * (max(n.jets.channels) + 1)))
+    hover, throttle = hold_up(n, burnt)
     gains = None
     if n.schedule is not None:
-        level = xp.clip(hover + zero, n.schedule.low, n.schedule.high)
+        level = xp.clip(hover, n.schedule.low, n.schedule.high)
         gains = (level, level, n.schedule.at(level, xp))
     sensors, told = start_sensors(n, motion, height + zero)
     tilt = None if n.servo is None else (zero, zero)
@@ -96,6 +95,12 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
     )  # fmt: skip
     engines, report = n.engine.kind.start(n.engine, _to_engines(n, throttle), _air(n, s, inputs.wind))
     return s._replace(engines=engines, spin=_spin(n, report, tilt))
+
+
+def hold_up(n: Numbers, burnt: Any) -> tuple[Any, Any]:
+    """Return the share of thrust that holds the vehicle up, and the throttle of each channel."""
+    hover = ((n.height.mass_kg - burnt) * GRAVITY / n.height.jets - n.height.low) / n.height.span
+    return hover, to_throttle(n, n.xp.stack([hover] * (max(n.jets.channels) + 1)))
 
 
 def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
