@@ -95,7 +95,9 @@ def test_a_long_name_beside_its_bar_is_within_the_figure(page: Any, width: int) 
     figure = page.locator('[data-figure="keys"] svg')
     page.wait_for_function(f"document.querySelector('[data-figure=\"keys\"] svg').clientWidth < {width}")
     (name,) = [text for text in labels(page, "keys") if text.endswith("gyro.noise_rad_s")]
-    assert figure.locator("text", has_text=name).bounding_box()["x"] >= figure.bounding_box()["x"]
+    text = figure.locator("text", has_text=name)
+    text.wait_for()
+    assert text.bounding_box()["x"] >= figure.bounding_box()["x"]
     assert name.startswith("mmmmmmmm.W" if width == 1200 else "…")
 
 

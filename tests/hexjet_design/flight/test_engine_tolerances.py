@@ -157,7 +157,7 @@ def test_margins_are_counted_in_deviations_of_the_engine(hexjet: Hexjet, tmp_pat
     file = fan(tmp_path, DEVIATION)
     quiet = ["--set", "sensor_noise=false", "--set", "engine_unchecked=true", "--period", "5", "--periods", "3"]
     flown = ["--engine", str(file), "--controller", "baseline", "--axis", "roll", "--out", str(tmp_path / "m")]
-    done = hexjet("margins", *flown, *quiet)
+    done = hexjet("margins", "-v", *flown, *quiet)
     assert done.status == 0, done.err
     out = " ".join(done.out.split())
     assert "uncertainty of the engine: bench.csv: 6 steps, 2 holds" in out

@@ -56,7 +56,11 @@ def test_a_flight_prints_eight_lines_the_tables_when_asked_and_nothing_when_quie
     assert quiet == (0, "", "")
 
 
-def test_of_many_lines_the_first_are_printed_and_the_others_counted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_many_lines_the_first_are_printed_and_the_others_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
     class Noted(FlightResult):
         def lines(self) -> list[str]:
             return [*super().lines(), *(f"note {n}" for n in range(20))]
