@@ -34,6 +34,11 @@ def _show_aircraft(path: Path) -> None:
         )
 
 
+def _show_project(folder: Path) -> None:
+    """Print what to do with a new project."""
+    echo(f"{folder}\ncd {folder}\nhexjet fly flight.toml\nhexjet sweep study.toml\npython compare.py")
+
+
 def _show_mapping(result: Any, verbose: bool) -> None:
     """Print what is found and what is open, and what to do next."""
     show_result(result, verbose)
@@ -189,6 +194,10 @@ def _identify_axis(axis: str) -> Command:
 
 identify_roll, identify_pitch, identify_yaw = map(_identify_axis, ("roll", "pitch", "yaw"))
 list = Command("list", "cosim.api.listing:list_items", "engines", runs_code=False)
+new = Command(
+    "new", "cosim.spec.new_project:new_project", "mine", metavars={"name": "NAME", "out": "DIR"}, runs_code=False,
+    show=_show_project, data=None,
+)  # fmt: skip
 open = Command(
     "open", "cosim.cli.commands:open_runs", "runs", metavars={"folder": "DIR"}, runs_code=False, show=_show_paths,
     data=None,

@@ -30,6 +30,7 @@ GROUPS = {
         "report": "write the page of a run or a campaign again",
     },
     "Design": {
+        "new": "begin a project: vehicle, engine, flight, study, notebook",
         "aircraft": "begin an aircraft of your own, and check one",
         "fmu": "build and check engines as FMUs",
         "identify": "fit a model to a chirp or a log",
@@ -61,7 +62,8 @@ LINES = {name: line for commands in GROUPS.values() for name, line in commands.i
 # Commands of this package, each declared under its name in cosim/cli/commands.py, with _ between its words.
 OWN = frozenset((
     "aircraft check", "aircraft new", "compare", "export", "fly", "fmu build", "fmu check", "fmu map", "gcs",
-    "identify engine", "identify pitch", "identify roll", "identify yaw", "list", "open", "report", "show", "sweep",
+    "identify engine", "identify pitch", "identify roll", "identify yaw", "list", "new", "open", "report", "show",
+    "sweep",
 ))  # fmt: skip
 _COLLECTIONS = frozenset(("aircraft", "export", "fmu", "identify", "sitl"))  # commands of two words begin with these
 

@@ -77,7 +77,7 @@ READS_BY_ITSELF = [
     "base/", "engine/", "campaign/installed.py",
     "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "tools/hexjet_identify/engine_file.py", "tools/hexjet_identify/logs/",
     "results/report/page.py", "shelf/server.py", "simulation/controllers/process.py", "spec/new_aircraft.py",
-    "spec/vehicle/sensor_profile.py", "tools/hexjet_sitl/",
+    "spec/new_project.py", "spec/vehicle/sensor_profile.py", "tools/hexjet_sitl/",
 ]  # fmt: skip
 
 # An engine is a file before it flies and none while it flies: loading reads, stepping does not.

@@ -1,0 +1,51 @@
+"""Creation of a user's project: a folder with a vehicle, an engine, a flight, a study, a notebook and a script."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import map_os_errors
+from cosim.base.storage.paths import data_folder
+from cosim.base.trust import remember_written
+from cosim.spec.new_aircraft import new_aircraft
+
+TEMPLATES = Path(__file__).parent / "templates" / "project"
+FILES = ("engine/engine.toml", "flight.toml", "study.toml", "compare.py", "notebook.ipynb")
+
+
+def new_project(name: str, out: str | Path | None = None) -> Path:
+    """Write a project that flies as it is: vehicle, engine, flight with what it must come to, study, notebook, script.
+
+    The vehicle is a copy of the Hex-Jet, the engine one of the library with its numbers in a file.
+
+    Parameters
+    ----------
+    name : str
+        The project's name and its vehicle's: letters, digits, - and _.
+    out : str or Path or None
+        Made if need be; it must be empty. None: a folder of its name here.
+
+    Raises
+    ------
+    InputError
+        For a name that cannot be one, or a folder that is not empty or cannot be written.
+    """
+    folder = Path(name if out is None else out)
+    with map_os_errors(InputError, folder):
+        if folder.exists() and any(folder.iterdir()):
+            raise InputError(f"{folder}: is not empty; choose another name, or another folder (out)")
+    vehicle = new_aircraft(name, "hexjet", folder / "vehicle")
+    with map_os_errors(InputError, folder):
+        (folder / "engine").mkdir()
+        for file in FILES:
+            text = (TEMPLATES / file).read_text(encoding="utf-8")
+            (folder / file).write_text(text.replace("{name}", name), encoding="utf-8")
+        # The models of a vehicle are by engine, a file's by its name: those of the same fans are this engine's.
+        text = vehicle.read_text(encoding="utf-8")
+        text = text.replace("[identified.edf-as-flown.", '[identified."engine.toml".')
+        vehicle.write_text(text.replace("edf-as-flown", "../engine/engine.toml"), encoding="utf-8")
+        archive = folder / "engine" / "engine.fmu"
+        archive.write_bytes((data_folder("fmus") / "fitted.fmu").read_bytes())
+    remember_written(archive.parent, [archive])
+    return folder
