@@ -34,7 +34,7 @@ UNCOMPILED := $(if $(or $(HEXJET_PURE),$(wildcard cosim/_native__mypyc.*.so)),,m
 ##@ Fly and look
 # it flies from source if need be, and compiles then
 demo: $(FLYABLE) ## fly roll-doublet without and with the Smith predictor, and compare
-	@$(BIN)/python -m cosim.cli.demo $(ARGS)
+	@$(BIN)/python -P examples/demo.py $(ARGS)
 	@$(MAKE) --silent $(BUILT)
 
 bench: setup ## measure microseconds per step and ratios (asserts nothing)

@@ -45,7 +45,6 @@ from cosim.campaign.workers.flight_row import (
     worker_name,
 )
 from cosim.campaign.workers.protocol import Workers
-from cosim.campaign.workers.tasks import run_in_order
 from cosim.results.limits import LIMITED
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.results.wording import metric

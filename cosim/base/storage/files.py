@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from errno import EINVAL
 from math import isfinite
 from pathlib import Path
@@ -186,16 +185,6 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
         with map_os_errors(FlightError, path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, content, FlightError)
-
-
-def write_records(path: Path, kind: type[Any], records: Iterable[Any]) -> None:
-    """Write dataclasses of one ``kind`` as CSV, a column a field; the folder is made if need be.  Raises OSError."""
-    names = [field.name for field in fields(kind)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replace_on_success(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(names)
-        lines.writerows([getattr(record, name) for name in names] for record in records)
 
 
 def to_json_record(record: Any) -> dict[str, Any]:

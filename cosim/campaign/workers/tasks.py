@@ -36,20 +36,6 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
             yield result["number"], result["value"]
 
 
-def run_in_order(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[R]:
-    """Yield the answers of :func:`as_finished` in the order of the arguments; one worker is this process."""
-    if workers == 1:
-        yield from map(act, arguments)
-        return
-    results: dict[int, R] = {}
-    following = 0
-    for number, result in as_finished(act, arguments, workers):
-        results[number] = result
-        while following in results:
-            yield results.pop(following)
-            following += 1
-
-
 def _answer(act: Any, task: Any) -> dict[str, Any]:
     try:
         return {"number": task.number, "value": act(task.argument)}

@@ -27,7 +27,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers import local
 from cosim.campaign.workers.flight_row import Row, fly_one, kinds
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.campaign.workers.tasks import run_in_order
+from cosim.campaign.workers.tasks import as_finished
 from cosim.results.log.digest import log_digest
 
 
@@ -372,9 +372,9 @@ def die(value: float) -> float:
     return value
 
 
-def test_other_work_is_answered_in_order_and_its_errors_come_through() -> None:
-    assert list(run_in_order(slow_square, [0.0, 1.0, 2.0, 3.0], 2)) == [0.0, 1.0, 4.0, 9.0]
+def test_other_work_is_answered_with_its_place_and_its_errors_come_through() -> None:
+    assert dict(as_finished(slow_square, [0.0, 1.0, 2.0, 3.0], 2)) == {0: 0.0, 1: 1.0, 2: 4.0, 3: 9.0}
     with pytest.raises(InputError, match="2 is refused"):
-        list(run_in_order(refuse, [2.0], 2))
+        list(as_finished(refuse, [2.0], 2))
     with pytest.raises(FlightError, match="the process was lost in this flight 3 times; the last was ended by SIGKILL"):
-        list(run_in_order(die, [1.0], 2))
+        list(as_finished(die, [1.0], 2))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import runpy
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from hexjet_export.controller import measure
 
 EXAMPLES = ROOT / "examples"
 SAYS = {
+    "demo": r"baseline  .*diverged.*\nsmith     .*completed(.|\n)*runs/demo-001/smith/report\.html",
     "first_flight": r"smith     completed \(flew 3000 steps\), greatest roll error 0\.348 rad\nbaseline  diverged \(leaned",
     "own_engine": r"Mine\.fmu: 25\.00 N at throttle 1\nsix of it: completed.*\none of it at station 3: completed",
     "own_controller": r"Ahead +completed.*\nAhead, half believed +completed.*\nsmith +completed.*\nbaseline",
@@ -39,7 +41,8 @@ def test_an_example(
         pytest.importorskip("jax", reason="the extra jax is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)  # an FMU that is Python finds what others called so
-    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    with nullcontext() if name != "demo" else pytest.raises(SystemExit, match="^0$"):
+        runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     said = capsys.readouterr().out
     assert re.search(SAYS[name], said), said
     if name == "first_flight":
