@@ -15,7 +15,7 @@ for controller in ("baseline", "smith"):
     run = fly(scenario, folder / controller, controller=controller)
     print(f"{controller:9} {run.summary.ending} ({run.summary.realtime_factor:.0f} x real time)")
     runs.append(run)
-show_result(compare(*runs, out=folder))
+show_result(compare(*runs, out=folder), verbose=True)
 for run in runs:
     print(f"{run.summary.controller:10}: {run.folder}/report.html")
 sys.exit(0 if runs[1].summary.expectations_met else 1)

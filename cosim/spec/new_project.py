@@ -24,7 +24,7 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
     name : str
         The project's name and its vehicle's: letters, digits, - and _.
     out : str or Path or None
-        Made if need be; it must be empty. None: a folder of its name here.
+        An empty or new folder; None: one of its name here.
 
     Raises
     ------
@@ -39,11 +39,9 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
     with map_os_errors(InputError, folder):
         (folder / "engine").mkdir()
         for file in FILES:
-            text = (TEMPLATES / file).read_text(encoding="utf-8")
-            (folder / file).write_text(text.replace("{name}", name), encoding="utf-8")
-        # The models of a vehicle are by engine, a file's by its name: those of the same fans are this engine's.
-        text = vehicle.read_text(encoding="utf-8")
-        text = text.replace("[identified.edf-as-flown.", '[identified."engine.toml".')
+            (folder / file).write_text((TEMPLATES / file).read_text(encoding="utf-8").replace("{name}", name), "utf-8")
+        # A vehicle names its models by the file of their engine: those of the same fans are this engine's.
+        text = vehicle.read_text(encoding="utf-8").replace("[identified.edf-as-flown.", '[identified."engine.toml".')
         vehicle.write_text(text.replace("edf-as-flown", "../engine/engine.toml"), encoding="utf-8")
         archive = folder / "engine" / "engine.fmu"
         archive.write_bytes((data_folder("fmus") / "fitted.fmu").read_bytes())

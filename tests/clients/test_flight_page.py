@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparisons import compare_report
 from flights import STEP, samples, scenario, setup
 from patience import PATIENCE
 
 from cosim.flight import with_page
 from cosim.results.log.recorder import MemoryLog
-from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import strips
 from cosim.results.report.log_reader import Reader

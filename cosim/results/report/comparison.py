@@ -15,7 +15,6 @@ from cosim.results.comparison import (
     ComparedFlight,
     LogComparison,
     Signal,
-    compare_with_first,
     list_input_differences,
     median_step,
 )
@@ -54,13 +53,6 @@ MARKED = (
     "True angles against the set-point. Overshoot is stated in percent of each step, the worst step counts; settled is "
     "within 5 % of the step for good; – means that there is none. Where all fly the same scenario the least is green."
 )
-
-
-def compare_report(runs: Sequence[Run], path: Path) -> None:
-    """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
-    labels = run_labels([run.summary for run in runs])
-    flights = [ComparedFlight(label, run.log, run) for label, run in zip(labels, runs, strict=True)]
-    write_comparison(flights, compare_with_first(flights), path)
 
 
 def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path) -> None:

@@ -41,7 +41,7 @@ def test_an_example(
         pytest.importorskip("jax", reason="the extra jax is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "mine", raising=False)  # an FMU that is Python finds what others called so
-    with nullcontext() if name != "demo" else pytest.raises(SystemExit, match="^0$"):
+    with nullcontext() if name != "demo" else pytest.raises(SystemExit, match=r"^0$"):
         runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
     said = capsys.readouterr().out
     assert re.search(SAYS[name], said), said

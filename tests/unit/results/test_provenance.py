@@ -7,12 +7,13 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+from comparisons import compare_report
 
 from cosim import InputError, Scenario, Stepper, fly, open_run
 from cosim.campaign.study.keys import with_values
 from cosim.cli.main import run as run_command
 from cosim.flight import opened
-from cosim.results.report.comparison import compare_report, run_labels
+from cosim.results.report.comparison import run_labels
 from cosim.shelf.index import read_entry
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import flown_parameters, list_changes

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects
 import pytest
+from comparisons import compare_report
 from flights import STEP, samples, scenario, setup
 from packed_columns import unpack
 
@@ -29,7 +30,7 @@ from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import Reach, flight_metrics
 from cosim.results.report import signals_data
-from cosim.results.report.comparison import compare_report, run_labels
+from cosim.results.report.comparison import run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import comparison_figures, run_figures
 from cosim.results.report.log_reader import Reader, choose_rows

@@ -11,6 +11,7 @@ from typing import Any
 import campaigns
 import numpy as np
 import pytest
+from comparisons import compare_report
 from places import DOCS
 
 from cosim import Scenario, fly
@@ -28,7 +29,6 @@ from cosim.results.limits import find_exceeded
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import check_expectations
-from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.requirements import compared_margins, margins_over_time, shortened
 from cosim.results.requirements import (

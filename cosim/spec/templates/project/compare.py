@@ -6,8 +6,7 @@ from cosim import Scenario, compare, fly
 from cosim.files import new_folder
 
 here = Path(__file__).parent
-flight = Scenario.load(here / "flight.toml")
-runs = [fly(flight, controller=controller) for controller in ("smith", "baseline")]
+runs = [fly(Scenario.load(here / "flight.toml"), controller=controller) for controller in ("smith", "baseline")]
 for run in runs:
     print(f"{run.summary.controller}: {run.outcome}, rad of roll error {run.metrics['roll'].max_abs_error_rad:.3f}")
 print(f"look at {compare(*runs, out=new_folder(here / 'runs', 'compared')).report}")
