@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -115,6 +116,9 @@ class Misfit:
         error[:, :, 6:] -= 2.0 * np.pi * np.round(error[:, :, 6:] / (2.0 * np.pi))
         error[:, :, 3:6] -= shared[ZERO]
         error[:, :, 6:] -= self._time[None, :, None] * own[:, None, DRIFT]
+        for number, late in enumerate(change.sensors_s):
+            # What the model sensed before the window is not known.
+            error[:, : max(0, ceil(late / flying.flight.step)), 3 * number : 3 * number + 3] = 0.0
         return np.asarray((error / flying.scale)[:, :, self.present])
 
     def linearise(self, point: Point) -> Slopes:
