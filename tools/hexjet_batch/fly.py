@@ -25,7 +25,7 @@ from hexjet_batch.script import Script, find_mode
 from hexjet_batch.stages.airframe import Motion
 from hexjet_batch.stages.rotations import Vector, to_euler
 from hexjet_batch.stages.sensors import Noise
-from hexjet_batch.stages.step import start, step
+from hexjet_batch.stages.step import altitude_of, start, step
 
 
 class BatchFlight(NamedTuple):
@@ -79,7 +79,7 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
                 inputs = inputs._replace(draws=noise.at(k))
             state, outputs = step(n, state, inputs)
             log.add(k, command, inputs, outputs)
-            altitude = state.start[1] - (state.motion.position[2] - state.start[0])
+            altitude = altitude_of(state)
             burns = ~np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
             goes_on = is_within(limits, state.motion) & (altitude > lowest) & burns
             for i in np.flatnonzero(flies & ~goes_on).tolist():

@@ -17,7 +17,7 @@ from cosim.base.arrays import Array, Flags
 from hexjet_batch.fly import is_within, prepare
 from hexjet_batch.make import read_flight
 from hexjet_batch.stages.rotations import from_euler
-from hexjet_batch.stages.step import hold_up, start, step
+from hexjet_batch.stages.step import altitude_of, hold_up, start, step
 from hexjet_gym import ANGLE, HEIGHT, HexJetEnv, Vary
 
 
@@ -126,7 +126,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
         if self._noise is not None:
             inputs = inputs._replace(draws=self._noise.at(self._k))
         moved, outputs = step(self._n, self._state, inputs)
-        altitude = moved.start[1] - (moved.motion.position[2] - moved.start[0])
+        altitude = altitude_of(moved)
         sound = is_within(self._limits, moved.motion) & (altitude > self._lowest)
         self._lost |= ~sound | np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
         self._state = moved

@@ -16,7 +16,7 @@ def as_settings(values: str | Sequence[str] | Mapping[str, object]) -> list[str]
     Raises InputError for a value that is none of TOML on one line.
     """
     if not isinstance(values, Mapping):
-        return [values] if isinstance(values, str) else list(values)
+        return list(as_several(values))
     texts = []
     for key, value in values.items():
         try:

@@ -107,8 +107,8 @@ def _add_success(data: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any
     """Return the conditions of a study with those of the command line, and its requirements with the formulas."""
     conditions = parse_success(text for text in texts if "(" not in text)
     spans = {metric: span.model_dump(exclude_none=True) for metric, span in conditions.items()}
-    formulas = [{"formula": text} for text in texts if "(" in text]
-    named = [{"name": f"success-{number}"} | formula for number, formula in enumerate(formulas, 1)]
+    formulas = (text for text in texts if "(" in text)
+    named = [{"name": f"success-{number}", "formula": text} for number, text in enumerate(formulas, 1)]
     return {"success": data.get("success", {}) | spans, "require": [*data.get("require", []), *named]}
 
 

@@ -133,14 +133,14 @@ def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
         )
     moved = move(n, mass, motion, (force, moment), spin, u.wind)
 
-    altitude = _altitude(s, moved)
+    altitude = altitude_of(s, moved)
     sensors, told = sample(n, s.sensors, u.k, moved, altitude, u.draws)
     after = s._replace(
         motion=moved, mass=mass, measured=told, sensors=sensors, engines=engines, tilt=tilt, tilt_rate=tilt_rate,
         spin=spin, burnt=burnt,
     )  # fmt: skip
     left = None if fuel is None else fuel.mass_kg - s.burnt
-    at = _altitude(s, s.motion)
+    at = altitude_of(s)
     return after, Outputs(s.motion, rates, torque, unallocated, collective, throttle, tilt_command, report, at, left)
 
 
@@ -171,9 +171,9 @@ def _control(n: Numbers, s: State, u: Inputs) -> tuple[Vector, Vector, Any, Allo
     return rates, torque, collective, given, after
 
 
-def _altitude(s: State, motion: Motion) -> Any:
-    begin, height = s.start
-    return height - (motion.position[2] - begin)
+def altitude_of(s: State, motion: Motion | None = None) -> Any:
+    """Return the height of a state above the ground [m]; ``motion``: one that came after it."""
+    return s.start[1] - ((motion or s.motion).position[2] - s.start[0])
 
 
 def to_throttle(n: Numbers, share: Any) -> Any:
@@ -223,7 +223,7 @@ def _air(n: Numbers, s: State, wind: Vector) -> Air:
         turning = cross(axis, s.motion.rate)
         for jet in jets:
             speeds[jet] = _dot(body, axis) + _dot(n.jets.places[jet], turning)
-    return Air(*air_at(n.flown.ground_m + _altitude(s, s.motion)), n.xp.stack([speeds[jet] for jet in sorted(speeds)]))
+    return Air(*air_at(n.flown.ground_m + altitude_of(s)), n.xp.stack([speeds[jet] for jet in sorted(speeds)]))
 
 
 def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:

@@ -105,14 +105,12 @@ class Misfit:
 
     def _left(self, flown: Flown, change: Change, sense: Array, own: Array, shared: Array) -> Array:
         flying = self.flying
-        measured, rows = sense * flying.measured(), flying.rows
-        error = measured - np.concatenate([flown.rate, flown.force, flown.angles], axis=1)[rows]
+        modelled = np.concatenate([flown.rate, flown.force, flown.angles], axis=1)[flying.rows]
         for number, late in enumerate(change.sensors_s):
             if late:
                 part = slice(3 * number, 3 * number + 3)
-                error[:, :, part] = measured[:, :, part] - _delayed(
-                    measured[:, :, part] - error[:, :, part], late / flying.flight.step
-                )
+                modelled[:, :, part] = _delayed(modelled[:, :, part], late / flying.flight.step)
+        error = sense * flying.measured() - modelled
         error[:, :, 6:] -= 2.0 * np.pi * np.round(error[:, :, 6:] / (2.0 * np.pi))
         error[:, :, 3:6] -= shared[ZERO]
         error[:, :, 6:] -= self._time[None, :, None] * own[:, None, DRIFT]
