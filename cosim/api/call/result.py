@@ -139,7 +139,7 @@ class Result:
 
         if not (tables := self.tables()):
             raise InputError(f"table: {type(self).__name__} has none")
-        return make_table(dict(zip(tables[0].columns, zip(*tables[0].rows, strict=True), strict=True)))
+        return make_table({name: [row[at] for row in tables[0].rows] for at, name in enumerate(tables[0].columns)})
 
     def figures(self) -> Mapping[str, Any]:
         """Return the figures of the page, which the extra ``notebook`` draws.
