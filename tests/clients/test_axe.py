@@ -98,7 +98,7 @@ ALL = ("flight", "strips", "engines", "events", "parameters")
 
 @pytest.mark.parametrize(
     ("scheme", "names"),
-    [("dark", ALL[:1]), long_case(("light", ALL)), ("dark", ALL[1:])],
+    [("dark", ALL[:1]), long_case(("light", ALL)), long_case(("dark", ALL[1:]))],
     ids=("short", "light", "dark"),
 )
 def test_a_flight_while_it_flies(

@@ -131,6 +131,7 @@ def test_a_finer_spline_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.97 * least("pid").load_error < finer.load_error < 1.001 * least("pid").load_error
 
 
+@pytest.mark.long
 def test_a_tolerance_of_the_delay_costs_and_is_there() -> None:
     bounds = LAWS["pid-smith"][0]._replace(delay_error=9.5)
     found = find_limit(roll(), bounds)

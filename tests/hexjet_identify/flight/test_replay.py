@@ -127,8 +127,8 @@ def test_an_ardupilots_log_is_flown_by_its_microseconds(doublet: Path, tmp_path:
 @pytest.mark.parametrize(
     ("flown", "name", "value", "near"),
     [
-        (HEAVY, "moment of inertia about x", 1.3, 0.01),
-        (LATE, "further delay of the engines", 0.02, 0.001),
+        pytest.param(HEAVY, "moment of inertia about x", 1.3, 0.01, marks=pytest.mark.long),
+        pytest.param(LATE, "further delay of the engines", 0.02, 0.001, marks=pytest.mark.long),
         ({"vehicle": {"sensors": {"gyro": {"latency_samples": 5}}}}, "further delay of the gyro", 0.02, 0.001),
     ],
 )

@@ -178,6 +178,7 @@ def test_with_a_motor_lost_it_is_lost(tmp_path: Path) -> None:
     assert run.outcome == "diverged"
 
 
+@pytest.mark.long
 def test_at_its_own_gains_the_delay_loses_it(tmp_path: Path) -> None:
     """And at those of the vehicle, which are for a predictor; without the delay they fly."""
     hover, doublet = Scenario.load("hover").replace(duration_s=10.0), Scenario.load("roll-doublet")

@@ -37,7 +37,7 @@ BUDGET = ["--budget", "800", "--target", "0.5", "--same-seed"]
 # Of each: the command, how it is resumed, and where its study is.
 COMMANDS: dict[str, tuple[list[str], list[str], str]] = {
     "sweep": (["sweep", "short.toml"], ["sweep", "out"], ""),
-    "prove": (["prove", "short.toml", "--search", "0", "--no-limit"], ["prove", "out", "--search", "0"], "campaign"),
+    "prove": (["prove", "short.toml", "--search", "0", "--no-limit"], ["prove", "out", "--search", "0", "--no-limit"], "campaign"),
     "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], ""),
     "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], ""),
     "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], ""),
