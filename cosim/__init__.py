@@ -138,8 +138,8 @@ class _Package(ModuleType):
 
 sys.modules[__name__].__class__ = _Package
 
-select_modules()  # before other modules are imported
-load_with_reference()  # before numpy is
+select_modules()  # must run before other modules load
+load_with_reference()  # must run before numpy is imported
 
 
 def __dir__() -> list[str]:

@@ -81,7 +81,7 @@ def fly_watched(
     from cosim.simulation.user_code import check_scenario_trust
 
     scenario, own = opened(scenario, controller)
-    check_scenario_trust(scenario)  # before its metrics are named
+    check_scenario_trust(scenario)  # trust is checked before metrics are read
     check_expected(scenario)
     with build(scenario, own, with_ledger=sink is None) as simulation:
         replay = _replay(simulation) if scenario.requests is not None else None
@@ -102,20 +102,20 @@ def fly_watched(
             if noting is not None:
                 noting.close()
             simulation.plugins.close()
-        except FlightError as error:  # a full disk, say
+        except FlightError as error:  # for example a full disk
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
-            if sink is not None:  # a caller that flies many must stop
+            if sink is not None:  # a campaign must stop here
                 raise
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
         if noting is not None:
-            with suppress(FlightError):  # it was reported before
+            with suppress(FlightError):  # the error was reported before
                 noting.close()
         reason = ending.reason
         if replay is not None and replay.otherwise:
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
-        if simulation.faults.commanded and replay is None:  # faults came by command
+        if simulation.faults.commanded and replay is None:  # faults commanded in flight
             recording.replace_scenario(resolve(simulation)[0])
         recording.note_repeatable(simulation.check_repeatable())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
@@ -186,8 +186,8 @@ def record(
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.plugins.metrics
-    setup = make_setup(simulation, resolved, notes=sink is None)  # a sink is for flights by the thousand
-    if folder is None:  # parameter files stay where they are
+    setup = make_setup(simulation, resolved, notes=sink is None)  # a campaign needs no notes per flight
+    if folder is None:  # paths of parameter files are kept
         scenario = simulation.scenario
         resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])
     return begin_run(setup, resolved, folder, files, background, sink, columns, metrics)

@@ -33,8 +33,8 @@ class Given(NamedTuple):
     """What a program gave from a step on, until the next."""
 
     k: int
-    command: Command | None  # None: the scenario's
-    throttle: PerJet | None = None  # None: the controller's
+    command: Command | None  # None: as in the scenario
+    throttle: PerJet | None = None  # None: as the controller commands
     tilt: PerServo | None = None
 
 
@@ -287,7 +287,7 @@ class Stepper:
             next_scenario = next_scenario.replace(seed=seed)
         _refuse_autopilot(next_scenario)
         broken = self.ending is not None and self.ending.outcome == "failed"
-        if next_scenario is not self._scenario or broken or self._observers:  # observers are for one flight
+        if next_scenario is not self._scenario or broken or self._observers:  # observers belong to one flight
             simulation = build(next_scenario, self._source)
             self._close_flight()
             self.simulation, self._scenario = simulation, next_scenario

@@ -111,7 +111,7 @@ def _draw(
         if section:
             points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})
-    for number, (name, section) in enumerate(without.items()):  # each at another corner
+    for number, (name, section) in enumerate(without.items()):  # draw each pair of axes in its own corner
         x, y = at(section[number % len(section)])
         text(root, x + 3, y - 3, name, "dim")
     text(root, left_px + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")

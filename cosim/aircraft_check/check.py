@@ -47,7 +47,7 @@ class Line:
 
     name: str
     text: str
-    fault: str = ""  # why it is not as it must be
+    fault: str = ""  # why the check failed; empty: it passed
 
 
 @dataclass(frozen=True)

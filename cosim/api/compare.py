@@ -81,7 +81,7 @@ class CompareResult(Result):
         from cosim.results.report.comparison import describe_pair, inputs_between
 
         lines = [f"{flight.label[0]} {flight.source}: {describe(flight)}" for flight in self.flights]
-        max_inputs = 12  # lines of a pair; the page has all
+        max_inputs = 12  # lines printed per pair; the page has all
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
             lines.append(" ".join(describe_pair(pair)))
             inputs = inputs_between(self.flights[0], flight)

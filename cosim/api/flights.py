@@ -168,7 +168,7 @@ def load(
     hears = progress or Progress()
     chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
     changes = plugin_changes(tuple(as_several(metrics)), tuple(as_several(observers)), sensors, wind)
-    if sensors or wind:  # its expectations do not apply with them
+    if sensors or wind:  # expectations assume the stated sensors
         changes["expect"] = []
     if unchecked_engine:
         changes["engine_unchecked"] = True

@@ -247,7 +247,7 @@ def _design(name: str) -> dict[str, Any] | None:
 
     path = Path(name) / "controller.toml" if Path(name).is_dir() else Path(name)
     table = read_toml(path) if is_design(str(path)) and path.is_file() else {}
-    if not isinstance(table.get("design"), Mapping):  # a study's is a word
+    if not isinstance(table.get("design"), Mapping):  # a study's design is a string
         return None
     purpose = read_purpose(path)
     margins = [
@@ -409,7 +409,7 @@ def _engine(name: str) -> Iterator[Number]:
     definition, spec = _library_engine(name)
     throttle = spec.curve.throttle
     yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
-    # So little of the full thrust is what is left when the lag of an engine without idling has run down.
+    # An engine without idling runs down by a lag; below this fraction of full thrust what remains is taken as 0.
     idle = spec.curve.thrust[0] if spec.curve.thrust[0] > 1e-9 * spec.curve.thrust[-1] else 0.0
     yield Number("idle thrust", idle, "N", f"at rest, at throttle {throttle[0]:g}")
     yield Number("internal step", definition.internal_step, "s", "control steps are whole multiples of it")

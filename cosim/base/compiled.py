@@ -86,7 +86,7 @@ def is_current() -> bool:
         return shared.is_file()
     built = shared.stat()
     sources = [(PACKAGE / name).stat() for name in MODULES]
-    # The second time notices a file that was copied here with the time that it had elsewhere.
+    # The change time detects a file that was copied here with its old modification time.
     return all(each.st_mtime_ns <= built.st_mtime_ns and each.st_ctime_ns <= built.st_ctime_ns for each in sources)
 
 

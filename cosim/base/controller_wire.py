@@ -116,7 +116,7 @@ def controller_numbers(ahead: bool, command: Command, measured: Measured, applie
         measured.altitude,
         *measured.specific_force,
         applied.burnt,
-        0.0,  # idling and shut engines are not asked
+        0.0,  # jets that idle or are off get 0
         *applied.throttle,
         *engines.spool_speed,
         *engines.exhaust_temperature,

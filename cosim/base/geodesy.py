@@ -50,7 +50,7 @@ class Geodesy:
         height = self.ground + altitude
         up, latitude, longitude = altitude, 0.0, 0.0
         for _ in range(_MAX_ROUNDS):
-            # The point of the plane's normal through (north, east) that has the height.
+            # The point at this height on the plane's normal through (north, east).
             latitude, longitude, reached = _geodetic(*self._point(north, east, up))
             up += height - reached
             if abs(height - reached) < 1e-7:
@@ -93,6 +93,6 @@ def _geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
         if abs(latitude - before) < 1e-15:
             break
     s, c = sin(latitude), cos(latitude)
-    # Good at every latitude: the point along and across the normal.
+    # This form is well conditioned at every latitude: it sums the parts along and across the normal.
     height = across * c + z * s - SEMI_MAJOR * sqrt(1.0 - _E2 * s * s)
     return latitude, atan2(y, x), height

@@ -39,7 +39,7 @@ class HingeAxis(NamedTuple):
     axis: Vector3
     carries: tuple[int, ...] = ()
     deflects: tuple[int, ...] = ()
-    effect: float = 1.0  # turn of deflected thrust over its own
+    effect: float = 1.0  # turn of the thrust per turn of the hinge
 
 
 class TurnedHinge(NamedTuple):
@@ -83,7 +83,7 @@ class Layout:
 
     def __init__(self, stations: Sequence[Station], turns: Sequence[HingeAxis] = ()) -> None:
         self.stations, self.turns = tuple(stations), tuple(turns)
-        self.rest_positions: list[Vector3] = [station.position for station in stations]  # hinges at zero
+        self.rest_positions: list[Vector3] = [station.position for station in stations]  # positions with hinges at zero
         # For each jet: its hinges from the body outwards, and their effect on it.
         chains: list[list[tuple[int, float]]] = []
         self._carriers: list[list[int]] = []

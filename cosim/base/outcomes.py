@@ -11,24 +11,24 @@ Outcome = Literal["completed", "crashed", "diverged", "failed"]
 class Verdict(StrEnum):
     """The verdict on a flight.  Its value is the word in files and on pages."""
 
-    # Of a run, by its limits and by what its scenario expects and requires.
+    # Verdicts on a run, by its limits and by what its scenario expects and requires.
     AS_PLANNED = "as planned"
     NOTHING_CHECKED = "completed, nothing checked"
     UNMET = "not as expected"
     BROKEN = "requirement broken"
     BEYOND_LIMITS = "beyond limits"
     NOT_COMPLETED = "not completed"
-    # Of a flight with a fault: level to a few degrees, or neither crashed nor diverged and no more than that.
+    # Results with a fault: held is level to a few degrees, airborne neither crashed nor diverged and no more.
     HELD = "held"
     AIRBORNE = "airborne"
-    # Of a flight with a failsafe: on the ground, in the air, or not begun.
+    # Results of a flight with a failsafe: on the ground, in the air, or refused before the start.
     LANDED = "landed"
     SLID = "slid"
     STANDS_ARMED = "stands armed"
     HOLDS = "holds"
     FLIES_ON = "flies on"
     REFUSED = "refused"
-    # Of both.
+    # Results that both kinds of flight share.
     CRASHED = "crashed"
     LOST = "lost"
 

@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-PerJet = tuple[float, ...]  # jet 1 first
-# What servos move: the left and the right bank, or the hinges of a vehicle and then its surfaces, as it states them.
-# Of a bank positive tilts the thrust forward, of a hinge it turns right-handed about its axis [rad]; a surface is in
-# the unit of its property.
+PerJet = tuple[float, ...]  # one number per jet, jet 1 first
+# One number per servo: the left and the right bank, or the hinges and then the surfaces in the vehicle's order.
+# Positive tilts a bank's thrust forward [rad] and turns a hinge right-handed about its axis [rad]; a surface is in the
+# unit of its property.
 PerServo = tuple[float, ...]
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
@@ -33,11 +33,11 @@ class Command(NamedTuple):
     """What the pilot or the script asks for during one step."""
 
     attitude: Vector3  # roll, pitch, yaw [rad], NED to body
-    altitude: float  # m above the ground, without collective
-    rate: Vector3 | None = None  # rad/s, body; instead of attitude
-    collective: float | None = None  # mean throttle, instead of altitude
-    place: tuple[float, float] | None = None  # north, east [m] to go to
-    ahead: float | None = None  # m/s along the heading, over the ground
+    altitude: float  # m above ground; unused with a collective
+    rate: Vector3 | None = None  # rad/s, body; replaces attitude
+    collective: float | None = None  # mean throttle; replaces altitude
+    place: tuple[float, float] | None = None  # target north, east [m]
+    ahead: float | None = None  # commanded m/s along heading, over ground
 
 
 class Disturbance(NamedTuple):
@@ -45,28 +45,28 @@ class Disturbance(NamedTuple):
 
     force: Vector3 = ZERO3  # N, body, at the centre of gravity
     moment: Vector3 = ZERO3  # N m, body
-    torque_command: Vector3 = ZERO3  # added to the rate loop's output, unseen
-    wind: Vector3 = ZERO3  # m/s, NED, towards; no turbulence
-    payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its place [m], body
-    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED; rise, hold, fall [s]; once
-    torque_output: Vector3 = ZERO3  # as before, but before the added delay
-    torque_seen: Vector3 = ZERO3  # of torque_output, as predictors see it
+    torque_command: Vector3 = ZERO3  # added to rate loop output, not predicted
+    wind: Vector3 = ZERO3  # change of wind, m/s, NED, where it blows
+    payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its position [m], body
+    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED; rise, hold, fall [s]; one gust
+    torque_output: Vector3 = ZERO3  # as above, added before the added delay
+    torque_seen: Vector3 = ZERO3  # part of torque_output told to predictors
 
 
 class State(NamedTuple):
     """The true motion of the airframe at one instant."""
 
     position: Vector3  # m, NED, of the centre of gravity
-    velocity: Vector3  # m/s, NED, over the ground, of the same
+    velocity: Vector3  # m/s, NED, over the ground, of that point
     attitude: Quaternion  # body to NED
     euler: Vector3  # roll, pitch, yaw [rad]
-    rate: Vector3  # rad/s, body, against the rotating Earth
+    rate: Vector3  # rad/s, body, relative to the Earth
     specific_force: Vector3  # m/s^2, body, centre of gravity as built
     altitude: float  # m above the ground
     wind: Vector3  # m/s, NED, turbulence included
     mass: float  # kg
-    on_ground: bool  # a leg touches
-    hull_contact: bool  # anything but a leg touches
+    on_ground: bool  # a leg touches the ground
+    hull_contact: bool  # a point other than a leg touches
     air_rate: Vector3 = ZERO3  # rad/s, body: rotation of the air
 
 
@@ -96,7 +96,7 @@ class Actuation(NamedTuple):
     throttle: PerJet  # 0..1, jet 1 first
     tilt: PerServo
     unallocated: Unallocated
-    off: frozenset[int] = NO_JETS  # jets shut on purpose, from 0
+    off: frozenset[int] = NO_JETS  # jets shut off on purpose, from 0
 
 
 class ControlSignals(NamedTuple):
@@ -104,9 +104,9 @@ class ControlSignals(NamedTuple):
 
     rate_setpoint: Vector3  # rad/s, body
     rate_predicted: Vector3  # rad/s, body, fed back to the rate loop
-    torque: Vector3  # throttle, rad, rad; or rad/s^2
+    torque: Vector3  # roll: throttle; pitch, yaw: rad of tilt
     collective: float  # mean throttle asked for
-    allocated: float  # the collective that allocation gave
+    allocated: float  # collective after allocation
 
 
 class Ambient(NamedTuple):
@@ -132,9 +132,9 @@ class EngineOutput(NamedTuple):
 class JetHealth(NamedTuple):
     """What can still be had of one jet; thrusts as a share of the range of a healthy one, full over no throttle."""
 
-    gain: float = 1.0  # 0: does not follow its command
-    fixed: float = 0.0  # thrust it delivers whatever the command
-    command: float = 0.0  # throttle of a jet that does not follow
+    gain: float = 1.0  # response to the command; 0: ignores it
+    fixed: float = 0.0  # thrust delivered whatever the command
+    command: float = 0.0  # throttle of a jet that ignores commands
 
 
 class Sample(NamedTuple):
@@ -150,14 +150,14 @@ class Sample(NamedTuple):
     measured: Measured
     control: ControlSignals
     actuation: Actuation
-    tilt: PerServo  # angles of the servos
-    engines: EngineOutput  # delivered and reported
+    tilt: PerServo  # servo angles
+    engines: EngineOutput  # true and reported engine outputs
     disturbance: Disturbance
     fuel: float = nan  # kg on board at t_k; NaN without a tank
     spool_moment: Vector3 = UNKNOWN3  # N m, body, of the rotors; NaN: unknown
-    faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault acts
-    health: PerJet = ALL_WELL  # estimated share that each jet gives
-    own: tuple[float, ...] = ()  # columns of blocks that show some
+    faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault is active
+    health: PerJet = ALL_WELL  # estimated fraction of command, per jet
+    own: tuple[float, ...] = ()  # extra log columns of blocks
 
     @property
     def thrust(self) -> PerJet:

@@ -70,16 +70,16 @@ class Code:
 class Decision:
     """Code that may run in this process besides the remembered folders; workers inherit it."""
 
-    places: frozenset[Path] = frozenset()  # folders with all that is below them
-    named: frozenset[Path | str] = frozenset()  # code that the user named
-    accepted: frozenset[tuple[Path, Path, str]] = frozenset()  # decided on: folder, file, arguments
-    hashes: frozenset[str] = frozenset()  # of folders accepted or made here
-    contents: frozenset[str] = frozenset()  # entries of these folders
-    by_program: bool = True  # named by a change of a program
+    places: frozenset[Path] = frozenset()  # folders trusted with all subfolders
+    named: frozenset[Path | str] = frozenset()  # code that the user named explicitly
+    accepted: frozenset[tuple[Path, Path, str]] = frozenset()  # decisions made: folder, file, arguments
+    hashes: frozenset[str] = frozenset()  # hashes of folders trusted or made here
+    contents: frozenset[str] = frozenset()  # file entries of these folders
+    by_program: bool = True  # whether a program named the code
 
 
 _decision = Decision()
-_ask: Callable[[Sequence[str]], bool] | None = None  # on a terminal
+_ask: Callable[[Sequence[str]], bool] | None = None  # asks on a terminal; None: cannot ask
 _code_forbidden: ContextVar[bool] = ContextVar("code_forbidden", default=False)
 
 
@@ -262,7 +262,7 @@ def _entries(folder: Path, *, max_files: int = 50_000, max_mb: float = 256.0) ->
     """
     counted, seen, size = list[Path](), 0, 0
     visited = {os.path.realpath(sys.prefix)}
-    with suppress(RuntimeError):  # a user without a home has no settings
+    with suppress(RuntimeError):  # a user without a home has no list
         visited |= {os.path.realpath(place) for place in (settings_folder(), cache_folder())}
     try:
         for current, inner, names in os.walk(folder, followlinks=True):
@@ -308,7 +308,7 @@ def _note(folders: dict[str, str]) -> None:
     _add(hashes=folders)
     known = _read_remembered()
     lines = [f"{value}  {_one_line(text)}\n" for value, text in folders.items() if value not in known]
-    with suppress(OSError, RuntimeError):  # a user without a home has no settings
+    with suppress(OSError, RuntimeError):  # a user without a home has no list
         if lines:
             file_path = settings_folder() / REMEMBERED
             file_path.parent.mkdir(parents=True, exist_ok=True)

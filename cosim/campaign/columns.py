@@ -34,7 +34,7 @@ def stored_kinds(folder: Path, study: Study) -> Kinds:
     if not path.is_file():
         raise InputError(f"{folder}: {COLUMNS} is missing, as where it was {WRITTEN_BEFORE}")
     try:
-        content = parse_json(read_file(path), COLUMNS, finite=False)  # a bound may be infinite
+        content = parse_json(read_file(path), COLUMNS, finite=False)  # limits may be infinite
     except InputError as error:
         raise InputError(f"{path}: not the columns of a campaign: {error}") from error
     try:

@@ -55,7 +55,7 @@ class FrozenStudy:
     study: dict[str, Any]
     scenario: dict[str, Any]
     files: dict[str, bytes]
-    plan: dict[str, Any] = field(default_factory=dict)  # what a command asks beside the study
+    plan: dict[str, Any] = field(default_factory=dict)  # what a command adds to the study
 
     def write(self, folder: Path) -> None:
         """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""

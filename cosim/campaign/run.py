@@ -30,11 +30,11 @@ from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names
 
-# Called with the tally, the finished flights and the total (0: unknown).
+# Called with the tally, the number of finished flights and their total (0: unknown).
 Progress = Callable[[Tally, int, int], None]
 R = TypeVar("R")
-# It yields the different flights that it asks for next, and is sent their rows in that order, as far as they were
-# flown; an iterator, which is read while they are flown and need not be read to its end.  It returns what it found.
+# A generator that yields the flights it wants next, is sent their rows in that order, as far as they were flown, and
+# returns what it found. The rows come as an iterator that reads while flights go on; it need not be exhausted.
 Sampler = Generator[Iterable[Flight], Iterator[Row], R]
 
 
@@ -111,7 +111,7 @@ def run_sampler(
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:
-                # The interruption may have come after a flight was stored and before it was reported.
+                # The interruption may have come between storing a flight and reporting it.
                 tell()
                 raise
     return open_campaign(folder), result
@@ -136,7 +136,7 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
 
     The rows of a study that may stop are stored in order, so that there are none beyond that.
     """
-    keys: dict[int, str] = {}  # of the flights under way, by number
+    keys: dict[int, str] = {}  # keys of the flights in progress
     to_fly, to_tell = tee((flight, store.key(flight)) for flight in asked)
 
     def missing() -> Iterator[Flight]:
@@ -275,7 +275,7 @@ class RepeatedFlight:
     number: int
     run: Run
     otherwise: list[str]
-    comparable: bool  # False: only why it failed is recorded
+    comparable: bool  # False: only the failure is recorded
     sameness: str = "the same, bit for bit"
 
     @property

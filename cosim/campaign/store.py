@@ -92,8 +92,8 @@ class Store:
         self._journal = journal
         self._kinds = kinds(self.study)
         self._part = 0
-        self._rows: list[Row] = []  # rows of the part that is being filled
-        self._written = 0  # of them
+        self._rows: list[Row] = []  # rows of the part being filled
+        self._written = 0  # how many of these rows are on disk
         self._last_write = self._last_sync = time.monotonic()
 
     @classmethod
@@ -114,7 +114,7 @@ class Store:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")
         with map_os_errors(InputError, folder):
             folder.mkdir(parents=True, exist_ok=True)
-            # The journal comes first: where it is empty, the campaign hardly began.
+            # The journal is created first: without one, the campaign had hardly begun.
             journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)
         try:
             return cls._begin_with(folder, journal, frozen, kept)
@@ -187,7 +187,7 @@ class Store:
         if key in self.done:
             return
         row = row | {KEY: key}
-        # in memory first: Ctrl-C may come between any two lines, and what only the journal has is not put into a part
+        # Into memory first: Ctrl-C may come at any line, and rows of the journal alone never get into a part.
         self._rows.append(row)
         self._note(row)
         try:
@@ -213,7 +213,7 @@ class Store:
         if len(self._rows) > self._written:
             path = self.folder / FLIGHTS / f"part-{self._part:05d}.parquet"
             write_table(path, {name: [row.get(name) for row in self._rows] for name in self._kinds}, kinds=self._kinds)
-            # A power cut must not bring back the part before, now that the journal goes.
+            # Sync before the journal goes, or a power cut could bring back the old part without it.
             _sync_folder(path.parent)
             self._written = len(self._rows)
         os.ftruncate(self._journal.number, 0)
@@ -239,7 +239,7 @@ class Store:
         if kind is None or not issubclass(kind, FlightError):
             self.close()
             return
-        # The error under way, such as a full disk, is reported already.
+        # The error in progress, such as a full disk, is reported already.
         with suppress(FlightError):
             self.close()
 
@@ -329,8 +329,8 @@ class _Columns(NamedColumns[list[Value]]):
     """The columns of all finished flights; each is read when it is asked for."""
 
     def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
-        self._names, self._success = tuple(columns), success  # the second by the referee
-        # the journal first: what leaves it meanwhile is in a part by then
+        self._names, self._success = tuple(columns), success  # success as the referee judges it
+        # The journal is read first: rows that leave it meanwhile are in a part.
         journal_rows = {_flight_number(row): row for row in _journal(folder, of)}
         self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
         numbers = [number for _, stored in self._parts for number in stored]
@@ -352,7 +352,7 @@ class _Columns(NamedColumns[list[Value]]):
         if name not in self._read:
             values: list[Value] = []
             for path, stored in self._parts:
-                # it may have grown at its end, and an older version may have written fewer columns
+                # A part may have grown at its end, and an older version may have written fewer columns.
                 values += read_table(path, (name,), lacking=True)[name][: len(stored)]
             values += [row.get(name) for row in self._journal_rows]
             self._read[name] = [values[index] for index in self._order]

@@ -91,7 +91,7 @@ class AltitudeController:
         lead = self._lead
         if lead is None:
             return throttle
-        # The lead starts settled when height control begins.
+        # The lead is initialised when height control begins.
         residual = unallocated.collective if self._started else 0.0
         if not self._started:
             lead.settle(throttle)

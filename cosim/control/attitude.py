@@ -75,7 +75,7 @@ class AttitudeController:
         ex, ey, ez = self.error(command, measured)
         n = sqrt(max(0.0, 1.0 - 0.25 * (ex * ex + ey * ey)))
         if n > 0.0:
-            # The error is 2 (x, y, z) of a quaternion with w >= 0.
+            # The attitude error is 2 (x, y, z) of the error quaternion with w >= 0.
             sine = 0.5 * ez / n
             cosine = sqrt(max(0.0, 1.0 - sine * sine))
             ex, ey = ex * cosine - ey * sine, ey * cosine + ex * sine
@@ -98,7 +98,7 @@ class AttitudeController:
         """Return the commanded direction of the body's z axis, in body axes; the heading has no part in it."""
         x, y, z = self.error(command, measured)
         half = 0.25 * (x * x + y * y + z * z)
-        # The error is 2 (x, y, z) of a quaternion with w >= 0; this is the third column of its matrix.
+        # The attitude error is 2 (x, y, z) of a quaternion with w >= 0; this is its matrix' third column.
         w = sqrt(max(0.0, 1.0 - half))
         return (0.5 * x * z + w * y, 0.5 * y * z - w * x, 1.0 - 0.5 * (x * x + y * y))
 

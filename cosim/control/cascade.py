@@ -64,7 +64,7 @@ class Cascade:
         self._throttle: PerJet = ()
         self._predictor_columns: list[
             tuple[str, Predictor, tuple[Column, ...]]
-        ] = []  # columns of the predictors that log any
+        ] = []  # names of the predictors' log columns
         self._shown_blocks = self._find_shown_blocks()
         self._clear(0.0)
 
@@ -96,11 +96,11 @@ class Cascade:
         self._demand.burnt, self._demand.unallocated = burnt, FULLY_ALLOCATED
         self.selector.reset()
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
-        self._off = NO_JETS  # jets that are to be shut off
-        self._shut_by_law = NO_JETS  # shut because another jet failed
+        self._off = NO_JETS  # jets commanded off
+        self._shut_by_law = NO_JETS  # shut off because another jet failed
         self.lost: tuple[int, ...] = ()
         self._engines_off = self._is_idle = self._clears_losses = self._is_cold = False
-        self._starting = 0.0  # s left for restarted engines
+        self._starting = 0.0  # s left until restarted engines run
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """Start a flight at rest and return its first throttles.  See :class:`cosim.base.protocols.Controller`."""

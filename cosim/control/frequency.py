@@ -50,7 +50,7 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
     """
     of_rate = _impulse(predictor(), model, (1.0, 0.0))
     of_command = _impulse(predictor(), model, (0.0, 1.0))
-    # The predictor is told the command of the step before: its first answer to it belongs to u / z.
+    # The predictor gets the command of the previous step, so its first answer to it belongs to u / z.
     return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
 
 
@@ -62,7 +62,7 @@ def _impulse(
     max_taps: int = 20_000,
 ) -> Array:
     values = [predictor.update(*unit)]
-    wait = int(model.delay_samples) + 2  # nothing may come before that
+    wait = int(model.delay_samples) + 2  # no response before this sample
     ended = 0
     while ended <= wait:
         values.append(predictor.update(0.0, 0.0))

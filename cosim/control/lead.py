@@ -61,8 +61,8 @@ class Lead:
     def set_poles(self, lead: EngineLead) -> None:
         """Use another lead of the same form from the next update on; its gain at rest is 1 as well."""
         numerator, denominator = lead_polynomials(lead, self._step)
-        # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): states as large as the input, whatever the
-        # lead becomes.  With past outputs as states a change of the lead would be a step that two lags add up.
+        # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): the states are as large as the input for
+        # any lead. With past outputs as states, a change of the lead would be a step in the sum of two lags.
         p = exp(complex(-lead.pole_rad_s * self._step)).real
         b0, b1, b2 = (*numerator, 0.0)[:3]
         self._instant_gain, self._p, self._q = b0, p, 1.0 - p
@@ -79,7 +79,7 @@ class Lead:
 
     def settle(self, value: float) -> None:
         """Start as if ``value`` had always been the input."""
-        self._once = self._twice = value  # input after one and two low-passes
+        self._once = self._twice = value  # input after one and after two low-passes
 
     def update(self, value: float, unallocated: float) -> float:
         """Return the led command; ``unallocated``: the allocation residual of the one before."""

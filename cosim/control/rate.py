@@ -139,7 +139,7 @@ class RateAxis:
         """Return the command at a change of gains: that of the old gains, from which the difference fades."""
         self._old_law = None
         applied = self._command - unallocated
-        # The new predictor has already been initialised with the steps before this one.
+        # The new predictor was initialised with the commands before this step.
         old_rate = old.predictor.update(measured, applied)
         is_swapped = self._predictor is not old.predictor
         rate = self._predictor.update(measured, applied) if is_swapped else old_rate
@@ -151,7 +151,7 @@ class RateAxis:
         command = old.p * (setpoint - old_rate) + integral - old.d * slope
         if self._fade is not None:
             command += self._fade.update()
-        # A change of predictor makes the predicted rate jump, which must not enter its slope.
+        # Changing the predictor makes the predicted rate jump, and that jump must not enter the derivative.
         self._slope = slope
         self._integral = max(-self._limit, min(self._limit, integral))
         self.predicted = rate

@@ -94,7 +94,7 @@ def _interpolate(levels: Sequence[Factors], k: int, weight: float) -> Factors:
         damping: float | None = None
         if low_lead.damping is not None and high_lead.damping is not None:
             damping = between(low_lead.damping, high_lead.damping)
-        # Not validated again between two valid leads: that takes as long as a step.
+        # Between two valid leads validation is skipped: it takes as long as a step.
         lead = EngineLead.model_construct(
             natural_rad_s=between(low_lead.natural_rad_s, high_lead.natural_rad_s),
             damping=damping,

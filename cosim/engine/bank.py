@@ -57,7 +57,7 @@ class EngineBank:
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
         self._step = step
-        self._instances: list[FmuInstance] = []  # by station
+        self._instances: list[FmuInstance] = []  # one instance per station
         self._folders: dict[tuple[str, int], UnpackedArchive] = {}
         self.wants_ambient = any(spec.has_port(port) for spec in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
@@ -71,7 +71,7 @@ class EngineBank:
 
     def _instantiate(self) -> None:
         for station, spec in enumerate(self._specs):
-            # An FMU that may be instantiated once per process is loaded from copies, each of which is a library.
+            # An FMU that allows one instance per process is loaded from copies, each of which is a library of its own.
             key = spec.sha256, station if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
@@ -96,7 +96,7 @@ class EngineBank:
         Raises EngineError if an FMU refuses or does not settle.
         """
         if self._was_reset:
-            # New instances are made, because many FMUs get fmiReset wrong.
+            # New instances are created, because many FMUs implement fmiReset wrongly.
             self._close_instances()
             self._instantiate()
         self._was_reset = True
@@ -169,7 +169,7 @@ class EngineBank:
         Raises EngineError that names engine, step and time if an FMU fails or gives a value that is not finite;
         ValueError if ``k`` is not the next step.
         """
-        if not self._was_reset and self._instances:  # it is the FMU that refuses to step then
+        if not self._was_reset and self._instances:  # else stepping raises the FMU's own error
             self._make_native()
         try:
             output = self._native.step(k, throttle, ambient)
@@ -235,7 +235,7 @@ class EngineBank:
         self._folders.clear()
 
     def _close_instances(self) -> None:
-        self._native = _bank.Bank((), self._step, EngineOutput)  # steps no instance while they are freed
+        self._native = _bank.Bank((), self._step, EngineOutput)  # so that freed instances never step
         while self._instances:
             self._instances.pop().close()
 

@@ -171,7 +171,7 @@ class _Check:
     def _load(self) -> None:
         """Validate the description, and load the library and instantiate it."""
         archive, report = self._source.archive, self._report
-        # An archive with harmless violations was validated when it was read.
+        # An archive with harmless violations was validated when it was loaded.
         complaints = [] if archive.harmless_violations else validate(read_bytes(archive.path))
         report.notes += note_unusual_names(archive.path)
         report.notes += [text for text in complaints if is_harmless_violation(text)]
@@ -226,7 +226,7 @@ class _Check:
                     share = f"{100.0 * back:.0f} % of the change"
                     report.notes.append(f"throttle {way}: thrust first goes the wrong way, by {share}")
         up, down = report.delay_samples_up or 0, report.delay_samples_down or 0
-        # A step of the throttle meets the FMU's own step anywhere.
+        # A throttle step may fall anywhere in the FMU's own communication step.
         if abs(up - down) > 2 and rest == 0.0:
             report.notes.append(
                 f"its dead time differs, {up} samples up and {down} down: it may sample its throttle itself, every "

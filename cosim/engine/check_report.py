@@ -25,14 +25,14 @@ class CheckReport:
     ports: list[dict[str, Any]]
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
-    parameters: list[dict[str, Any]]  # ``start`` of the FMU, ``value`` measured
-    throttle: list[float] | None = None  # of the static curve
+    parameters: list[dict[str, Any]]  # ``start`` as stated, ``value`` measured
+    throttle: list[float] | None = None  # throttles of the static curve
     thrust: list[float] | None = None
-    delay_samples_up: int | None = None  # communication steps
+    delay_samples_up: int | None = None  # delay in communication steps
     delay_samples_down: int | None = None
-    tenth_up: float | None = None  # s to 10 %: delay, lag and slow start
+    tenth_up: float | None = None  # s to 10 % of the change
     tenth_down: float | None = None
-    rise_time_up: float | None = None  # 10 to 90 %
+    rise_time_up: float | None = None  # s from 10 to 90 %
     rise_time_down: float | None = None
     course_up: list[float] | None = None  # thrust every ``course_step_up`` s
     course_down: list[float] | None = None

@@ -41,14 +41,14 @@ from cosim.engine.spec import EngineSpec
 class HostLimits(NamedTuple):
     """Limits of an engine's own process."""
 
-    # For one step of all engines: a thousand control steps.
+    # s for one step of all engines: a thousand control steps.
     hang_s: float = 4.0
-    # To be loaded, started, measured or run up.
+    # s to load, start, measure or warm up engines.
     start_s: float = 120.0
-    close_s: float = 2.0  # to be freed
-    # Resident, of the engines' process: an engine worth flying needs some ten.
+    close_s: float = 2.0  # s to free the instances
+    # MB resident, of the process with the engines: good engines need about ten.
     max_megabytes: float = 1024.0
-    # Resident, of a process that waits for its next engines: what leaks is not handed on.
+    # MB resident, up to which a process is kept for further engines: a leak is not passed on.
     max_idle_megabytes: float = 256.0
     max_answer_bytes: int = 2**24
     max_request_bytes: int = 2**32
@@ -57,7 +57,7 @@ class HostLimits(NamedTuple):
 LIMITS = HostLimits()
 
 
-Moment = str | tuple[int, float]  # in words, or the step and its time [s]
+Moment = str | tuple[int, float]  # phase in words, or step and time [s]
 _SERVE = "from cosim.engine.isolated import serve; serve()"
 
 
@@ -70,13 +70,13 @@ class EngineHost:
     def __init__(self, archives: Iterable[Archive], deadline: float = inf) -> None:
         listed = list(archives)
         self.archives = frozenset(archive.sha256 for archive in listed)
-        self.label = ""  # before each error
-        self._folder = os.stat(".")  # from which paths are seen there
-        # What it leaves when it is killed goes with this process's own temporary files.
+        self.label = ""  # text before each error
+        self._folder = os.stat(".")  # working folder, for relative paths
+        # Files that it leaves when killed are deleted with this process's temporary files.
         environ = dict(os.environ) | {"TMPDIR": str(scratch())}
         self._host = Host.open(python_command(_SERVE), environ, LIMITS.max_megabytes, stderr=subprocess.DEVNULL)
         self._deadline = deadline
-        self.is_sound = True  # whether nothing has gone wrong in it
+        self.is_sound = True  # True: no error so far
 
     @property
     def is_reusable(self) -> bool:
@@ -137,7 +137,7 @@ class EngineHost:
         self._host.end(patience)
 
 
-# At most one process that waits for its next engines: to start one costs as much as seconds of flight.
+# One process at most waits for further engines: starting one costs as much as seconds of flight.
 _idle: list[EngineHost] = []
 
 
@@ -206,13 +206,13 @@ class IsolatedBank:
         self._columns = make_log_columns(specs)
         self._row, self._answer = _frame_formats(self._count)
         size = self._count
-        self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # of the answer
+        self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # parts of the answer
         self._no_air = (0.0,) * (3 + self._count)
         self._is_own = host is None
         self._host: EngineHost | None = host or take_host(spec.archive for spec in specs)
         if host is None:
             self.host.label = f"engines ({', '.join(dict.fromkeys(spec.path.name for spec in specs))}): "
-        # What is known of uncertainty takes numpy to be read.
+        # The uncertainty is left out, because reading it would need numpy there.
         told = tuple(replace(spec, uncertainty=None, uncertain_ranges=()) for spec in specs)
         try:
             self._call(("make", told, step), LIMITS.start_s, "when it was loaded")

@@ -54,7 +54,7 @@ def load_engine(
     return replace(load_unchecked(source, parameters, step, measure, air), isolated=isolated)
 
 
-_fit_engines: set[tuple[str, str, float]] = set()  # sha256, mapping and step, by process
+_fit_engines: set[tuple[str, str, float]] = set()  # sha256, mapping, step of checked engines
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
 
 

@@ -37,10 +37,10 @@ class EngineMeasurement(NamedTuple):
     """Measured behaviour of an engine."""
 
     curve: Curve
-    response: Response  # to the throttle opened from 0 to 1
-    start: str | None  # the start parameter, if it works
-    ripple: float  # relative, of thrust at rest
-    small: SmallStep | None = None  # None: of the library, or below ripple
+    response: Response  # response to a throttle step from 0 to 1
+    start: str | None  # parameter that starts it at rest, if any
+    ripple: float  # relative ripple of steady thrust
+    small: SmallStep | None = None  # None: library engine, or below ripple
 
 
 @cache

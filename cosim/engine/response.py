@@ -37,15 +37,15 @@ class Response(NamedTuple):
 
     delay: int  # communication steps without response
     rise: float  # s, from 10 to 90 % of the change
-    before: float  # N
-    after: float  # N
+    before: float  # N, thrust before the step
+    after: float  # N, thrust after the step
 
 
 class SmallStep(NamedTuple):
     """A small step of the throttle around its middle, in communication steps."""
 
-    delay: int  # in which nothing moves
-    late: float  # delay at low frequency
+    delay: int  # communication steps without response
+    late: float  # s, delay at low frequency
 
     @property
     def lag(self) -> float:
@@ -150,7 +150,7 @@ def measure_static_curve(
     throttles = [k / (points - 1) for k in range(points)]
     thrusts: list[float] = []
     for throttle in reversed(throttles):
-        span = thrusts[0] if thrusts else 0.0  # full throttle's, for a closed engine
+        span = thrusts[0] if thrusts else 0.0  # a closed engine: its full thrust
         thrusts.append(settle(hold, throttle, window, step, ripple, rest, abs(span)))
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 

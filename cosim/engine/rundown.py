@@ -24,9 +24,9 @@ class FlameOutLaw(NamedTuple):
 
     is_modelled: bool = False
     is_electric: bool = False
-    thrust_left: float = 1.0  # right after the flame-out, relative
+    thrust_left: float = 1.0  # thrust ratio right after the flame-out
     half_speed_s: float = 1.0  # s until the rotor has half its speed
-    exponent: float = 1.0  # of thrust over speed without fire
+    exponent: float = 1.0  # exponent of thrust over unlit speed
     relight_s: float = 0.0  # s from the start command to idle
 
 

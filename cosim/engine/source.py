@@ -68,10 +68,10 @@ _definitions: RecentCache[EngineDefinition] = RecentCache(64)
 class EngineSource:
     """Source of an engine: the named file, its archive, and its definition or mapping file."""
 
-    name: str  # in the library, or that of its file
-    path: Path  # of the archive or of its mapping file
+    name: str  # library name, or the file's name
+    path: Path  # of the archive or its mapping file
     archive: Archive
-    engine: EngineDefinition | None  # None: not of the library
+    engine: EngineDefinition | None  # None: not a library engine
     mapping: MappingFile
 
     @property

@@ -38,28 +38,28 @@ class EngineSpec:
     title: str
     library: bool  # one of the shipped engines
     path: Path
-    fmi: str  # version
+    fmi: str  # FMI version
     sha256: str  # of the archive
-    parameters: Mapping[str, float]  # value of every parameter
+    parameters: Mapping[str, float]  # value of each parameter
     curve: Curve  # steady thrust [N] over throttle
-    internal_step: float | None  # s
+    internal_step: float | None  # s, of the solver; None: unknown
     pole: float | None
     delay_samples: int | None
-    start: str | None  # parameter that starts it in equilibrium
+    start: str | None  # parameter that starts it at rest
     rotor_inertia: float  # kg m^2, about the jet; 0: unknown
     flame_out: FlameOutLaw | None  # None: unknown
-    specified_delay: float | None  # s, from a mapping file
-    mapping: Path | None  # the mapping file it was loaded by
+    specified_delay: float | None  # s, as its mapping file states
+    mapping: Path | None  # mapping file that it was loaded by
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
-    settling_window: int = field(repr=False)  # communication steps, beyond the delay
-    ripple: float = field(default=NO_CHANGE, repr=False)  # relative, of thrust at rest
-    air: Air = STANDARD_AIR  # in which the curve was measured
-    isolated: bool = False  # whether it runs in a process of its own
-    small_step: SmallStep | None = None  # at the control step
-    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further ones, by names in the log
-    uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
-    uncertain_ranges: tuple[ParameterRange, ...] = field(default=(), repr=False)  # of these, about what the file states
+    settling_window: int = field(repr=False)  # communication steps after the delay
+    ripple: float = field(default=NO_CHANGE, repr=False)  # relative ripple of steady thrust
+    air: Air = STANDARD_AIR  # air in which the curve was measured
+    isolated: bool = False  # True: runs in a process of its own
+    small_step: SmallStep | None = None  # response to a small step
+    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # additional columns and their variables
+    uncertainty: Uncertainty | None = field(default=None, repr=False)  # uncertainty in its mapping file
+    uncertain_ranges: tuple[ParameterRange, ...] = field(default=(), repr=False)  # ranges around the stated values
 
     @property
     def identity(self) -> str:
@@ -73,7 +73,7 @@ class EngineSpec:
         The name alone does not distinguish one ``kestrel.toml`` from another.  How well its parameters are known is no
         part of it, and neither is how the file is written.
         """
-        from cosim.engine.fmu.uncertainty import without_uncertainty  # takes numpy
+        from cosim.engine.fmu.uncertainty import without_uncertainty  # imports numpy
 
         if self.library:
             return ""

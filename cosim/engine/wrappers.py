@@ -21,7 +21,7 @@ from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, S
 class EngineEffect:
     """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
 
-    burns_fuel: bool = True  # whether the engine takes fuel
+    burns_fuel: bool = True  # whether the engine burns fuel
 
     def change_throttle(self, command: float) -> float:
         return command
@@ -122,11 +122,11 @@ class _Rundown(EngineEffect):
     def __init__(self, law: FlameOutLaw, step: float, cold: bool = False) -> None:
         self._law = law
         self._step = step
-        self._steps_out = int(cold)  # without fire; a cold engine has none
-        self._steps_since_start = -1  # -1: not called to start
+        self._steps_out = int(cold)  # steps without fire; from 1 if cold
+        self._steps_since_start = -1  # steps since the start command; -1: none
         self._thrust = 0.0
         self._speed = 0.0
-        self.burns_fuel = False  # whether the command reaches the engine
+        self.burns_fuel = False  # False: commands do not reach the engine
 
     def relight(self) -> None:
         """Start from the next step on; at once if the law has no time for it."""
@@ -186,7 +186,7 @@ class EngineChain:
         self._factors = factors
         self._delay = delay
         self._has_side_loads = side_loads
-        self._idle: PerJet = (0.0,) * len(self._laws)  # thrust at the reset
+        self._idle: PerJet = (0.0,) * len(self._laws)  # thrust at reset
         self._queue: deque[PerJet] = deque()
         self._clear()
 
@@ -194,10 +194,10 @@ class EngineChain:
         """Return to engines that are on and have no fault, as a bank that was reset."""
         self._acting: list[EngineFault] = []
         self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
-        self._flamed_out: list[tuple[int, EngineFault]] = []  # through their port run
-        self.off: frozenset[int] = NO_JETS  # switched off
-        self._shut_off: dict[int, EngineEffect] = {}  # effects on engines without a port run
-        self._restarts: dict[int, int] = {}  # steps left for restarted engines
+        self._flamed_out: list[tuple[int, EngineFault]] = []  # flame-outs through a port "run"
+        self.off: frozenset[int] = NO_JETS  # jets switched off
+        self._shut_off: dict[int, EngineEffect] = {}  # engines off that have no port "run"
+        self._restarts: dict[int, int] = {}  # steps left until restarted engines run
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Reset to sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
@@ -319,7 +319,7 @@ class EngineChain:
         if isinstance(fault, SlowSpool):
             return _SlowSpool(1.0 - exp(-self._step / fault.lag_s))
         law = self._laws[i]
-        assert law is not None  # such a flame-out is refused before
+        assert law is not None  # otherwise the flame-out was refused
         if not law.is_electric:
             return _Rundown(law, self._step)
         lag = self._lag(i)

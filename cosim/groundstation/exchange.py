@@ -47,7 +47,7 @@ class Shutdown:
 
 GroundRequest = rq.Request | Restart | Shutdown
 AnswerCallback = Callable[[rq.Answer], None]
-Claim = Callable[[], bool]  # False where the sender was answered
+Claim = Callable[[], bool]  # False: the sender was answered before
 
 
 def ignore_answer(answer: rq.Answer) -> None:
@@ -57,32 +57,32 @@ def ignore_answer(answer: rq.Answer) -> None:
 class FlightInfo(NamedTuple):
     """Constant data of one flight."""
 
-    number: int  # flights of this session, from 1
+    number: int  # number of the flight, from 1
     scenario: Scenario
     vehicle: Vehicle
-    stations: tuple[EngineSpec, ...]  # jets 1 to 6
-    geodesy: Geodesy  # position of the flight's origin
-    parameters: Parameters  # read only: SetParameter changes them
-    folder: Path | None  # folder of the run
+    stations: tuple[EngineSpec, ...]  # engines of jets 1 to 6
+    geodesy: Geodesy  # geographic position of the origin
+    parameters: Parameters  # read only: use SetParameter
+    folder: Path | None  # folder of the run, or None
     factor: float | None  # of real time; None: unlimited
-    columns: tuple[Column, ...] = ()  # of the blocks, beside the log's
+    columns: tuple[Column, ...] = ()  # columns of blocks, after the log's own
 
 
 class Snapshot(NamedTuple):
     """State of the flight after one step."""
 
-    published: float  # s, of the exchange's clock
+    published: float  # s, by the clock of the exchange
     info: FlightInfo
-    k: int  # steps done; the state is that of k dt
+    k: int  # number of steps done; state is at k dt
     time: float  # k dt [s]
-    sample: Sample | None  # of the last step, if any
-    state: State  # true
-    measured: Measured  # for the next update of the controller
+    sample: Sample | None  # sample of the last step, if any
+    state: State  # true state
+    measured: Measured  # for the controller's next update
     status: Status
     pace: PaceReport
-    ending: Ending | None  # once the flight is over
+    ending: Ending | None  # how it ended, or None
     mission: tuple[rq.MissionItem, ...]
-    diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # of the predictors of roll, pitch and yaw
+    diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # predictor diagnostics of each axis
 
 
 class PendingRequest(NamedTuple):
@@ -90,8 +90,8 @@ class PendingRequest(NamedTuple):
 
     sender: str
     request: GroundRequest
-    answer: AnswerCallback  # answers the sender
-    deadline: float  # s, of the exchange's clock
+    answer: AnswerCallback  # called with the answer
+    deadline: float  # s, by the clock of the exchange
 
 
 class Exchange:
@@ -118,7 +118,7 @@ class Exchange:
         self._messages: tuple[Message, ...] = ()
         self._message_count = 0
         self._wakers: tuple[Callable[[], None], ...] = ()
-        self.turned_away = 0  # requests for which there was no room
+        self.turned_away = 0  # requests rejected because of no room
 
     @property
     def snapshot(self) -> Snapshot | None:
@@ -188,7 +188,7 @@ class Exchange:
         now = self.clock()
         with self._lock:
             while self._queues and len(taken) < limit:
-                # One request of the first sender is taken, then this sender goes to the end of the queue.
+                # Take one request of the first sender, then move this sender to the end of the queue.
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
                 waiting, claim = queue.popleft()
@@ -212,7 +212,7 @@ class Exchange:
         """Replace the snapshot, and wake the subscribers."""
         self._snapshot = snapshot
         for wake in self._wakers:
-            with suppress(OSError):  # a socket that is being closed
+            with suppress(OSError):  # the socket is being closed
                 wake()
 
 
@@ -225,15 +225,14 @@ class Port:
 
     def __init__(self, exchange: Exchange, name: str, timeout_s: float = 2.0) -> None:
         self.timeout_s = timeout_s
-        self.name = name  # sender of requests that state none
+        self.name = name  # default sender of requests
         self.wake: Callable[[], None] = lambda: None
-        self.snapshot: Snapshot | None = None  # newest; None before the first flight
+        self.snapshot: Snapshot | None = None  # latest one; None before the first flight
         self._exchange = exchange
         self._messages: tuple[Message, ...] = ()
         self._last_message = 0
-        self._replies: dict[int, AnswerCallback] = {}  # by number of the request
-        # Deadlines [s] by number of the request: whichever removes a number first, the flight or the event loop,
-        # answers it.
+        self._replies: dict[int, AnswerCallback] = {}  # answer callbacks by request number
+        # Deadlines [s] by request number: the flight or the event loop, whichever removes the number first, answers.
         self._deadlines: dict[int, float] = {}
         self._request_count = 0
         self._answered: deque[tuple[int, rq.Answer]] = deque()

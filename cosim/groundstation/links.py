@@ -192,7 +192,7 @@ def make_vehicle_constants(info: FlightInfo, personality: Personality, system: i
         info.geodesy,
         len(vehicle.jets),
         vehicle.name,
-        versions().get("hexjet-cosim", "0.0.0"),  # in a clone
+        versions().get("hexjet-cosim", "0.0.0"),  # not installed: a checkout
         personality,
         system,
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),

@@ -50,7 +50,7 @@ class ParameterGuard:
         self.max_deferred = max_deferred
         self.checker = checker
         self._deferred: deque[PendingRequest] = deque()
-        self._batch: list[PendingRequest] = []  # deferred changes being judged
+        self._batch: list[PendingRequest] = []  # changes that are being judged
         self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
 
@@ -77,7 +77,7 @@ class ParameterGuard:
         """
         if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
-            # The verdicts on the others assume that this change is made.
+            # Verdicts on the other changes assume this one.
             if any(now > waiting.deadline for waiting in self._batch):
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]

@@ -93,7 +93,7 @@ class Session:
         self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
-        self._folder_number = 1  # of the last folder beside ``out``
+        self._folder_number = 1  # number of the last folder at ``out``
         # Built here, so that wrong input is reported before a link opens.
         self._next: SessionFlight | None = self._build()
 
@@ -162,7 +162,7 @@ class Session:
         if number == 1:
             claim_folder(self._records.out)
             return self._records.out
-        # A folder that holds another run is left alone: a vehicle that is to reboot must come back.
+        # A folder with another run is skipped, because a vehicle must be able to reboot.
         self._folder_number = max(number, self._folder_number + 1)
         while (folder := self._records.out.with_name(f"{self._records.out.name}-{self._folder_number}")).exists():
             self._folder_number += 1
@@ -172,7 +172,7 @@ class Session:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
-        # Requests that still wait here were meant for the previous flight.
+        # Requests still in the queue were meant for the previous flight.
         while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take_requests(1)]):
             for waiting in late:
                 waiting.answer(rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, "a new flight begins"))
@@ -182,7 +182,7 @@ class Session:
         parameters = flight.pilot.parameters
         report_saved(exchange.say, self._guard.checker, parameters, parameters.changed())
         flight.publish(None, None)
-        # After every file was opened, because the current folder may change while a library loads.
+        # Done after each file was opened, because loading a library may change the current folder.
         self._guard.prepare()
         with steady_timing():
             started = time.perf_counter()
@@ -191,7 +191,7 @@ class Session:
                 observers += simulation.plugins.observers
                 ending = simulation.run(observers, flight.pace, lambda k: self._handle_requests(flight, k))
                 simulation.plugins.close()
-            except FlightError as error:  # a full disk, say
+            except FlightError as error:  # for example a full disk
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - started
         flight.last_message = forward_messages(flight.pilot, exchange, flight.last_message)
@@ -348,7 +348,7 @@ def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
     previous = sys.getswitchinterval()
     sys.setswitchinterval(switch_s)
     gc.collect()
-    gc.freeze()  # skipped by the garbage collector
+    gc.freeze()  # the garbage collector skips these
     try:
         yield
     finally:

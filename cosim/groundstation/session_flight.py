@@ -47,7 +47,7 @@ class SessionFlight:
     log: RequestLog | None = None
     pilot_record: PilotRecord | None = None
     sample: Sample | None = None
-    last_message: int = 0  # last one passed on
+    last_message: int = 0  # number of the last one passed on
 
     def __post_init__(self) -> None:
         self.stick_owner = StickOwner(self.pilot.parameters, self.simulation.dt)
@@ -170,7 +170,7 @@ class LogLimit:
         self._recording, self._say = recording, say
         self._limit_mb = limit_mb
         self._most = None if limit_mb is None else max(1, int(limit_mb * 1e6 / (8 * recording.columns)))
-        self.rows = 0  # number of rows that were recorded so far
+        self.rows = 0  # rows recorded so far
 
     @property
     def is_full(self) -> bool:

@@ -72,5 +72,5 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
 
 
 def _thin(values: Array) -> Any:
-    max_points = 4000  # a curve
+    max_points = 4000  # of a curve
     return np.arange(0, len(values), max(1, len(values) // max_points))

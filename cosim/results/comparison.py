@@ -37,13 +37,13 @@ class Signal(NamedTuple):
 
     name: str
     unit: str
-    same: bool  # bit for bit: NaN equals NaN, 0 not -0
-    first_step: int | None  # of those compared, that differs
-    first_s: float | None  # its time
-    largest: float | None  # of second less first, both numbers
+    same: bool  # same bits: NaN equals NaN, 0 is not -0
+    first_step: int | None  # first compared step that differs
+    first_s: float | None  # time of first_step
+    largest: float | None  # largest second minus first
     largest_s: float | None
     rms: float | None
-    alone: int  # steps with one number only
+    alone: int  # steps where only one has a number
 
 
 class LogComparison(NamedTuple):
@@ -51,14 +51,14 @@ class LogComparison(NamedTuple):
 
     first: str
     second: str
-    steps: int  # compared
+    steps: int  # number of compared steps
     begins_s: float
-    ends_s: float  # start of the last step compared
-    steps_of: str  # of the log with the shorter steps
-    held: str  # the other, held; empty: equal steps
-    same: bool  # both logs, whole
+    ends_s: float  # start of the last compared step
+    steps_of: str  # the log with the shorter steps
+    held: str  # the other log, held; empty: equal steps
+    same: bool  # True: both whole logs are equal
     signals: tuple[Signal, ...]
-    only_first: tuple[str, ...]  # columns
+    only_first: tuple[str, ...]  # columns that only the first log has
     only_second: tuple[str, ...]
 
 
@@ -68,7 +68,7 @@ class TimeBase(NamedTuple):
     times: Array
     first: NDArray[np.intp]
     second: NDArray[np.intp]
-    held_log: int  # 0: none; 1 or 2: which of both
+    held_log: int  # which log is held: 1, 2 or 0 for none
 
 
 def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
@@ -120,7 +120,7 @@ def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]
     """Return what differs between two runs' scenarios, versions and files: its key, and both values as texts."""
     try:
         left, right = (_flat(side) for side in (first, second))
-    except InputError:  # a scenario that cannot be read any more
+    except InputError:  # an old scenario, no longer readable
         return []
     keys = dict.fromkeys([*left, *right])
     return [

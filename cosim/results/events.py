@@ -40,7 +40,7 @@ class Event(Record):
     text: str
     end_s: float | None = None
     severity: int = 6  # syslog: 2 critical, 3 error, 6 info
-    banded: bool = False  # shown as a band in figures
+    banded: bool = False  # True: drawn as a band in figures
 
     @property
     def lasts(self) -> bool:
@@ -86,7 +86,7 @@ def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> lis
     states = [line for line in record if line["kind"] == "state"]
     if states:
         return [(max(line["k"], 0), line["mode"] if line["armed"] else "disarmed") for line in states]
-    if not {"on_ground", "hull_contact"}.issubset(log.columns):  # another tool's
+    if not {"on_ground", "hull_contact"}.issubset(log.columns):  # a log of another tool
         return []
     contact = find_contact_rows(log)
     stands = np.full(contact.size, contact[0], dtype=np.int8)

@@ -66,10 +66,10 @@ class LimitInputs(Record):
     """What the limits of a flight are made from, beside its log."""
 
     span_m: float
-    height_law: tuple[float, float, float]  # 1/s, most climb and descent m/s
-    stated: dict[str, float | None]  # by keys of the limits; None: none
-    piloted: bool  # by an autopilot: no drift
-    axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: older run
+    height_law: tuple[float, float, float]  # gain 1/s; climb and descent limits m/s
+    stated: dict[str, float | None]  # by key of [limits]; None: no limit
+    piloted: bool  # True: an autopilot flies, no drift limit
+    axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: an older run
 
 
 def make_limit_inputs(scenario: Scenario, vehicle: Vehicle) -> LimitInputs:
@@ -115,7 +115,7 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
-    # A function each, that none holds columns which another reads: those of an hour are 7 MB each.
+    # One function each, so that no columns are held while another reads its own: an hour's are 7 MB each.
     merged: dict[str, float | None] = {
         "height_error_m": HEIGHT_SPANS * measure.span_m
         + height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s),
@@ -162,7 +162,7 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
     gain, up, down = law
     worst, height, is_commanded = 0.0, 0.0, False
     for level, actual in zip(setpoint.tolist(), altitude.tolist(), strict=True):
-        if level != level:  # NaN: the collective is commanded
+        if level != level:  # NaN: collective commanded directly
             is_commanded = False
             continue
         if not is_commanded:

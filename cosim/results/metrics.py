@@ -49,49 +49,49 @@ class Record(BaseModel):
 class AxisMetrics(Record):
     """Metrics of one axis; None: not measurable in this flight."""
 
-    commanded: bool  # set-point changes, or differs at first
-    rmse_rad: float | None = None  # root of the mean square of the error
-    max_abs_error_rad: float | None = None  # largest size of the error
-    overshoot_percent: float | None = None  # past the step, of its size; worst step
-    settling_time_s: float | None = None  # until within 5 % for good; worst step
-    rate_rmse_rad_s: float | None = None  # true rate against its set-point
-    final_error_rad: float | None = None  # mean absolute error over the last second
-    oscillation_rad: float | None = None  # half peak to peak, last second
+    commanded: bool  # set-point changes, or starts off state
+    rmse_rad: float | None = None  # root mean square of the error
+    max_abs_error_rad: float | None = None  # largest magnitude of the error
+    overshoot_percent: float | None = None  # of the worst step, in % of its size
+    settling_time_s: float | None = None  # s, worst step, until it stays within 5 %
+    rate_rmse_rad_s: float | None = None  # RMSE of the true rate to its set-point
+    final_error_rad: float | None = None  # mean |error| over the last second
+    oscillation_rad: float | None = None  # half peak-to-peak over the last second
 
 
 class AltitudeMetrics(Record):
     """Height above the ground against its set-point."""
 
-    rmse_m: float | None = None  # root of the mean square of the error
-    max_abs_error_m: float | None = None  # largest size of the error
-    final_error_m: float | None = None  # of the last row
+    rmse_m: float | None = None  # root mean square of the error
+    max_abs_error_m: float | None = None  # largest magnitude of the error
+    final_error_m: float | None = None  # error at the last row
 
 
 class PositionMetrics(Record):
     """Horizontal place: from where the flight began, and from the place asked for where one is."""
 
     drift_m: float | None = None  # largest distance from the start
-    final_drift_m: float | None = None  # the distance at the end
-    rmse_m: float | None = None  # of the distance from the place asked for
-    max_abs_error_m: float | None = None  # largest, from the place asked for
-    final_error_m: float | None = None  # the same at the end
-    waypoints_left: float | None = None  # not reached at the end
+    final_drift_m: float | None = None  # distance from the start at the end
+    rmse_m: float | None = None  # RMS distance from the commanded place
+    max_abs_error_m: float | None = None  # largest distance from commanded place
+    final_error_m: float | None = None  # distance from commanded place at the end
+    waypoints_left: float | None = None  # waypoints not reached at the end
 
 
 class SpeedMetrics(Record):
     """Horizontal speed over the ground."""
 
-    max_m_s: float | None = None  # largest
-    final_m_s: float | None = None  # at the end
+    max_m_s: float | None = None  # largest speed
+    final_m_s: float | None = None  # speed at the end
 
 
 class EffortMetrics(Record):
     """Use of the actuators: saturation and activity."""
 
     saturated_percent: float | None = None  # of the steps in the air
-    alternating_percent: float | None = None  # of steps: worst second, worst command
+    alternating_percent: float | None = None  # of steps: worst command, worst second
     throttle_1_s: float | None = None  # travel per second, mean over the jets
-    tilt_rad_s: float | None = None  # the same of a servo's command
+    tilt_rad_s: float | None = None  # travel per second of a servo's command
 
 
 class Metrics(Record):
@@ -103,15 +103,15 @@ class Metrics(Record):
     position: PositionMetrics = Field(default_factory=PositionMetrics)
     speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
     effort: EffortMetrics = Field(default_factory=EffortMetrics)
-    fuel_burnt_kg: float | None = None  # from the first row to the last
+    fuel_burnt_kg: float | None = None  # between the first and the last row
 
 
 class Reach(Record):
     """Ranges of the actuators' commands."""
 
-    throttle: tuple[tuple[float, float], ...]  # least and most, jet 1 first
-    tilt_rad: float | None = None  # of two banks, either way
-    servos: tuple[tuple[float, float], ...] | None = None  # of hinges and surfaces, least and most
+    throttle: tuple[tuple[float, float], ...]  # range of each jet, jet 1 first
+    tilt_rad: float | None = None  # two banks: largest tilt either way
+    servos: tuple[tuple[float, float], ...] | None = None  # range of each hinge and surface
 
 
 class Step(NamedTuple):
@@ -119,7 +119,7 @@ class Step(NamedTuple):
 
     first: int
     end: int
-    size: float  # rad, with its sign
+    size: float  # rad, signed
 
 
 def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> Metrics:
@@ -220,7 +220,7 @@ def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2
     if abs(wrap(setpoint[:1] - angle[:1])[0]) > MIN_STEP_RAD:
         lengths = np.append(changes[0] if changes.size else setpoint.size, lengths)
         changes, starts = np.append(0, changes), np.append(angle[0], starts)
-    if np.any(lengths < hold_s / step_s - 0.5):  # half a row, against rounding
+    if np.any(lengths < hold_s / step_s - 0.5):  # half a row of tolerance for rounding
         return []
     targets = setpoint[changes]
     return [
@@ -469,7 +469,7 @@ def _rms(values: Array) -> float | None:
     largest = max(float(np.max(finite, initial=0.0)), -float(np.min(finite, initial=0.0)))
     if not largest:
         return 0.0 if finite.size else None
-    finite /= largest  # scaled: no square overflows
+    finite /= largest  # scaled so that no square overflows
     return largest * float(np.sqrt(np.mean(np.square(finite, out=finite))))
 
 

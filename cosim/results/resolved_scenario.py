@@ -52,7 +52,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
         controller["controller_parameters"] = _floats(custom_parameters)
     aircraft, vehicle, names = copy_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
-    # Each part was checked when the scenario was read, so nothing is checked once more.
+    # Each part was validated when the scenario was read, so nothing is validated again.
     return scenario.resolved(
         **{
             **controller,
@@ -206,7 +206,7 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
         target = source.resolve()
         if target not in copied:
             name, number = noted.get(target, source.name), len(copied)
-            while name in files and name != noted.get(target):  # files of one name from several folders
+            while name in files and name != noted.get(target):  # equal file names from several folders
                 name, number = f"{number}-{source.name}", number + 1
             copied[target] = name
             files[name] = content

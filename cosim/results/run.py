@@ -64,7 +64,7 @@ class Run:
     summary: Summary
     log: Log
     folder: Path | None = None
-    flown: Scenario | None = None  # kept by the process that flew it
+    flown: Scenario | None = None  # only in the process that flew it
 
     @property
     def scenario(self) -> Scenario:

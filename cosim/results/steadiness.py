@@ -43,9 +43,9 @@ SWING_IN_WIND_RAD = radians(10.0)
 class AxisLimitInputs(Record):
     """What the limits of one axis are made from, beside the log."""
 
-    gain_1_s: float  # of the attitude law
-    noise_rad: float  # deviation of the measured attitude
-    rate_noise_rad_s: float  # of the measured rate
+    gain_1_s: float  # gain of the attitude law
+    noise_rad: float  # noise deviation of measured attitude
+    rate_noise_rad_s: float  # noise deviation of measured rate
 
 
 class Upsets:
@@ -60,7 +60,7 @@ class Upsets:
                 acts[1:] |= (changed != 0.0) & np.isfinite(changed)
         self._count = np.concatenate((np.zeros(1, np.int32), np.cumsum(acts, dtype=np.int32)))
         winds = (log[name] for name in WIND if name in log.columns)
-        self._wind = [wind for wind in winds if not (wind.size and np.ptp(wind) <= wind_m_s)]  # that changes at all
+        self._wind = [wind for wind in winds if not (wind.size and np.ptp(wind) <= wind_m_s)]  # that change at all
         self._wind_m_s = wind_m_s
 
     def has_any(self, first: int, end: int) -> bool:

@@ -54,26 +54,26 @@ class DelayRow(Record):
     element: str
     owner: str
     kind: str
-    samples: float | None  # None where it is not known
-    axis: str = "roll"  # of runs written before there were others
+    samples: float | None  # delay in samples; None: unknown
+    axis: str = "roll"  # older runs had only roll
 
 
 class StationEngine(Record):
     """The engine at one station; ``curve`` as ``Setup.engine_curve``, empty if it is that one."""
 
     engine: str
-    sha256: str  # of its archive
+    sha256: str  # SHA-256 of the archive
     curve: tuple[tuple[float, float], ...] = ()
-    file: str = ""  # archive or mapping; empty: library
-    isolated: bool = False  # whether it ran in a process of its own
+    file: str = ""  # archive or mapping; empty: shipped
+    isolated: bool = False  # True: ran in a process of its own
 
 
 class UncertainParameter(Record):
     """One uncertain parameter of an engine, each number in its unit."""
 
     name: str
-    nominal: float  # as its mapping file states it
-    low: float  # 95 % range about that, of one engine
+    nominal: float  # value in the mapping file
+    low: float  # 95 % range of one engine around nominal
     high: float
     spread: float  # standard deviation between engines
     flown: float
@@ -82,20 +82,20 @@ class UncertainParameter(Record):
 class EngineUncertainty(Record):
     """How well the flight's engine is known, by its ``[uncertainty]``."""
 
-    source: str  # where the numbers are from, if stated
+    source: str  # origin of the numbers, if stated
     parameters: list[UncertainParameter]
 
 
 class Integration(Record):
     """How the airframe is integrated: JSBSim's runs, and its methods by name."""
 
-    runs: int  # in a control step
-    run_s: float  # the time that each covers
-    rates: str  # angular acceleration to body rate
+    runs: int  # JSBSim runs per control step
+    run_s: float  # s covered by each run
+    rates: str  # method for rates
     velocities: str
     attitude: str
     position: str
-    on_ground: str  # instead, of rates and velocities
+    on_ground: str  # method for rates and velocities there
 
     @property
     def methods(self) -> str:
@@ -113,33 +113,33 @@ class OwnController(Record):
 
     name: str
     level: str  # predictor, rate, attitude or controller
-    # Of its files, or its text, as controller_sha256 of the scenario; empty: not available.
+    # Hash of its files or of its text, as controller_sha256 of the scenario; empty: not available.
     sha256: str
-    files: dict[str, str]  # SHA-256 by name
-    version: str = ""  # of the package that it is in
+    files: dict[str, str]  # SHA-256 by file name
+    version: str = ""  # version of its package
     parameters: dict[str, float]
-    again: bool = True  # False: an object in memory
+    again: bool = True  # False: an object in memory, gone later
     repeatable: bool | None = None  # same answers again; None: not checked
 
 
 class ParametersRecord(Record):
     """A file whose numbers flew: a controller of hexjet design, or identified models."""
 
-    kind: str  # design or models
-    file: str  # its name in the run's folder
+    kind: str  # "design" or "models"
+    file: str  # file name in the run's folder
     sha256: str
-    controller: str = ""  # that a design is for
-    changed: tuple[str, ...] = ()  # keys that the flight has otherwise
+    controller: str = ""  # controller that the design is for
+    changed: tuple[str, ...] = ()  # keys with another value in the flight
 
 
 class PluginRecord(Record):
     """A metric, an observer, sensors or a wind of the user's, as it flew."""
 
-    key: str  # of the scenario
+    key: str  # key of the scenario
     name: str
     sha256: str
-    files: dict[str, str]  # SHA-256 by name
-    version: str = ""  # of the package that it is in
+    files: dict[str, str]  # SHA-256 by file name
+    version: str = ""  # version of its package
 
 
 class Setup(BaseModel):
@@ -153,31 +153,31 @@ class Setup(BaseModel):
     aircraft: str
     engine: str
     controller: str
-    own_controller: OwnController | None = None  # None: a built-in one
+    own_controller: OwnController | None = None  # None: a built-in controller
     parameter_files: list[ParametersRecord] = []
-    changed: list[str] = []  # values over the file, key = value
-    brought: list[PluginRecord] = []  # what else is the user's
+    changed: list[str] = []  # values overriding the file, key = value
+    brought: list[PluginRecord] = []  # other code of the user
     seed: int
     sensors: str = ""  # profile and hash; empty: none
     step_s: float
-    integration: Integration | None = None  # None: older
-    planned_s: float  # how long the flight is meant to be
+    integration: Integration | None = None  # None: older runs
+    planned_s: float  # planned length of the flight
     started: str = ""  # UTC, ISO 8601
-    engine_curve: list[tuple[float, float]] = []  # throttle, thrust [N] at rest
-    engine_uncertainty: EngineUncertainty | None = None  # None: it states none, or an older run
-    stations: list[StationEngine] = []  # jet 1 first
-    jets_m: list[Vector] = []  # engine stations, body
+    engine_curve: list[tuple[float, float]] = []  # throttle and steady thrust [N]
+    engine_uncertainty: EngineUncertainty | None = None  # None: not stated, or an older run
+    stations: list[StationEngine] = []  # engine of each jet, jet 1 first
+    jets_m: list[Vector] = []  # station of each jet, body
     delay_ledger: list[DelayRow] = []
-    reach: Reach | None = None  # of throttles and tilts
-    yardstick: LimitInputs | None = None  # inputs of its limits; None: none
+    reach: Reach | None = None  # ranges of throttles and tilts
+    yardstick: LimitInputs | None = None  # inputs of the default limits, or None
     expectation: Expectation | None = None  # for this controller and engine
-    requires: list[Requirement] = []  # of [[require]]
-    event_times_s: dict[str, list[float]] = {}  # by name, if the scenario states them
-    notes: list[str] = []  # deviations of models, inert settings
-    by_hand: int = 0  # steps commanded by a program
+    requires: list[Requirement] = []  # requirements of [[require]]
+    event_times_s: dict[str, list[float]] = {}  # by event name, if stated
+    notes: list[str] = []  # model deviations, inert settings
+    by_hand: int = 0  # steps that a program commanded
     versions: dict[str, str] = {}
-    blas_kernels: dict[str, str] = {}  # of OpenBLAS, by package; or unknown
-    sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
+    blas_kernels: dict[str, str] = {}  # OpenBLAS kernels by package, if known
+    sha256: dict[str, str] = {}  # hashes of aircraft model and FMUs
 
     @property
     def controller_shown(self) -> str:
@@ -209,11 +209,11 @@ class Setup(BaseModel):
 class Pacing(Record):
     """How well a paced flight kept in step with the clock."""
 
-    factor: float | None  # asked for; None: as fast as it goes
-    missed_deadlines: int  # not done when the next was due
-    worst_s: float  # how late the latest of them was
-    stalls: int  # after which the schedule was moved
-    lost_s: float  # by which it was moved, in all
+    factor: float | None  # of real time; None: unlimited
+    missed_deadlines: int  # steps not done when the next was due
+    worst_s: float  # s, largest delay of a step
+    stalls: int  # how often the schedule was moved
+    lost_s: float  # s by which it was moved, in total
 
 
 class Summary(Setup):
@@ -221,13 +221,13 @@ class Summary(Setup):
 
     outcome: Outcome
     reason: str
-    verdict: RunVerdict | None = None  # None: flown before there were any
+    verdict: RunVerdict | None = None  # None: older runs
     steps: int
-    duration_s: float  # flown
-    wall_s: float | None = None  # of the steps; None: killed
+    duration_s: float  # s flown
+    wall_s: float | None = None  # s, of the steps; None: was killed
     realtime_factor: float | None = None
     step_us: float | None = None
-    pacing: Pacing | None = None  # None: nothing was paced
+    pacing: Pacing | None = None  # None: not paced
     metrics: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
     touchdown_m_s: float | None = None
@@ -235,16 +235,16 @@ class Summary(Setup):
     speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
     effort: EffortMetrics = Field(default_factory=EffortMetrics)
     fuel_burnt_kg: float | None = None
-    own_metrics: dict[str, float | None] = {}  # the user's, as own.NAME
-    own_metrics_failed: list[str] = []  # a line for each that failed
+    own_metrics: dict[str, float | None] = {}  # user's metrics, as own.NAME
+    own_metrics_failed: list[str] = []  # one line for each that failed
     limits: dict[str, float] = {}  # upper limits by metric
-    beyond: list[str] = []  # the metrics that are above that
-    expectations_met: bool | None = None  # None: nothing is expected
-    complaints: list[str] = []  # a line for each failed expectation
-    requirements: list[RequirementResult] = []  # required, expected, and limits
-    requirements_kept: bool | None = None  # those of [[require]]; None: it has none
-    margin: float | None = None  # least, over its scale; below 0: failed
-    decided_by: str = ""  # the name of the requirement that has it
+    beyond: list[str] = []  # metrics above their limits
+    expectations_met: bool | None = None  # None: nothing was expected
+    complaints: list[str] = []  # one line for each failed expectation
+    requirements: list[RequirementResult] = []  # requirements, expectations and limits
+    requirements_kept: bool | None = None  # those of [[require]]; None: none stated
+    margin: float | None = None  # smallest, scaled; below 0: failed
+    decided_by: str = ""  # requirement with the smallest margin
 
     def __repr__(self) -> str:
         flown = f"{self.aircraft}, engine {self.engine}, controller {self.controller}, seed {self.seed}"
@@ -388,7 +388,7 @@ def _versions() -> dict[str, str]:
     for package in PACKAGES:
         try:
             versions[package] = version(package)
-        except PackageNotFoundError:  # the clone itself, not installed
+        except PackageNotFoundError:  # a checkout that is not installed
             continue
     return versions
 

@@ -35,9 +35,9 @@ class Entry(NamedTuple):
 
     name: str
     kind: str
-    details: dict[str, str]  # such as its scenario; or empty
-    metrics: dict[str, float]  # SI, by the names of docs/metrics.md
-    page: str  # the file to look at; empty: none
+    details: dict[str, str]  # details such as its scenario
+    metrics: dict[str, float]  # SI values by names of docs/metrics.md
+    page: str  # its HTML page; empty: none
 
 
 def list_entries(folder: Path) -> list[Entry]:
@@ -133,7 +133,7 @@ def _read_head(path: Path) -> dict[str, Any]:
     """Return what a TOML file has before its first table, all of it where that alone cannot be read; else nothing."""
     with suppress(ValueError, RecursionError):
         text = read_text(path)
-        with suppress(tomllib.TOMLDecodeError):  # a line of a text may begin like a table
+        with suppress(tomllib.TOMLDecodeError):  # a line of text may look like a table
             return tomllib.loads(text.partition("\n[")[0])
         return tomllib.loads(text)
     return {}

@@ -41,7 +41,7 @@ def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilo
         tuned_vehicle = vehicle.model_copy(
             update={"control": control, "identified": {**vehicle.identified, engine.family: models}}
         )
-        # The delay that the controller adds is in `samples` already.
+        # The controller's own added delay is in `samples` already.
         flown = scenario.model_copy(update={"controller": controller, "added_delay_samples": 0})
         return make_predictors(flown, tuned_vehicle, engine)
 

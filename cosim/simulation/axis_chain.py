@@ -35,8 +35,8 @@ class AxisPart:
     ``reaction_s2`` [s^2] the reaction of what the servos turn, which follows its angular acceleration.
     """
 
-    servos: tuple[Servo | Hinge, ...]  # () for the engines
-    moves: tuple[float, ...]  # per command; () for the engines
+    servos: tuple[Servo | Hinge, ...]  # servos that turn the axis; (): engines
+    moves: tuple[float, ...]  # travel per command; (): engines
     fraction: float
     reaction_s2: float = 0.0
     lead_s: float = 0.0
@@ -125,7 +125,7 @@ def axis_moment(vehicle: Vehicle, index: int, span_n: float) -> float:
     jets = vehicle.jets
     if is_turned_by_throttle(vehicle, index):
         return sum(abs(lever) for lever in levers(vehicle, index)) * span_n
-    thrust = vehicle.mass_kg * GRAVITY / len(jets)  # of hover, turned
+    thrust = vehicle.mass_kg * GRAVITY / len(jets)  # N, hover thrust of each jet
     return abs(sum(jet.position_m[2] if index == 1 else abs(jet.position_m[1]) for jet in jets)) * thrust
 
 
@@ -196,7 +196,7 @@ def rotor_momentum_lead(
     ]
     speeds = [0.0 if around_one is None else around_one.speed for around_one in around]
     speed_per_newton = [0.0 if around_one is None else around_one.speed_per_n for around_one in around]
-    change = 1e-6  # rad/s^2
+    change = 1e-6  # difference of command, rad/s^2
     small = [change * move for move in moves]
     rotors.reset(tuple(speeds))
     faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, speed_per_newton, small, strict=False)])

@@ -57,8 +57,8 @@ class LedgerRow:
 
     element: str
     owner: str
-    kind: str  # transport, lag, lead, hold, mixed, ...
-    samples: float | None  # None where it is not known
+    kind: str  # transport, lag, lead, hold or mixed
+    samples: float | None  # None: unknown
     axis: str = "roll"
 
 

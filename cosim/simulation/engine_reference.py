@@ -20,9 +20,9 @@ class SmallStepResponse(NamedTuple):
     """The response of an engine to small changes of the throttle around a constant one."""
 
     delay: float | None  # control steps at low frequency, or None
-    speed: float  # rad/s; 0 where it has none
-    speed_per_n: float  # rad/s per N of thrust at rest
-    # Thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above.
+    speed: float  # rad/s; 0: has no speed port
+    speed_per_n: float  # rad/s per N of steady thrust
+    # Thrust change at the end of each step over the final change, mean of steps up and down; () as above.
     response: tuple[float, ...] = ()
 
 
@@ -75,7 +75,7 @@ def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
                 ends.append((output.thrust[0], output.spool_speed[0] if spec.has_port("spool_speed") else 0.0))
             (less, slow), (more, fast) = ends
             expected = spec.thrust_at(high) - spec.thrust_at(low)
-            # The change is visible from half of that of the static curve on.
+            # The change counts as visible from half of that of the static curve on.
             if abs(more - less) < 0.5 * abs(expected) or more == less:
                 continue
             answers = [_remaining_change(bank, throttle, end, step) for end in (low, high) if end != throttle]
@@ -116,11 +116,11 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None
         if lag is None or delay is None:
-            # About hover; chosen by us: wide enough for the lag and not for the limits.
+            # A step around hover, wide enough to measure the lag but not to reach the limits.
             measured, begins = _measure_response(bank, 0.4, 0.6, step)
             delay = begins if delay is None else delay
             if lag is None:
-                # The time to 63 % counts from the throttle, so that it holds with the delay that is used.
+                # The time to 63 % counts from the throttle step, so the lag fits the delay that is used.
                 lag = max(step, measured + begins - delay)
                 others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHER_STEPS]
                 lags = max(step, min(lag, *others)), max(lag, *others)

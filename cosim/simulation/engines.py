@@ -48,7 +48,7 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
         unknown = {} if station is not None and station.engine is not None else common
         unknown = {**unknown, **single.get(str(index + 1), {})}
         spec = stated[index]
-        if unknown:  # the assumed archive is checked already
+        if unknown:  # the assumed archive was checked before
             spec = loader.load(engine, {**parameters, **unknown}, spec.isolated)
         flown.append(spec)
     return flown

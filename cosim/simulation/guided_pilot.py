@@ -51,7 +51,7 @@ class GuidedPilot:
     read or that the law cannot lean for.
     """
 
-    seen: Measured  # the sensors, as in any script
+    seen: Measured  # sensors, as in any script
 
     def __init__(
         self, scenario: Scenario, vehicle: Vehicle, commander: CommandScript, hover: float, idle: float
@@ -156,9 +156,9 @@ class GuidedPilot:
         self._climb: float | None = None
         self._to_yaw: float | None = None
         self._yaw = 0.0
-        self._last_point: tuple[Track, Pair | None] | None = None  # of a track; from there another goes on
+        self._last_point: tuple[Track, Pair | None] | None = None  # end of a track, start of the next
         self._left = self._points
-        self._point = 0  # index of the waypoint that is flown to
+        self._point = 0  # index of the current waypoint
         self._reached: int | None = None  # step at which the waypoint was reached
 
     def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
@@ -173,10 +173,10 @@ class GuidedPilot:
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
-        # A model's class is asked once a command: it takes as long as half a step's law.
+        # isinstance is evaluated once per command, because it takes as long as half a step's law.
         self._waypoints = aim if isinstance(aim, WaypointsCommand) else None
         self._velocity = (aim.north_m_s, aim.east_m_s) if isinstance(aim, VelocityCommand) else None
-        if self._climb is not None:  # comes to rest as soon as it can
+        if self._climb is not None:  # it stops climbing as soon as possible
             self._to_altitude, self._climb = self._height.stop_position[0], None
         if isinstance(aim, PlaceCommand):
             north, east = self._tracker.stop_position
@@ -274,12 +274,12 @@ class SplineTrack:
             if name not in columns:
                 raise InputError(f"{path}: line 1: no column {name}; a track has time_s, north_m and east_m")
         self.states = [name for name in TRACKED[2:] if name in columns]
-        # A row on the grid counts from its own step on.
+        # Tolerance for rounding, so that a row on the grid counts from its own step on.
         self._slack = 1e-9 * scenario.step_s
         self._yaw = [radians(value) for value in columns["yaw_deg"]] if "yaw_deg" in columns else None
         self._pieces = {name: _spline(self._times, columns[name]) for name in TRACKED[:3] if name in columns}
         for t in self._times:
-            asked = hypot(*self.evaluate(t)[0].acceleration)  # straight lines between the rows
+            asked = hypot(*self.evaluate(t)[0].acceleration)  # rows are joined by straight lines
             if asked > max_acceleration:
                 raise InputError(
                     f"{path}: asks for {asked:.2f} m/s^2 at {t:g} s; the position law leans for "

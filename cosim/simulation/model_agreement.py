@@ -52,7 +52,7 @@ from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle
 
-# Frequencies [rad/s], and the response there from command to thrust, over thrust at rest.
+# Frequencies [rad/s], and the response of thrust to command there, relative to the static gain.
 Response = tuple[Array, Complex]
 
 NOTABLE = 0.15  # relative, of gain, delay or lag
@@ -62,17 +62,17 @@ NOTABLE = 0.15  # relative, of gain, delay or lag
 class ModelAgreement:
     """The comparison of one identified model with the vehicle and its engine."""
 
-    engine: str  # the family that the model is filed under
+    engine: str  # engine family of the model
     axis: str
     unit: str  # unit of the gains
-    state: str  # of the vehicle: "", or fuel, payload
+    state: str  # "" as built, or "fuel" or "payload"
     hertz: float  # frequency of the comparison
     model_gain: float  # gain of the model
-    vehicle_gain: float  # of the vehicle
-    model_delay: float  # all delay of the model, samples
-    vehicle_delay: float  # of the vehicle
+    vehicle_gain: float  # gain of the vehicle
+    model_delay: float  # total delay of the model, samples
+    vehicle_delay: float  # total delay of the vehicle, samples
     lag_misfit: float
-    is_opposite: bool = False  # whether the model has the opposite sign
+    is_opposite: bool = False  # True: gains have opposite signs
 
     @property
     def ratio(self) -> float:
@@ -201,7 +201,7 @@ def _compare(
     omega, thrust = response
     z = np.exp(1j * omega * step)
     own = gain * _actuators(parts, thrust, z, step) * _airframe(scenario, vehicle, damping, z)
-    # Without the integral, which is 1 / (j omega + damping).
+    # Phase lag without the integral, which is 1 / (j omega + damping).
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
     at = 0.5 * _first_radian(late, omega)
     ratio = delayed_response(model, z) / own
@@ -293,7 +293,7 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Respo
 def _transform(course: tuple[float, ...], step: float, points: int = 96) -> Response:
     """Return the frequency response of a course after a step of the throttle, from 0.02 rad/s on."""
     omega = np.geomspace(0.02, 0.8 * np.pi / step, points)
-    # The thrust of a step's end acts over all of it; the command of that step is known one sample before its end.
+    # The thrust at a step's end acts over the whole step, whose command is known one sample before its end.
     back, value = np.exp(-1j * omega * step), np.zeros(points, complex)
     for push in np.diff(np.array(course), prepend=0.0)[::-1]:
         value = (value + push) * back

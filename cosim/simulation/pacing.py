@@ -17,11 +17,11 @@ class PaceReport(NamedTuple):
 
     factor: float | None = None  # of real time; None: unlimited
     steps: int = 0
-    missed: int = 0  # not done when the next was due
-    longest_delay: float = 0.0  # s, how late the latest of them was
-    stalls: int = 0  # times that the schedule was moved
-    postponed: float = 0.0  # s of wall time, in total
-    reached_factor: float | None = None  # in the last second; None: before that
+    missed: int = 0  # steps not done when the next was due
+    longest_delay: float = 0.0  # s, largest delay of a step
+    stalls: int = 0  # how often the schedule was moved
+    postponed: float = 0.0  # s of wall time by which it was moved
+    reached_factor: float | None = None  # over the last second, or None
     load: float | None = None  # fraction of that second spent stepping
 
 
@@ -63,7 +63,7 @@ class Pace:
         self._k = k
         now = self._clock()
         window_start, first_k = self._window_start
-        # The factor that is reached is measured over a second.
+        # The reached factor is measured over a second.
         if now - window_start >= 1.0:
             self._reached = (k - first_k) * self._dt / (now - window_start)
             self._load = 1.0 - min(1.0, self._slept / (now - window_start))

@@ -40,7 +40,7 @@ class BlockInfo:
     """Data for the ``prepare`` of a plug-in; it does not contain the controller's."""
 
     step_s: float
-    vehicle: Vehicle  # as stated
+    vehicle: Vehicle  # the vehicle as stated
     _seed: int
     _key: tuple[int, int]
 
@@ -56,7 +56,7 @@ class CustomMetric:
     """A custom metric: its names, the columns that it reads (None: any), and itself."""
 
     source: Source
-    names: tuple[str, ...]  # names with PREFIX
+    names: tuple[str, ...]  # metric names with PREFIX
     columns: tuple[str, ...] | None
 
     def compute(self, log: Columns, step_s: float) -> dict[str, float | None]:
@@ -92,9 +92,9 @@ class Plugins:
 
     metrics: tuple[CustomMetric, ...] = ()
     observers: tuple[GuardedObserver, ...] = ()
-    sensors: Callable[[Sensors], Sensors] | None = None  # around the built-in ones
+    sensors: Callable[[Sensors], Sensors] | None = None  # wraps the built-in sensors
     wind: Callable[[Vehicle, float, float], FieldWind] | None = None
-    sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # by the scenario's key
+    sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # sources by key of the scenario
 
     def close(self) -> None:
         """Tell the observers that the flight is over.  Raises FlightError."""

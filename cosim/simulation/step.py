@@ -71,9 +71,9 @@ class Simulation:
         plugged = self._plugged = blocks.plugged
         whole: Controller | None = None if plugged is None else plugged.whole
         self.controller_source: Source | None = None if plugged is None else plugged.source
-        # The annotations name the built-in blocks, because compiled code calls a class that it knows directly.
+        # Annotated with the built-in blocks, because compiled code calls methods of a known class directly.
         self.controller: Cascade | Controller = blocks.cascade if whole is None else whole
-        self.replaced_cascade = None if whole is None else blocks.cascade  # by a whole controller
+        self.replaced_cascade = None if whole is None else blocks.cascade  # cascade that a whole controller replaces
         self.disturbances = blocks.disturbances
         self.plugins, self._field = blocks.plugins, blocks.wind
         self.scenario, self.vehicle, self.ledger = blocks.scenario, blocks.vehicle, blocks.ledger
@@ -99,9 +99,9 @@ class Simulation:
             propulsion.gusts = []
         propulsion.refuel()
         self.initial_throttle = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
-        # The thrust depends on the air at the start, which is known once the airframe is there: it is reset twice.
+        # Thrust depends on the air at the start, which is known only after the airframe's reset: reset twice.
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
-        # Until the autopilot is armed, and again whenever it has switched them off.
+        # Until the autopilot is armed, and again whenever it has switched the engines off.
         self._engines_were_off = self._engines_restart = initial.engines == "off"
         forces = propulsion.reset(throttle, at_rest, wind, self._engines_were_off)
         self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)
@@ -109,7 +109,7 @@ class Simulation:
         self.termination.reset(initial.on_ground)
         if self.pilot is not None:
             self.pilot.reset(self.measured)
-        # The blocks with columns of their own in the log are settled here for the whole flight.
+        # Columns of blocks are fixed here for the whole flight.
         blocks = (self.pilot, self.disturbances, self.controller, propulsion.engines.bank, self.sensors.inner)
         self._logged_blocks = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
@@ -157,7 +157,7 @@ class Simulation:
     def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
         """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
         off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
-        # Whether they have come up is told by their thrust at the start, which is idle on the ground only.
+        # Engines are running once they reach their thrust at the start, which is idle thrust only on the ground.
         self._engines_restart |= self._engines_were_off and self.scenario.initial.on_ground
         if self._engines_were_off or not self._engines_restart:
             return ()

@@ -61,8 +61,7 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
     original, path = load_vehicle(base)[0], folder / VEHICLE
     text = _without_references(source.read_text(encoding="utf-8"))
     if "\n[scaled]\n" in text:
-        # The numbers that fly are those to edit: what follows from the base by the law of scaling is written out.
-        # Each list of numbers is put on one line.
+        # All numbers are to be edited, so those scaled from the base are written out, each list on one line.
         lists = r"\[\n([^][{]*),\n\]"
         text = re.sub(lists, lambda found: f"[{' '.join(found[1].split())}]", "\n" + toml_text(read_tables(base)))
     begin = text.index("\nname = ") + 1

@@ -40,7 +40,7 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
         (folder / "engine").mkdir()
         for file in FILES:
             (folder / file).write_text((TEMPLATES / file).read_text(encoding="utf-8").replace("{name}", name), "utf-8")
-        # A vehicle names its models by the file of their engine: those of the same fans are this engine's.
+        # Models are filed by the engine's file name: the base's models of the same fans are this engine's.
         text = vehicle.read_text(encoding="utf-8").replace("[identified.edf-as-flown.", '[identified."engine.toml".')
         vehicle.write_text(text.replace("edf-as-flown", "../engine/engine.toml"), encoding="utf-8")
         archive = folder / "engine" / "engine.fmu"

@@ -73,9 +73,9 @@ _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # one shared object
 _STATE: Final = State  # direct access in compiled code
-_number = itertools.count()  # numbers the airframes of this process
+_number = itertools.count()  # counts the airframes of this process
 
-Node = Callable[[str], Property]  # a property by its name
+Node = Callable[[str], Property]  # returns a property by name
 Payload = tuple[float, float, float, float]  # kg, m from the nominal centre, body
 Get = Callable[[], float]
 Set = Callable[[float], object]
@@ -85,7 +85,7 @@ class _Read:
     """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
-        # Stated as what gives a float: else compiled code makes an object of the unit, too, to multiply with.
+        # Typed as a callable of float, so that compiled code multiplies without making an object.
         x, y, z = [node(name.format(part)).get_double_value for part in parts]
         self._x: Get = x
         self._y: Get = y
@@ -138,17 +138,17 @@ class Airframe:
         rotors: bool = False,
     ) -> None:
         self.substeps = substeps
-        self.moving = True  # False: JSBSim does not run, for timing
+        self.moving = True  # False: without JSBSim, to time the rest
         self._rotors = rotors
         self._vehicle = vehicle
         self._environment = environment
         self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
         self._source = None if vehicle.model is None else folder / vehicle.model
         self._dt = step / substeps
-        # JSBSim has two generators, each with its seed in a C int: turbulence, and the model's sensors and <random/>.
-        # Equal seeds would draw equal numbers in both, and seeds that differ by little begin alike, so the second one
-        # is drawn, with a key of its own: 0 to 6 are those of sensors, plug-ins and stand.  The generator takes its
-        # seed modulo 2^31 - 1, and 0 as 1.
+        # JSBSim has two generators with a seed each, a C int: one for turbulence, one for the model's sensors and
+        # <random/>. Equal seeds would give equal numbers in both, and close seeds begin alike, so the second seed is
+        # drawn with a key of its own (0 to 6 belong to sensors, plug-ins and the stand). The generator takes its seed
+        # modulo 2^31 - 1, and 0 as 1.
         drawn = np.random.SeedSequence(seed, spawn_key=(7,)).generate_state(1)[0]
         self._seeds = {
             "atmosphere/randomseed": float(seed % 2**31),
@@ -190,8 +190,8 @@ class Airframe:
             _group(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT),
         ]
         self._motion: Callable[[], tuple[Any, ...] | None] = Properties(motion, 4).read
-        # JSBSim's height above the ground is this less the ground's, to the last bit; asked for that it works out the
-        # place on the ground below as well, which takes some hundredths of one of its runs
+        # JSBSim's height above the ground is this minus the ground's, to the last bit. Reading that height directly
+        # would also compute the point on the ground below, which costs some hundredths of a run.
         self._over_ellipsoid: Get = node("position/geod-alt-ft").get_double_value
         self._ground = self._environment.ground_m / FOOT
         self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
@@ -219,7 +219,7 @@ class Airframe:
         self._temperature: Get = node("atmosphere/T-R").get_double_value
         self._surfaces: list[Set] = [node(surface.property).set_double_value for surface in self._vehicle.surfaces]
         if self._vehicle.fuel:
-            # The last point mass is the one that :func:`render` adds for it.
+            # :func:`render` adds the payload as the last point mass.
             weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{len(weights) - 1}]").set_double_value
 
@@ -248,7 +248,7 @@ class Airframe:
         Raises InputError where the model's forces are not finite there.
         """
         if not self._fresh:
-            # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
+            # JSBSim's own reset leaves traces in the initial state; a new instance is the same to the last bit.
             self._load()
         self._fresh = False
         place = self._environment
@@ -272,11 +272,11 @@ class Airframe:
         self._full = self._mass = self._get_mass() * SLUG
         self._burnt = 0.0
         self._spin = ZERO3
-        self._is_extrapolated = False  # with the first run's extra change
+        self._is_extrapolated = False  # True: has the first run's extra change
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
-        # While JSBSim settles no time passes, by which its turbulence divides where there is a speed.
+        # JSBSim settles without time passing, and its turbulence divides by that time if there is a speed.
         self._set("atmosphere/turb-type", 0.0 if any(initial.velocity_ned_m_s) else turbulence)
         self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
         self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
@@ -288,7 +288,7 @@ class Airframe:
         self._set("atmosphere/turb-type", turbulence)
         self._still = not (place.turbulence_severity or any(wind))
         self._turbulent = place.turbulence_severity > 0
-        # JSBSim counts "up" from a datum of its own; ours is the ground below the start
+        # JSBSim's "up" has a datum of its own; ours is the ground below the start.
         self._datum = self._place.get()[2] - height
         state = self._read()
         if not all(map(isfinite, state.specific_force)):
@@ -348,7 +348,7 @@ class Airframe:
             size = 2.0 * self._mass / self._dt
             shift = _extrapolate(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
         jolt = (size * x, size * y, size * z)
-        # At the centre of gravity as built, and with no moment about the present one.
+        # The impulse acts at the centre of gravity as built, without moment about the present one.
         self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
         self._mass_change.shift_centre(rotate(self._read().attitude, shift))
         self._mass_change.evaluate(self._run)
@@ -483,7 +483,7 @@ class Airframe:
         self._set(f"{gust}/steady-duration-sec", hold)
         self._set(f"{gust}/end-duration-sec", fall)
         self._set(f"{gust}/magnitude-ft_sec", size / FOOT)
-        self._set(f"{gust}/frame", 3.0)  # local: NED
+        self._set(f"{gust}/frame", 3.0)  # local frame: NED
         for axis, speed in zip("XYZ", velocity, strict=True):
             self._set(f"{gust}/{axis}-velocity-ft_sec", speed / FOOT)
         self._set(f"{gust}/start", 1.0)
@@ -492,14 +492,14 @@ class Airframe:
         motion = self._motion()
         if motion is None:
             raise FlightError("the airframe's state is not finite")
-        # As objects: nothing of them is taken apart that need not be.
+        # Kept as objects, because compiled code would otherwise unpack all of them.
         place: tuple[Any, Any, float] = motion[0]
         euler: Any = motion[2]
         north, east, up = place
         angles: Vector3 = euler
         roll, pitch, yaw = angles
         height = (self._over_ellipsoid() - self._ground) * FOOT
-        # Below 2 m the contacts are looked at.
+        # Contacts are checked below 2 m only.
         near = height < 2.0
         on_ground = near and any(touches() > 0.0 for touches in self._legs)
         hull_contact = near and any(touches() > 0.0 for touches in self._hull)

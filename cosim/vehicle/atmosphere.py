@@ -23,14 +23,14 @@ def standard_density(height: float) -> float:
 
 def standard_air(height: float) -> tuple[float, float]:
     """Pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
-    radius = 6356766.0  # m, of the Earth
+    radius = 6356766.0  # m, radius of the Earth
     geopotential = radius * height / (radius + height)
-    # 2116.228 lbf/ft^2 at sea level, 101325.5 Pa.
+    # JSBSim's 2116.228 lbf/ft^2 at sea level: 101325.5 Pa.
     pressure, temperature = 2116.228 * 4.4482216152605 / 0.3048**2, _LAYERS[0][1]
     for (base, start, lapse), top in zip(_LAYERS, [layer[0] for layer in _LAYERS[1:]] + [32000.0], strict=True):
         height_in_layer = min(geopotential, top) - base
         temperature = start + lapse * height_in_layer
-        # dp / p = -g M / R dh / T
+        # Hydrostatics: dp / p = -g M / R dh / T.
         if lapse:
             pressure *= (start / temperature) ** (_HYDROSTATIC / lapse)
         else:

@@ -26,7 +26,7 @@ from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
 Property = jsbsim.FGPropertyNode
 VERSION: Final[str] = jsbsim.__version__
 _DEBUG: Final = "JSBSIM_DEBUG"
-# JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
+# JSBSim's exceptions, and C++ exceptions that its binding converts.
 Complaint: Final = RuntimeError
 # A name that JSBSim can look for: any other ends the process
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
@@ -57,7 +57,7 @@ class _LogCapture(jsbsim.FGLogger):
 
 _log = _LogCapture()
 if threading.current_thread() is threading.main_thread():
-    jsbsim.set_logger(_log)  # of this thread; JSBSim's else
+    jsbsim.set_logger(_log)  # logger of this thread only
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
@@ -87,9 +87,9 @@ class Executive:
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(".")
         for forbidden in filter(None, map(self._manager.get_node, ACTING)):
-            forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # applies to every name of the property
+            forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # applies to all aliases of the property
         try:
-            if not fdm.load_model(file.stem, add_model_to_path=False):  # answers False instead of raising
+            if not fdm.load_model(file.stem, add_model_to_path=False):  # returns False instead of raising
                 raise Complaint("")
         except Complaint as error:
             raise self._refusal_for(str(error)) from None
@@ -136,7 +136,7 @@ class Executive:
 
     def _check_properties(self, xml: bytes) -> None:
         """Refuse a model whose functions, tables and components read a property that is not there."""
-        without_numbers = _NUMBER.sub(b"><", xml)  # no property is a number
+        without_numbers = _NUMBER.sub(b"><", xml)  # no property name is a number
         names = _property_cache.get(without_numbers, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
         missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
         if missing:
@@ -174,5 +174,5 @@ def _property_names(root: ET.Element) -> Iterator[str]:
     )
     for element in (*inside, *root.iter("independentVar"), *root.iter("input")):
         name = (element.text or "").strip().removeprefix("-")
-        if name and "#" not in name:  # "#" stands for the number of an engine
+        if name and "#" not in name:  # "#" stands for an engine's number
             yield name

@@ -30,7 +30,7 @@ class _Template(NamedTuple):
     """
 
     pieces: list[bytes]
-    has_aerodynamics: bool  # of its own
+    has_aerodynamics: bool  # aerodynamics of its own
 
 
 _templates: RecentCache[_Template] = RecentCache(64)
@@ -86,7 +86,7 @@ def _make_template(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> 
     _complete_mass(_child(root, "mass_balance"), vehicle)
     constants = {element.text: element for element in root.findall("flight_control/property")}
     for at, (path, unit, _) in enumerate(_numbers(vehicle, has_aerodynamics)):
-        mark = f"\0{at}\0"  # no XML has this character
+        mark = f"\0{at}\0"  # XML cannot contain this character
         if unit == _CONSTANT:
             if path not in constants:
                 raise InputError(f"{model}: the model has no constant {path}")
@@ -207,7 +207,7 @@ def add_missing_parts(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     for name in ("ROLL", "PITCH", "YAW"):
         _ensure(aerodynamics, "axis", name)
     if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
-        _ensure(aerodynamics, "axis", "X")  # else JSBSim prints a remark
+        _ensure(aerodynamics, "axis", "X")  # otherwise JSBSim prints a warning
     return has_aerodynamics
 
 
@@ -253,7 +253,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
                 f"{model}: pointmass {mass.get('name')}: mass_kg in vehicle.toml is the whole vehicle's; leave it out"
             )
     payload = masses.find("pointmass")
-    if payload is None or payload.get("name") != PAYLOAD:  # the first, by whose number it is known
+    if payload is None or payload.get("name") != PAYLOAD:  # payload first: it is known by its number
         payload = ET.Element("pointmass", name=PAYLOAD)
         ET.SubElement(payload, "weight", unit="KG").text = "0"
         first = masses.find("pointmass")

@@ -49,14 +49,14 @@ class MassChange:
         north, east, down = (metres / FOOT for metres in ned)
         get = self._get
         latitude, longitude = get("position/lat-geod-rad"), get("position/long-gc-rad")
-        outward = -north * sin(latitude) - down * cos(latitude)  # from the Earth's axis, in the meridian
+        outward = -north * sin(latitude) - down * cos(latitude)  # away from Earth's axis, in the meridian
         x = get("position/ecef-x-ft") + outward * cos(longitude) - east * sin(longitude)
         y = get("position/ecef-y-ft") + outward * sin(longitude) + east * cos(longitude)
         z = get("position/ecef-z-ft") + north * cos(latitude) - down * sin(latitude)
         radius = hypot(x, y, z)
         self._latitude.set_double_value(asin(z / radius))
         self._longitude.set_double_value(atan2(y, x))
-        # The height is the radius less that of the sea at this latitude.
+        # The height is the radius minus the sea-level radius at this latitude.
         self._height.set_double_value(self._height.get_double_value() + radius - get("position/radius-to-vehicle-ft"))
 
     def evaluate(self, run: Callable[[], bool]) -> bool:

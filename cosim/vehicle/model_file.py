@@ -38,7 +38,7 @@ _NONE: Final = b"<fdm_config/>"
 # May name other files, or has an encoding or definitions that hide it.
 _HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)
-_cache: RecentCache[bytes] = RecentCache(64)  # files that name no others
+_cache: RecentCache[bytes] = RecentCache(64)  # contents of files that name no others
 
 
 def read_model(model: Path | None) -> bytes:
@@ -76,7 +76,7 @@ def _strip_model(model: Path, text: bytes) -> bytes:
     """Return a model without the parts that do not fly; the text itself where there are none."""
     root = parse(model, text)
     if root.tag != "fdm_config":
-        return text  # refused where it is to fly
+        return text  # refused when it is to fly
     foreign = [part for part in root if part.tag not in FLOWN]
     references = [part for part in root if "file" in part.attrib and part not in foreign]
     if any(part.tag == "child" for part in foreign):

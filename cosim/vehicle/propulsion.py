@@ -56,9 +56,9 @@ class Propulsion:
     def _clear(self) -> None:
         self.tilt = self._rest
         self.output = NO_OUTPUT
-        self.fuel = nan  # kg on board at the step's beginning
+        self.fuel = nan  # kg on board at the start of the step
         self._load.clear()
-        self._off = NO_JETS  # the jets that were last commanded off
+        self._off = NO_JETS  # jets last commanded off
 
     @property
     def wants_ambient(self) -> bool:
@@ -105,7 +105,7 @@ class Propulsion:
         ``state`` is needed by engines that depend on the air; ``wind`` is that at the start [m/s, NED].
         """
         self._clear()
-        self._wind = wind  # JSBSim has none before its first run
+        self._wind = wind  # JSBSim has no wind before its first run
         for servo in self.servos:
             servo.reset()
         ambient = self.ambient(state, wind) if state is not None else None

@@ -81,7 +81,7 @@ class LeanError:
         error = normalize(multiply(self._error, (1.0, n, e, d)))
         x, y, z = force
         size = sqrt(x * x + y * y + z * z)
-        if size > 0.0:  # in free fall only the gyro counts
+        if size > 0.0:  # in free fall only the gyro can be used
             n, e, d = rotate(multiply(error, attitude), (-x / size, -y / size, -z / size))
             across = hypot(n, e)
             if across > 0.0:
@@ -89,7 +89,7 @@ class LeanError:
                 sine = sin(half) / across
                 error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
         w, x, y, z = error
-        # The error without its rotation about down.
+        # The attitude error without its rotation about the vertical.
         self._error = normalize((w * w + z * z, w * x + z * y, w * y - z * x, 0.0))
         return multiply(self._error, attitude)
 
@@ -109,7 +109,7 @@ class SensorSuite:
         self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
         on = 1.0 if noisy else 0.0
         self._gyro_noise = gyro.noise_rad_s * on
-        # The random numbers for biases have a key of their own; the others' are 0 and 1.
+        # Biases have a random stream of their own; keys 0 and 1 are those of noise.
         drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6,))).standard_normal(6).tolist()
         self._gyro_bias = _draw_bias(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3], on)
         self._gyro_resolution = gyro.resolution_rad_s
@@ -133,7 +133,7 @@ class SensorSuite:
         self._force_resolution = accelerometer.resolution_m_s2
         self._force_line: Latency[Any] = Latency(accelerometer.latency_samples)
         plain = noisy and self._lean is None and not (self._gyro_resolution > 0.0 or self._force_resolution > 0.0)
-        self._noise = self._make_noise() if plain else None  # what does all of it at once where it can
+        self._noise = self._make_noise() if plain else None  # draws all noise in one call if it can
         self._draws: list[list[float]] = []
         self._force_draws: list[list[float]] = []
 
@@ -250,7 +250,7 @@ class FaultySensors:
     """
 
     def __init__(self, sensors: Sensors) -> None:
-        self.inner: SensorSuite | Sensors = sensors  # sound
+        self.inner: SensorSuite | Sensors = sensors  # sensors without the fault
         self._faults: list[tuple[SensorFault, Measured]] = []
         self.silent: tuple[str, ...] = ()
 

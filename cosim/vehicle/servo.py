@@ -28,7 +28,7 @@ class TiltServo:
             else:
                 self._low, self._high = -servo.range_rad, servo.range_rad
         self._filter_gain = 1.0 - exp(-step / servo.lag_s) if servo.lag_s > 0.0 else 1.0
-        self._jam_angle: float | None = None  # rad; None: a jam keeps the angle
+        self._jam_angle: float | None = None  # rad; None: jams where it is
         self.reset()
 
     def reset(self, angle: float | None = None) -> None:

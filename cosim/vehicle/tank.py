@@ -20,7 +20,7 @@ class Tank:
 
     def reset(self) -> None:
         """Fill the tank as at the start."""
-        self.burnt = (1.0 - self._full) * self.mass  # kg, of a full tank
+        self.burnt = (1.0 - self._full) * self.mass  # kg burnt since the tank was full
 
     @property
     def remaining(self) -> float:
@@ -35,7 +35,7 @@ class Tank:
         """Burn ``flows`` [kg/s], one per engine, for one step; return whether anything was burnt."""
         flow = 0.0
         for rate in flows:
-            if rate > 0.0:  # NaN is not
+            if rate > 0.0:  # NaN compares as False
                 flow += rate
         used = flow * self._step
         if not used or self.empty:

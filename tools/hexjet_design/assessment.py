@@ -23,8 +23,8 @@ class LeastMargins:
 
     Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
-    gain_db: float | None  # least factor up to instability
-    gain_down_db: float | None  # least factor down to it
+    gain_db: float | None  # smallest raise that destabilises
+    gain_down_db: float | None  # smallest reduction that destabilises
     phase_deg: float | None
     delay_s: float | None
 
@@ -39,12 +39,12 @@ class Assessment:
     margins: LeastMargins | None
     peak_sensitivity: float | None
     bandwidth_hz: float | None
-    tolerated: float | None  # times the tolerances until instability
-    noise: float | None  # of the command, one standard deviation
-    step_error: float | None  # rad s per rad (m s per m)
-    load_error: float | None  # rad s (m s) per unit of load
-    overshoot: float | None  # share of a step
-    settling_s: float | None  # to 5 %; None: longer than looked at
+    tolerated: float | None  # stable up to this times the tolerances
+    noise: float | None  # standard deviation of the command
+    step_error: float | None  # |error| integral: rad s/rad (m s/m)
+    load_error: float | None  # integrated |error| per unit of load
+    overshoot: float | None  # of a step
+    settling_s: float | None  # to 5 %; None: not within the window
     step_peak: float | None  # command per unit of the set-point
 
 
@@ -54,12 +54,12 @@ class AxisDesign:
 
     channel: Channel
     before: Assessment
-    candidates: Mapping[str, float]  # objective; infinite: not possible
+    candidates: Mapping[str, float]  # by objective; infinite: not feasible
     after: Assessment | None
-    limits: Mapping[str, float]  # Hz, without delay, lag, noise bound
+    limits: Mapping[str, float]  # Hz, limits by delay, lag and noise bound
     checks: Mapping[str, bool]
-    why_not: str = ""  # why the requirements cannot be kept
-    nearest: str = ""  # candidate that comes nearest, if none
+    why_not: str = ""  # why the requirements cannot be met
+    nearest: str = ""  # closest candidate, if none is feasible
 
 
 def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

@@ -43,14 +43,14 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
     }
     leads = {axis: axis_design.tuning.lead for axis, axis_design in chosen.items()}
     if any(leads.values()) or design.vehicle.control.lead is not None:
-        # false overrules a lead that the aircraft states
+        # "False" overrides a lead that the aircraft states.
         vehicle["control"]["lead"] = {
             axis: _round_all(lead.model_dump(exclude_none=True)) if lead else False for axis, lead in leads.items()
         }
     if design.schedule is not None:
         vehicle["control"]["schedule"] = design.schedule.model_dump(mode="json", exclude_none=True)
     elif design.vehicle.control.schedule:
-        vehicle["control"]["schedule"] = False  # overrules the aircraft's
+        vehicle["control"]["schedule"] = False  # overrides the aircraft's schedule
     if roll.needs_model:
         vehicle["identified"] = {
             design.engine.family: {

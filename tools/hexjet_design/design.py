@@ -73,10 +73,10 @@ class LevelDesign:
     """One amount of fuel: the channels that engines answer, with the gains of a full tank and with the schedule's."""
 
     level: Level
-    designed: bool  # or between two levels that are
+    designed: bool  # False: between two designed levels
     unscheduled: Mapping[str, Assessment]
-    after: Mapping[str, Assessment]  # the same where nothing is scheduled
-    is_kept: Mapping[str, bool]  # whether ``after`` keeps the requirements
+    after: Mapping[str, Assessment]  # as ``unscheduled`` if not scheduled
+    is_kept: Mapping[str, bool]  # whether ``after`` meets the requirements
 
 
 @dataclass(frozen=True)
@@ -90,14 +90,14 @@ class Design:
     identification: Identification | None  # of the engine; None: a model was given
     model_source: str
     axes: Mapping[str, AxisDesign]
-    levels: Sequence[LevelDesign]  # full tank first; empty without a tank
-    schedule: Schedule | None  # of gains; None: those of a full tank
-    reason: str  # why not acceptable; empty where it is
-    allowing: Mapping[str, float]  # would allow one: delay_s, lag_factor
-    proof: Proof | None = None  # None where it was not asked for
+    levels: Sequence[LevelDesign]  # full tank first; empty: no tank
+    schedule: Schedule | None  # gain schedule; None: full tank's gains
+    reason: str  # why not acceptable; empty: it is
+    allowing: Mapping[str, float]  # delay_s and lag_factor that would do
+    proof: Proof | None = None  # None: not requested
     firmware: Firmware | None = None  # whose loop has the gains; None: ours
-    tolerances: str = ""  # source of those that nobody stated
-    # by axis, where it was asked for; or why there is no limit
+    tolerances: str = ""  # origin of tolerances not stated by hand
+    # Limit by axis, if requested; or why there is none.
     performance: Mapping[str, AxisLimit | str] = field(default_factory=dict)
 
     @property
@@ -264,7 +264,7 @@ def _design_levels(
         for axis, axis_design in axes.items()
         if axis in THRUST_AXES and axis_design.after is not None
     }
-    law = full["roll"].law is not None  # whose gains follow no thrust level
+    law = full["roll"].law is not None  # its gains do not depend on thrust
     step, needs = axes["roll"].channel.step, {axis: axis_requirements(axis, need) for axis in THRUST_AXES}
     fits = all(
         meets_requirements(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES
@@ -296,11 +296,11 @@ def _design_levels(
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if (plan or law) and not all(level.is_kept.values())}
         if plan is None or missed <= designed:
-            # Without a schedule there is nothing to design there.
+            # Without a schedule there is nothing to design at other levels.
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             by = "schedule" if plan else "controller at the limit, which follows no thrust level,"
             return plan, burning, f"a requirement is missed by the {by} with {where}" if missed else ""
-        designed |= missed  # a straight line does not do there
+        designed |= missed  # interpolated gains fail there
 
 
 def _read_start(
@@ -362,10 +362,10 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
 def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
     """Identify the engine around the throttle of hover."""
     throttle = throttle_for(spec, vehicle)
-    # Part of the throttle around hover: the limits on an engine's acceleration do not see so little.
+    # Of the throttle, around hover: limits on an engine's acceleration do not act on so small a change.
     min_swing = 0.005
     if amplitude is None:
-        # An engine that never stands still has to be moved by twice what it moves by itself.
+        # An engine whose steady thrust ripples is moved by twice the ripple.
         rest_swing = 2.0 * spec.archive.starting.rest_n / (spec.curve.thrust[-1] - spec.curve.thrust[0])
         amplitude = min(max(min_swing, rest_swing), 0.4 * min(throttle, 1.0 - throttle))
     return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
@@ -374,7 +374,7 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
 def make_dynamics(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
     """Return the identified lag and delay, or larger dynamics with their misfit where these miss the response."""
     model = identified.chosen.model
-    # More than one lag and a delay is fitted where these have a larger misfit.
+    # Above this misfit of one lag and a delay, further forms are fitted.
     max_misfit = 0.005
     if identified.chosen.misfit <= max_misfit and model.rate > 0.0:
         one = make_lag_dynamics([1.0 / model.rate], model.delay_samples, model.step)
@@ -396,10 +396,10 @@ class _AxisInputs:
 
     vehicle: Vehicle
     spec: EngineSpec
-    names: Sequence[str]  # of the candidates, the simplest first
+    names: Sequence[str]  # candidates, simplest first
     need: Requirements
-    source: str  # of the model in the predictor
-    lead: bool  # whether one may be tried
+    source: str  # origin of the predictor's model
+    lead: bool  # whether a lead may be tried
     firmware: Firmware | None
     say: Say
 
@@ -489,7 +489,7 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
         return AxisDesign(channel, before, objectives, None, {}, {}, nearest=nearest)
     settled = settle(channel, best.tuning, need, not predicted)
     if settled is None and firmware is not None and firmware.units is not None:
-        return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # none in its whole numbers
+        return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # no feasible rounded one
     after = assess(channel, settled or best.tuning, need)
     limits = {}
     if axis == "roll":

@@ -158,7 +158,7 @@ def _step(
     for label, colour, loop, stable in loops:
         if not stable:
             continue
-        # every millisecond of a long response is more than a page shows
+        # A page cannot show every millisecond of a long response.
         every = max(1, round(end / points / axis_design.channel.step))
         angle, load = loop.steps.angle[::every], loop.steps.load[::every]
         time = np.arange(len(angle), dtype=np.float64) * every * axis_design.channel.step

@@ -90,7 +90,7 @@ def follow(
             tunings[level.fuel] = full
             continue
         start = begin.get(level.fuel, last)
-        # the derivative's filter, predictor and model stay those of a full tank
+        # The derivative's filter, the predictor and its model stay those of the full tank.
         gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})
         begun = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
         tuned = tune_near(channel, begun, need, level=True)
@@ -104,7 +104,7 @@ def make_schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, 
     """Return the gain schedule of the tunings at each level, in the form of a vehicle's file."""
     rows = [level for level in reversed(levels) if all(level.fuel in of for of in tunings.values())]
     return Schedule(
-        # This is slow beside the answers of the loops and fast beside the changes of fuel and payload.
+        # Slow compared with the loops, fast compared with changes of fuel and payload.
         filter_s=2.0,
         level=[
             ThrustLevel(

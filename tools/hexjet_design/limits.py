@@ -23,7 +23,7 @@ from hexjet_design.tune import TuningResult, tune
 GAINS = 7  # in the grid of the tolerance
 BISECTIONS = 5
 
-Say = Callable[[str], None]  # is told what is searched
+Say = Callable[[str], None]  # is told the progress of the search
 
 
 def bandwidths_without_limits(
@@ -97,7 +97,7 @@ def describe_nearest(channel: Channel, tried: Mapping[str, TuningResult], need: 
     found = []
     for name, result in tried.items():
         with suppress(InputError, ValueError, ArithmeticError):
-            # A predictor whose answer does not end, for example, has no closed loop.
+            # A predictor with an unstable response, for example, has no closed loop.
             closed = fine_loop(channel, result.tuning)
             if not closed.unstable_poles:
                 missed = {what: part for what, part in excesses(closed, need).items() if part > 0.0}
@@ -116,7 +116,7 @@ def find_allowances(
     channel = roll.channel
     if roll.after is not None:
         return {}
-    tried = dict.fromkeys((names[0], names[-1]))  # what takes least, and what takes most
+    tried = dict.fromkeys((names[0], names[-1]))  # the cheapest and the most demanding
     allowances = {}
     delay = channel.actuator_delay
 

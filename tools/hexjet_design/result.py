@@ -135,7 +135,7 @@ def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
     return values
 
 
-# ---- words and tables
+# ---- texts and tables
 
 
 def summary_lines(design: Design) -> list[str]:
@@ -273,7 +273,7 @@ def _compare_candidates(roll: AxisDesign) -> str:
     best = min(roll.candidates.values())
     changes = []
     for name, value in sorted(roll.candidates.items(), key=lambda item: item[1]):
-        # the objective counts a bandwidth twice, in the answer to the set-point and in that to the load
+        # The objective contains the bandwidth twice, for set-point and load.
         changes.append(f"{name} {100.0 * exp(0.5 * (best - value)):.0f} %" if isfinite(value) else f"{name} none")
     return "speed of response reached: " + ", ".join(changes)
 

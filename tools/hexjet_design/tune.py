@@ -32,7 +32,7 @@ SPARE = 0.004
 PREDICTOR = "predictor."  # before a predictor's own parameters
 
 
-Digits = tuple[int, int]  # 100 to 999, and a power of ten
+Digits = tuple[int, int]  # digits 100 to 999, power of ten
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class TuningBounds:
         ends += [knob.search for knob in self._own]
         if lead is not None:
             most = 0.5 / channel.step / lead.natural_rad_s
-            # A lead over ten times the poles of the engine, or over two steps, adds no phase, only noise.
+            # A lead over ten times the engine's poles, or over two steps, adds noise but no phase.
             ends.append((1.0, max(1.1, min(10.0, most))))
         if channel.name == "altitude":
             ends[3] = (0.0, 0.0)  # its controller has no derivative
@@ -85,7 +85,7 @@ class TuningBounds:
         tau, lead = self._tau, self._lead
         if lead is not None:
             lead = lead.model_copy(update={"pole_rad_s": float(value[-1]) * lead.natural_rad_s})
-            # a zero of the engine may be worth more than what is left
+            # A zero of the engine may be worth more than the remaining lag.
             tau = max(tau + lead_delay(lead), (0.5 + self._channel.transport_samples) * self._channel.step)
             tau = max(tau, 1.0 / lead.pole_rad_s)
         k, p, i, d = value[:4] * np.array([1.0 / tau, 1.0 / (self._gain * tau), 1.0 / tau, tau])
@@ -130,7 +130,7 @@ def tune(
     bounds = TuningBounds(channel, controller, model, fixed, predictor, lead)
     points = FrequencyGrid(channel)
     count = 0
-    feasible: tuple[float, Array | None] = (inf, None)  # the best that kept everything
+    feasible: tuple[float, Array | None] = (inf, None)  # best one that met all requirements
 
     def cost(x: Array) -> float:
         nonlocal count, feasible
@@ -138,11 +138,11 @@ def tune(
         try:
             closed = ClosedLoop(points, bounds.tuning(x))
             if closed.unstable_poles:
-                return UNSTABLE + float(np.sum(x))  # downhill is less gain
+                return UNSTABLE + float(np.sum(x))  # towards smaller gains
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
             value, missed = objective(closed), excess(closed, need, SPARE) + out
         except (InputError, ValueError, ArithmeticError):
-            # A predictor whose answer does not end, for example, is none.
+            # A predictor with an unstable response is not feasible.
             return UNSTABLE + float(np.sum(x))
         if not missed and value < feasible[0]:
             feasible = (value, x.copy())
@@ -154,7 +154,7 @@ def tune(
         popsize=6,
         maxiter=GENERATIONS,
         init="sobol",
-        # The same seed makes the same design every time.
+        # A fixed seed makes designs repeatable.
         rng=np.random.default_rng(1),
         polish=False,
         tol=1e-4,
@@ -173,7 +173,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
     """Return the best point of Nelder and Mead's simplex from ``x``, whose cost is ``value``."""
     from scipy.optimize import minimize
 
-    # A simplex that has shrunk on an edge starts again.
+    # A simplex that collapsed at a bound is restarted.
     for size in (0.1, 0.03):
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
@@ -276,12 +276,12 @@ def tune_near(
     x = np.log([_search_values(start, True)[name] for name in names])
     x = _descend(cost, x, cost(x))
     there = settle(channel, at(x), need, predictor, level)
-    # from far off the requirements, digit by digit would be a long way
+    # Far from the requirements, rounding digit by digit would take long.
     fine = FrequencyGrid(channel, close=FINE)
     here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
     if here is None or there is None:
         return here or there
-    # Of the objective: a search that is begun at its own answer finds as much again.
+    # Improvement of the objective below which a restart is useless: a search from its own answer gains this much.
     negligible = 0.003
     return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - negligible else here
 
@@ -309,7 +309,7 @@ def _search_values(tuning: Tuning, predictor: bool) -> dict[str, float]:
     gains = tuning.gains
     values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
     if tuning.firmware is not None and tuning.firmware.angle_gain is not None:
-        del values["angle_gain"]  # another axis has chosen it
+        del values["angle_gain"]  # chosen by another axis already
     if predictor:
         parameters = PREDICTORS[tuning.controller].own(tuning.predictor)
         values |= {PREDICTOR + name: value for name, value in parameters.items()}

@@ -48,7 +48,7 @@ class Signal(NamedTuple):
     frame: str
     low: float
     high: float
-    scale: float = 1.0  # SI per 1 of an action
+    scale: float = 1.0  # SI units per unit of action
 
 
 Reward = Callable[[Stepper, Sample, Command], float]

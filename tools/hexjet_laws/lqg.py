@@ -99,7 +99,7 @@ class LqgAxis:
 
     def reset(self) -> None:
         self._filter.reset()
-        self._sent: Array = np.zeros(self._samples + 1)  # the oldest first
+        self._sent: Array = np.zeros(self._samples + 1)  # commands in transport, oldest first
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         sent = self._sent

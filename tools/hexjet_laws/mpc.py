@@ -45,7 +45,7 @@ class MpcAxis:
         self._filter, self._room, self._samples = kalman_filter(axis, observer), room, samples
         horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCKS), len(A)
         weight = axis.gain**2 / (speed**4 * axis.step**2)
-        # State when the first command that can be chosen acts: from the state now, and from the commands on their way.
+        # Predict the state at which the next command acts, from the present state and the commands in transport.
         powers = [np.eye(n)]
         for _ in range(max(samples, horizon)):
             powers.append(A @ powers[-1])
@@ -70,8 +70,8 @@ class MpcAxis:
 
     def reset(self) -> None:
         self._filter.reset()
-        self._sent: Array = np.zeros(self._samples + 1)  # the oldest first
-        self._solver: Any = None  # answers depend on the last ones
+        self._sent: Array = np.zeros(self._samples + 1)  # commands in transport, oldest first
+        self._solver: Any = None  # its start depends on the last solution
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         sent = self._sent
@@ -93,11 +93,11 @@ class MpcAxis:
 
         moves = len(gradient)
         low, high = np.full(moves, disturbance - self._room), np.full(moves, disturbance + self._room)
-        # In units of the largest curvature, which is of 1e-3 and less otherwise.
+        # Scaled by the largest curvature, which is 1e-3 or less otherwise.
         size = float(np.abs(self.hessian).max())
         if self._solver is None:
             self._solver = self._osqp.OSQP()
-            # Step lengths adapted by the clock would make flights differ.
+            # Step lengths adapted by the clock would make flights irreproducible.
             self._solver.setup(
                 csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
                 eps_abs=1e-9, eps_rel=1e-9, adaptive_rho=False, rho=1.0, max_iter=20000,

@@ -50,7 +50,7 @@ class Px4Axis:
     ) -> None:
         self._p, self._i, self._d, self._forward = p, i * step, d / step, forward
         self._keep, self._per_step, self._limit = exp(-reference * step), 1.0 / (attitude * step), limit
-        self._step, self._low_pass = step, LowPass(30.0, step)  # IMU_DGYRO_CUTOFF
+        self._step, self._low_pass = step, LowPass(30.0, step)  # 30 Hz: default of IMU_DGYRO_CUTOFF
         self.reset()
 
     def reset(self) -> None:

@@ -66,7 +66,7 @@ class Evidence:
     margins: Mapping[str, Margins]
     gain_at_low_end: Mapping[str, float]
     gain_at_8_hz: Mapping[str, float]
-    tracking: Mapping[str, float] = field(default_factory=dict)  # of the manual flight, by printed key
+    tracking: Mapping[str, float] = field(default_factory=dict)  # manual flight's numbers by printed key
 
     def stable(self, name: str) -> bool:
         return self.metrics[name].stable
@@ -100,7 +100,7 @@ class ClaimRow(Record):
 
 
 Answer = tuple[bool, str]
-Test = Callable[[Evidence, str], Answer]  # with the state predictor's name
+Test = Callable[[Evidence, str], Answer]  # with the name of the state predictor
 
 
 @dataclass(frozen=True)

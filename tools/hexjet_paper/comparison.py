@@ -66,7 +66,7 @@ def _loop(key: object) -> object:
     return tuple(key.split(",")) if isinstance(key, str) else key
 
 
-Loop = Annotated[tuple[str, str], BeforeValidator(_loop)]  # vehicle, controller
+Loop = Annotated[tuple[str, str], BeforeValidator(_loop)]  # (vehicle, controller)
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ class LinearPart:
     frozen: Frozen
     results: dict[str, Result]
     evidence: Evidence
-    sweeps: dict[str, Sweep]  # measured in the loop
+    sweeps: dict[str, Sweep]  # response measured in the loop
     conditions: list[Condition]
     maps: list[extensions.RobustnessMap]
     delays: dict[Loop, list[extensions.DelayPoint]]
     offsets: list[extensions.Offset]
-    smith_offset: float  # rad, closed form
+    smith_offset: float  # rad, in closed form
     noise: dict[Loop, float | None]
     turbojet: list[extensions.Reach]
 
@@ -190,7 +190,7 @@ def _row(
     value = _computed(key, evidence)
     in_flight = extra.get(key, _computed(key, flight) if flight else None)
     origin: Origin = "predicted"
-    # The state predictor's numbers were used with the matrices as printed.
+    # The state predictor's numbers were computed with the matrices as printed.
     if printed.key in used and (".state." not in printed.key or key != printed.key):
         origin = "calibrated"
     elif printed.key in _DERIVED:

@@ -41,9 +41,9 @@ class Experiment:
     controller: str
     delay_samples: int
     payload: bool = False
-    gains: Gains = "calibrated"  # of the Hex-Jet
-    unseen: bool = False  # enters behind the predictor's tap
-    stretch: float = 1.0  # of doublet, run and windows
+    gains: Gains = "calibrated"  # gains of the Hex-Jet
+    unseen: bool = False  # True: enters behind the predictor's tap
+    stretch: float = 1.0  # factor on doublet, run and windows
 
     @property
     def name(self) -> str:
@@ -77,7 +77,7 @@ class Experiment:
     @property
     def run(self) -> float:
         """Length of the run, s."""
-        # The record is the paper's 2 s, the rest of 6 s shows whether the swing grows; chosen by us.
+        # The paper's record is 2 s; flying on to 6 s shows whether an oscillation grows.
         return self.stretch * HEXJET_LENGTHS[self.gains][1] if self.kind == "hexjet-doublet" else 6.0
 
     @property
@@ -97,11 +97,11 @@ class Metrics(Record):
 
     stable: bool
     rmse: float  # rad or rad/s, over the record
-    max: float  # rad or rad/s
-    overshoot_percent: float | None = None  # the largest of the doublet's three steps
-    settling_s: float | None = None  # to 5 %, longest; None: one does not
+    max: float  # rad or rad/s, largest error
+    overshoot_percent: float | None = None  # largest of the doublet's three steps
+    settling_s: float | None = None  # longest to 5 %; None: one never settles
     time_constant_s: float | None = None  # first edge to 63.2 % of the first step
-    late_rmse: float | None = None  # rad, of the answer 20 samples later
+    late_rmse: float | None = None  # rad, against set-point 20 samples ago
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def swings(rate: Array, step: float, last_edge: float, window: float = 1.0) -> b
     samples = round(window / step)
     after = round(last_edge / step)
     before, end = np.std(rate[after : after + samples]), np.std(rate[-samples:])
-    # Less than 0.05 rad/s is noise.
+    # Oscillation below 0.05 rad/s is noise.
     return not isfinite(float(end)) or bool(end > 0.05 and end > 0.9 * before)
 
 
@@ -311,6 +311,6 @@ def hexjet_ratios(
 ) -> dict[str, float]:
     """Return how much less overshoot and how much faster settling Smith's predictor gives, percent."""
     less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
-    # A baseline that has not settled by the next edge settles at least that much slower: no ratio.
+    # If the baseline has not settled by the next edge, there is no ratio: it is at least that much slower.
     faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0
     return {"hexjet.less_overshoot": less, "hexjet.faster_settling": faster}

@@ -53,7 +53,7 @@ class RobustnessMap(Record):
 
 def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
     """Return the nominal loops without noise, by vehicle and controller."""
-    # With ten added samples the controllers of the paper differ.
+    # With ten added samples the paper's controllers differ visibly.
     axes = {("quadrotor", c): quadrotor_axis(calibration, c, 10, noisy=False) for c in QUADROTOR}
     axes |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
     return axes
@@ -66,7 +66,7 @@ def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
     maps = []
     for (vehicle, controller), axis in loops(calibration).items():
         loop = LoopMap(axis, _POINTS)
-        delays = [error if vehicle == "quadrotor" else error + 1 for error in errors[vehicle]]  # 0 is one of them
+        delays = [error if vehicle == "quadrotor" else error + 1 for error in errors[vehicle]]  # errors include 0
         cells = [[_cell(loop, gain, axis.delay_samples + error) for error in delays] for gain in gains]
         maps.append(
             RobustnessMap(
@@ -90,7 +90,7 @@ class DelayPoint(Record):
 
     delay: int  # samples
     stable: bool
-    sensitivity: float | None  # None where unstable
+    sensitivity: float | None  # None: unstable
     rmse: float | None  # rad, of the doublet; None: unstable
 
 
@@ -119,9 +119,9 @@ class Offset(Record):
 
     controller: str
     peak: float  # rad
-    early: float  # rad, mean over 1 s, 10 s after onset
-    late: float  # rad, mean over 1 s, 60 s after onset
-    time: list[float]  # s after the onset, every 0.1 s
+    early: float  # rad, mean of 1 s, 10 s after the onset
+    late: float  # rad, mean of 1 s, 60 s after the onset
+    time: list[float]  # s after the onset, each 0.1 s
     angle: list[float]  # rad
 
 
@@ -209,7 +209,7 @@ class Reach(Record):
 
     engine: str
     controller: str
-    bandwidth: float | None  # Hz, at -3 dB; None: nothing qualifies
+    bandwidth: float | None  # Hz, at -3 dB; None: none qualifies
     sensitivity: float | None
     p: float | None
     d: float | None
@@ -297,7 +297,7 @@ def _tunings(axis: Axis) -> list[PredictorTuning]:
 def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     """Search for the largest bandwidth on a coarse grid for each tuning, then on ever finer ones around the best."""
     z = grid(500, lowest=1e-3)
-    # p in units of the gain that makes the rate loop as fast as the lag
+    # p is scaled by the gain that makes the rate loop as fast as the lag.
     unit = 1.0 / integrating_gain(axis.model) / lag
 
     def candidate(tuned: Axis, p: float, d: float, gain: float) -> Axis:
@@ -316,7 +316,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
             for gain in np.geomspace(0.1, 8.0, 14)
         ]
         for width in (0.0, 1.25, 1.1, 1.03):
-            if width:  # around the best so far
+            if width:  # around the best one so far
                 if chosen is None or chosen.tuning != tuning:
                     break
                 factors = (1.0 / width, 1.0, width)

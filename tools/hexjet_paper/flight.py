@@ -51,7 +51,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
         **table,
     }
     if experiment.kind == "disturbance":
-        # An edge must fall on a step: the calibrated length, rounded to one.
+        # An edge must fall on a step, so the calibrated length is rounded to whole steps.
         width = round(experiment.half_length(calibration) / experiment.step) * experiment.step
         data["disturbance"] = [
             *table.get("disturbance", []),
@@ -99,7 +99,7 @@ def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, An
                 "rate": {"roll": roll},
                 "attitude": {
                     "gain_1_s": [calibration.attitude_gain_1_s, *attitude.gain_1_s[1:]],
-                    # The paper states no limit of the rate, and its steps ask for more than a usual one.
+                    # The paper states no rate limit, and its steps demand more than usual limits allow.
                     "rate_limit_rad_s": [100.0, *attitude.rate_limit_rad_s[1:]],
                 },
                 "predictor": {
@@ -114,7 +114,7 @@ def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, An
     if experiment.payload:
         mass = numbers.value("quadrotor.payload")
         data["disturbance"] = [{"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": PAYLOAD_POSITION}]
-        # It takes off with the load: the throttle that holds it up is known.
+        # It takes off with the load, so the throttle that carries it is known.
         data["vehicle"]["control"]["altitude"] = {"integral_limit_m_s2": 6.0}
     return data
 

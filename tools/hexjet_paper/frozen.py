@@ -16,26 +16,26 @@ class Calibration(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    # quadrotor, found
+    # Quadrotor, fitted.
     p: float  # command per rad/s
     i: float  # command per rad
     d: float  # command per rad/s^2
     attitude_gain_1_s: float
-    disturbance_each_s: float  # of either half
-    observer_rad_s: float  # both, of the double integrator
-    payload_gain: float  # of the plant's gain, with 230 g more
-    # Hex-Jet, found; rate integral in proportion to vehicle.toml
+    disturbance_each_s: float  # s, of either half of the doublet
+    observer_rad_s: float  # both observer poles, double integrator
+    payload_gain: float  # gain factor with 230 g of payload
+    # Hex-Jet, fitted; the rate integral stays in proportion to vehicle.toml.
     hexjet_p: float
     hexjet_attitude_gain_1_s: float
     # The same with the turbojet's dynamics in the plant and the printed gain (hexjet_paper.readings).
     corrected_p: float
     corrected_attitude_gain_1_s: float
-    # chosen
-    predictor_sees_disturbance: bool = True  # see the claims
-    extra_delay_samples: float = 0.0  # nothing printed asks for any
-    d_filter_s: float = 0.0053  # PX4's 30 Hz
+    # Chosen, not fitted.
+    predictor_sees_disturbance: bool = True  # see claims.py
+    extra_delay_samples: float = 0.0  # no printed number needs any
+    d_filter_s: float = 0.0053  # PX4's default of 30 Hz
     gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz
-    filter_s: float = 0.05  # filtered Smith
+    filter_s: float = 0.05  # of the filtered Smith predictor
     model_observer_rad_s: float = 60.0
     disturbance_observer_rad_s: float = 40.0
 

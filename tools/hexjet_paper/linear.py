@@ -36,9 +36,9 @@ from hexjet_paper import numbers
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Response = Callable[[Complex], Complex]  # of ``z`` on the upper unit circle
+Response = Callable[[Complex], Complex]  # function of ``z``, upper unit circle
 Pair = tuple[Complex, Complex]
-PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``
+PairResponse = Callable[[Complex], Pair]  # (``P_y``, ``P_u``) over ``z``
 Signal = Callable[[int], float]
 LARGEST = 1e6  # rad/s, of an unstable loop
 
@@ -64,8 +64,8 @@ class Plant:
     """
 
     model: RateModel
-    gain: float = 1.0  # of the printed one
-    extra_samples: float = 0.0  # delay that nobody modelled
+    gain: float = 1.0  # factor on the printed gain
+    extra_samples: float = 0.0  # unmodelled delay
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ class Axis:
     delay_samples: int
     controller: str
     gains: RateGains
-    attitude_gain: float  # 1/s; 0 leaves the rate loop alone
+    attitude_gain: float  # 1/s; 0: rate loop alone
     tuning: PredictorTuning
-    rate_limit: float = inf  # rad/s, of the attitude loop's answer
-    command_limit: float = inf  # of the command, either way
+    rate_limit: float = inf  # rad/s, limit of the attitude loop
+    command_limit: float = inf  # limit of the command, either way
     noise: float = 0.0  # rad/s, gyro, one standard deviation
     seed: int = 1
     knows_disturbance: bool = False
@@ -215,7 +215,7 @@ def doublet(amplitude: float, start: float, width: float, step: float) -> Signal
     edges = [t / step for t in (start, start + width, start + 2.0 * width)]
 
     def since(edge: float, k: int) -> float:
-        # The part of step k that lies after the edge; lengths are decimal, steps are not.
+        # Fraction of step k after the edge; lengths are decimal, steps are not.
         part = k + 1.0 - edge
         return 0.0 if part < 1e-9 else (1.0 if part > 1.0 - 1e-9 else part)
 

@@ -74,7 +74,7 @@ class Sweep(Record):
     gain: list[float]  # dB
     phase: list[float]  # deg, unwrapped
     augmented_gain: list[float]  # dB, of y^/u alone
-    augmented_phase: list[float]  # deg
+    augmented_phase: list[float]  # deg, of y^/u alone
     margins: Margins
 
 

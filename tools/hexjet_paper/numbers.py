@@ -19,9 +19,9 @@ SOURCE = (
 )
 
 
-# What an answer of ours rests on, and so what its agreement with the paper is worth:
-# calibrated: the printed number itself was fitted; chosen by us: we chose what decides it; follows from a choice: it is
-# computed from something that the paper does not print and we chose; predicted: neither.
+# On what our answer depends, and so what its agreement with the paper is worth. calibrated: the printed number itself
+# was fitted; chosen by us: a choice of ours decides it; follows from a choice: computed from something that the paper
+# does not print and we chose; predicted: none of these.
 Basis = Literal["calibrated", "chosen by us", "follows from a choice", "predicted"]
 
 
@@ -34,7 +34,7 @@ class Record(BaseModel):
 class Printed(NamedTuple):
     """One printed number."""
 
-    key: str  # how the rest of this package calls it
+    key: str  # name of the number in this package
     value: float
     unit: str
     place: str
@@ -48,7 +48,7 @@ PAYLOAD, TABLE_PAYLOAD = "Robustness to additional load", "Table of disturbance 
 FLIGHT, IDENTIFICATION, SPECIFICATION = "Flight test on the Hex-Jet", "Identification", "Table of specifications"
 
 _ROWS: list[Printed] = [
-    # vehicles
+    # Vehicles.
     Printed("hexjet.mass", 5.525, "kg", SPECIFICATION, "take-off weight of the scaled Hex-Jet"),
     Printed("hexjet.thrust", 12.0, "kgf", SPECIFICATION, "maximum thrust"),
     Printed("hexjet.length", 0.400, "m", SPECIFICATION, "length, and width"),
@@ -75,7 +75,7 @@ _ROWS: list[Printed] = [
     Printed("quadrotor.b0", 0.9393, "rad/s", SETUP, "constant of the numerator of G_n(z)"),
     Printed("quadrotor.a1", -1.8770, "-", SETUP, "coefficient of z in the denominator of G_n(z)"),
     Printed("quadrotor.a0", 0.8786, "-", SETUP, "constant of the denominator of G_n(z)"),
-    # tracking
+    # Tracking.
     Printed("step.amplitude", 15, "deg", TRACKING, "roll command, either way"),
     Printed("step.each", 0.5, "s", TRACKING, "length of either half of the doublet"),
     Printed("step.start", 0.2, "s", TRACKING, "start of the doublet"),
@@ -88,7 +88,7 @@ _ROWS: list[Printed] = [
     Printed("step-10.state.rmse", 0.0690, "rad", TRACKING, "tracking error, 10 samples, state predictor"),
     Printed("step-25.smith.rmse", 0.0787, "rad", TRACKING, "tracking error, 25 samples, Smith"),
     Printed("step-25.smith.increase", 11, "%", TRACKING, "growth of Smith's tracking error at 25 samples"),
-    # Frequency response, 5 samples.
+    # Frequency response with 5 samples.
     Printed("frequency.dc_gain", 10, "dB", FREQUENCY, "gain of C G* at the low end, all controllers"),
     Printed("frequency.baseline.cutoff", 4.74, "Hz", FREQUENCY, "cut-off frequency, baseline"),
     Printed("frequency.state.cutoff", 4.49, "Hz", FREQUENCY, "cut-off frequency, state predictor"),
@@ -99,7 +99,7 @@ _ROWS: list[Printed] = [
     Printed("frequency.baseline.phase_margin", 22.7, "deg", FREQUENCY, "phase margin, baseline"),
     Printed("frequency.state.phase_margin", 39.8, "deg", FREQUENCY, "phase margin, state predictor"),
     Printed("frequency.smith.phase_margin", 46.0, "deg", FREQUENCY, "phase margin, Smith"),
-    # disturbance
+    # Disturbance.
     Printed("disturbance.amplitude", 0.1, "command", DISTURBANCE, "doublet added to u; printed with rad/s^2"),
     Printed("disturbance-5.baseline.rmse", 1.4890, "rad/s", TABLE_DISTURBANCE, "rate error, 5 samples, baseline"),
     Printed("disturbance-5.smith.rmse", 0.9512, "rad/s", TABLE_DISTURBANCE, "rate error, 5 samples, Smith"),
@@ -111,12 +111,12 @@ _ROWS: list[Printed] = [
     Printed("disturbance-5.state.max", 5.9337, "rad/s", TABLE_DISTURBANCE, "largest error, 5 samples, state"),
     Printed("disturbance-10.smith.max", 4.7512, "rad/s", TABLE_DISTURBANCE, "largest error, 10 samples, Smith"),
     Printed("disturbance-10.state.max", 7.2624, "rad/s", TABLE_DISTURBANCE, "largest error, 10 samples, state"),
-    # payload
+    # Payload.
     Printed("disturbance-5-payload.smith.rmse", 0.9726, "rad/s", TABLE_PAYLOAD, "rate error with payload, Smith"),
     Printed("disturbance-5-payload.smith.max", 5.1532, "rad/s", TABLE_PAYLOAD, "largest error with payload, Smith"),
     Printed("disturbance-5-payload.state.rmse", 1.2679, "rad/s", TABLE_PAYLOAD, "rate error with payload, state"),
     Printed("disturbance-5-payload.state.max", 7.1853, "rad/s", TABLE_PAYLOAD, "largest error with payload, state"),
-    # Hex-Jet
+    # Hex-Jet.
     Printed("hexjet.amplitude", 10, "deg", FLIGHT, "roll doublet"),
     Printed("hexjet.less_overshoot", 42.6, "%", FLIGHT, "less overshoot with Smith than baseline"),
     Printed("hexjet.faster_settling", 64.3, "%", FLIGHT, "faster settling with Smith than baseline"),

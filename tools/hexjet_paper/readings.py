@@ -113,7 +113,7 @@ READINGS: dict[str, Reading] = {
 class Gains(Record):
     """A pair of gains that a reading is flown with."""
 
-    name: str  # shipped, fitted, raised
+    name: str  # "shipped", "fitted" or "raised"
     p: float  # command per rad/s
     attitude_gain_1_s: float
 
@@ -190,10 +190,10 @@ class Trial(Record):
 
     gains: Gains
     controller: str
-    each_s: float  # length of either half of the doublet
+    each_s: float  # s, either half of the doublet
     linear: Metrics
     flight: Metrics
-    lost_s: float | None  # when the flight ended before its time
+    lost_s: float | None  # s, when the flight failed, or None
 
 
 class ReadingResult(Record):
@@ -205,7 +205,7 @@ class ReadingResult(Record):
     thrust_n: float
     inertia_kg_m2: float
     slope: float  # rad/s^2 per unit throttle
-    fast_pole: float  # of the model: the slowest lag
+    fast_pole: float  # slowest lag of the model
     largest_gains: dict[str, float]  # by controller: see largest_gains()
     trials: list[Trial]
 
@@ -262,7 +262,7 @@ class ModelError(Record):
     """The roll doublet with a predictor whose model is off the printed G(z), to which the vehicle is fitted."""
 
     delay_error: int  # samples, of the model's 25
-    gain_factor: float  # of the model's gain
+    gain_factor: float  # factor on the model's gain
     stable: bool
     overshoot_percent: float | None
     settling_s: float | None

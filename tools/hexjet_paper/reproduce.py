@@ -54,8 +54,8 @@ FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
 SCENARIOS = "scenarios"
 
-Say = Callable[[str, int, int], None]  # what, how much of it, of how much
-Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function and its arguments
+Say = Callable[[str, int, int], None]  # label, done, total
+Task = tuple[Callable[..., Any], tuple[Any, ...]]  # function and its arguments
 
 
 @checked(workers=Limits(1, 64))
@@ -247,8 +247,8 @@ def identify() -> Identified:
         values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":
             values["turbojet.delay"] = model.delay_samples * model.sample_time_s
-    # One lag stands for the engine's and the gyro filter's: the paper's split of lag and delay is one of many, so the
-    # lag is found behind the paper's delay and the delay beside the paper's lag.
+    # One lag represents those of engine and gyro filter. The paper splits lag and delay in one of many possible ways,
+    # so the lag is fitted with the paper's delay and the delay with the paper's lag.
     delay, step = numbers.value("hexjet.delay"), numbers.value("hexjet.step")
     roll = identify_axis("roll", hold={"delay_samples": delay})
     values["roll.pole_slow"], values["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
@@ -256,7 +256,7 @@ def identify() -> Identified:
     values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     responses["roll"] = _response(roll.response, 1.0)
     deviation = roll.reference_deviation()
-    assert deviation is not None  # G(z) is stated for these engines
+    assert deviation is not None  # G(z) is printed for these engines
     return Identified(values, responses, deviation, (roll.sweep.from_hz, roll.sweep.to_hz))
 
 
@@ -285,7 +285,7 @@ def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dic
         raise FlightError(f"{error}; what was finished is kept, call again") from error
     for old in {*folder.glob("*.json"), *folder.glob("*.pickle")} - set(files.values()):
         if old.name.rsplit("-", 1)[0] in tasks:
-            old.unlink()  # of other sources
+            old.unlink()  # made from other sources
     return {name: parts[name] for name in tasks}
 
 

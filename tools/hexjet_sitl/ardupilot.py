@@ -92,8 +92,8 @@ class TransmitterChannel(NamedTuple):
     """One transmitter channel beside the sticks, such as a switch."""
 
     number: int
-    pulse: int  # us
-    since_s: float | None = None  # low before; None: from its first frame
+    pulse: int  # pulse in us
+    since_s: float | None = None  # s, low before; None: from the start
 
 
 def parse_channel(text: str, where: str) -> TransmitterChannel:
@@ -123,8 +123,8 @@ class ArduPilot(Autopilot):
         if step >= 0.1:
             raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below 0.1 s")
         super().__init__(program, folder, vehicle, step, setup)
-        # A packet that comes again this soon after it was answered was sent before that.  It is not answered again:
-        # ArduPilot would take the second answer for that to its next packet, and be a step late from there on.
+        # A packet repeated this soon after its answer was sent before that answer. It is not answered again, because
+        # ArduPilot would take a second answer for that to its next packet and be a step late from then on.
         self.repeat_delay = 0.5
         self._place = place
         self._port = PORT + PORT_SPACING * setup.instance
@@ -142,7 +142,7 @@ class ArduPilot(Autopilot):
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
-        self._count = -1  # of the last packet
+        self._count = -1  # number of the last packet
 
     @property
     def sticks_port(self) -> int:
@@ -154,7 +154,7 @@ class ArduPilot(Autopilot):
         self._socket = self._begin(socket.SOCK_DGRAM, self._port)
         log = self._folder / "ardupilot.log"
         if self.program is not None:
-            # It would not say that it hears no sticks.
+            # ArduPilot would not report that its port for sticks is taken.
             listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
             self._program = Program(self._command(), self._folder, log, {})
         timer = AnswerTimer(self.name, 60.0, self._program, f"sent nothing to port {self._port}")
@@ -319,7 +319,7 @@ class Transmitter:
     def _throttle(self, sticks: StickPositions) -> int:
         if sticks.throttle <= 0.0:
             return 1000
-        if sticks.holds_place:  # a climb, in proportion
+        if sticks.holds_place:  # climb rate in proportion to the command
             return round(1000.0 + 1000.0 * clip(sticks.throttle, 0.0, 1.0))
         fraction = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
         if self._is_boosted:
@@ -328,4 +328,4 @@ class Transmitter:
         nearest = bisect_left(self._curve, fraction)
         if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
             nearest -= 1
-        return 1000 + max(nearest, 1)  # 1000 is closed, at which motors idle
+        return 1000 + max(nearest, 1)  # 1000 is closed; motors idle above it

@@ -124,7 +124,7 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
         return [*lines, *[f"mmix {index} 1.0 {_mix(jet)}" for index, jet in enumerate(jets)]]
     forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # of nose down: see TiltAllocator
     lines += [f"mmix {index} 1.0 {-_sign(jet.position_m[1]):.1f} 0.0 0.0" for index, jet in enumerate(jets)]
-    # Its mixer takes yaw with the sign of the nose to the right; the left bank tilts forward for that.
+    # Its mixer's yaw is positive nose right, for which the left bank tilts forward.
     tilts = [(forward * TILT_WEIGHT, TILT_WEIGHT), (forward * TILT_WEIGHT, -TILT_WEIGHT)]
     return lines + [
         f"mmix {len(jets) + index} 1.0 0.0 {pitch:.3f} {yaw:.3f}" for index, (pitch, yaw) in enumerate(tilts)
@@ -146,7 +146,7 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         "feature -GPS",
         "feature -TELEMETRY",
         "set motor_pwm_protocol = PWM",
-        "set acc_calibration = 0,0,0,1",  # there is no zero to find
+        "set acc_calibration = 0,0,0,1",  # the model has no zero to calibrate
         "set small_angle = 180",  # allow arming at any lean
         "set min_check = 1010",
         "set deadband = 0",
@@ -159,9 +159,9 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
             for key, value in (("rc_rate", full), ("srate", full), ("expo", 0))
         ],
         f"set angle_limit = {START_TIMING.lean_deg:g}",
-        "aux 0 0 0 1700 2100 0 0",  # the first switch arms
-        "aux 1 1 1 1700 2100 0 0",  # the second: self-levelling
-        "aux 2 28 1 1700 2100 0 0",  # and air mode, also at low throttle
+        "aux 0 0 0 1700 2100 0 0",  # first switch: arm
+        "aux 1 1 1 1700 2100 0 0",  # second switch: self-levelling
+        "aux 2 28 1 1700 2100 0 0",  # and air mode, at low throttle as well
         "set runaway_takeoff_prevention = OFF",
     ]
 
@@ -239,8 +239,8 @@ class Betaflight(Autopilot):
         counts = self.counts
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
-        # By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no
-        # loop until the third.  They come long before the flight.
+        # The first state sets its clock, and the second, which it takes for late, the clock's rate: no loop runs before
+        # the third. All three come long before the flight.
         if counts.frames <= 2:
             counts.boot += 1
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
@@ -270,7 +270,7 @@ class Betaflight(Autopilot):
     def _channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed, _ = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
-        low = 1010.0  # min_check
+        low = 1010.0  # min_check as shipped
         sticks = [
             to_pulse(roll),
             to_pulse(pitch),
@@ -367,14 +367,14 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
 
 def compute_torque_scale(vehicle: Vehicle) -> Vector3:
     """Return what 1 of an axis' PID sum is to its mixer: throttle about roll, rad of tilt about the others."""
-    motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
+    motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # of throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
 def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer."""
-    # The integral of yaw's error counts 2.5 times as much: src/main/flight/pid_init.c.
+    # The integral of the yaw error has 2.5 times the weight: src/main/flight/pid_init.c.
     return {
         axis: (0.1, unit * P_SCALE, unit * I_SCALE * (2.5 if axis == "yaw" else 1.0), unit * D_SCALE)
         for axis, unit in zip(AXES, (degrees(scale) for scale in compute_torque_scale(vehicle)), strict=True)

@@ -164,14 +164,14 @@ def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmwa
 
     scenario = load_scenario("hover", None, (), None, tuple(settings), aircraft=aircraft)
     vehicle, _ = scenario.resolved_vehicle()
-    format_firmware_parameters(autopilot, scenario, scenario.step_s)  # before minutes of searching
+    format_firmware_parameters(autopilot, scenario, scenario.step_s)  # fails here, before minutes of search
     if autopilot == "betaflight":
         return Firmware(
             autopilot, units=compute_gain_units(vehicle), max_gain=MAX_GAIN, common_filter=True, common_angle=True
         )
     if autopilot == "px4":
         return Firmware(autopilot, common_filter=True)
-    # What its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting).
+    # Outputs of its mixer for tilting banks are sent in the next loop (AP_MotorsMatrix_6DoF_Scripting).
     return Firmware(autopilot, output_delay=0 if vehicle.servo is None else 1)
 
 

@@ -49,11 +49,11 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
     c, s = cos(latitude), (1.0 - FLATTENING) ** 2 * sin(latitude)
     centric = atan2(s, c)
     ct, st = sin(centric), cos(centric)
-    radius = 6371200.0  # m, reference of the expansion
+    radius = 6371200.0  # m, reference radius of the expansion
     ratio = radius / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
     radial = south = east = 0.0
     for m in range(degree + 1):
-        # Of this order the functions of all degrees, and what they grow by with t, each of the two before it.
+        # Functions of this order for all degrees and their derivatives in t, each from the two before it.
         value, slope, older, older_slope = *_sectoral(m, ct, st), 0.0, 0.0
         for n in range(m, degree + 1):
             if n > m:

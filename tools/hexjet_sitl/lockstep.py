@@ -32,12 +32,12 @@ CHECK_S = 0.25
 class StickPositions(NamedTuple):
     """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and two switches."""
 
-    roll: float = 0.0  # 1: right
-    pitch: float = 0.0  # 1: forward, nose down
-    yaw: float = 0.0  # 1: nose right
+    roll: float = 0.0  # 1: full right
+    pitch: float = 0.0  # 1: full forward, nose down
+    yaw: float = 0.0  # 1: full nose right
     throttle: float = 0.0
     armed: bool = False
-    holds_place: bool = False  # else manual; sticks ask for speeds
+    holds_place: bool = False  # True: position hold; False: manual
 
 
 # Longest time between two messages of the sticks: as often as a receiver sends them.
@@ -52,7 +52,7 @@ def to_pulse(fraction: float) -> int:
 class SensorFrame(NamedTuple):
     """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`hexjet_sitl.instruments`."""
 
-    time: float  # s, of the autopilot's clock
+    time: float  # s, by the autopilot's clock
     rate: Vector3  # rad/s, body
     force: Vector3  # m/s^2, body, specific force
     attitude: Quaternion
@@ -60,9 +60,9 @@ class SensorFrame(NamedTuple):
     velocity: Vector3  # m/s, NED
     altitude: float  # m above the ground, by the barometer
     sticks: StickPositions
-    spool: PerJet = ()  # rad/s, where the engines report it
-    truth: State | None = None  # for the autopilot's log alone
-    silent: Collection[str] = ()  # failed sensors, at their last values
+    spool: PerJet = ()  # rad/s, if the engines report it
+    truth: State | None = None  # only for the autopilot's log
+    silent: Collection[str] = ()  # failed sensors, held at the last value
 
 
 class ActuatorOutputs(NamedTuple):
@@ -77,12 +77,12 @@ class ActuatorOutputs(NamedTuple):
 class LockstepCounts:
     """The counts of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
 
-    frames: int = 0  # sent
-    answers: int = 0  # received
-    repeated: int = 0  # frames sent again, not stepped
-    foreign: int = 0  # ignored packets of other senders
+    frames: int = 0  # frames sent
+    answers: int = 0  # answers received
+    repeated: int = 0  # frames sent again without a step
+    foreign: int = 0  # packets of other senders, ignored
     boot: int = 0  # frames before the first answer
-    longest_s: float = 0.0  # of an answer, by the clock
+    longest_s: float = 0.0  # s of wall time, slowest answer
 
     @property
     def missing(self) -> int:
@@ -102,18 +102,18 @@ class StartTiming:
     before_s: float  # from its first frame to the flight
     arming_s: float
     throttle_s: float
-    lean_deg: float  # at full stick
-    turn_deg_s: float  # at full stick
-    unarmed: str = ""  # message where it did not arm
-    stick_moves_heading: bool = False  # stick and held heading turn together
+    lean_deg: float  # lean at full stick
+    turn_deg_s: float  # turn rate at full stick
+    unarmed: str = ""  # message if it did not arm
+    stick_moves_heading: bool = False  # True: the yaw stick turns the set-point
 
 
 class FirmwareReport(NamedTuple):
     """What an autopilot's own log says of it, where it keeps one that is read here."""
 
     version: str = ""  # release and revision; empty: unknown
-    parameters: Mapping[str, float] = {}  # all that it flew with
-    messages: Sequence[tuple[float, int, str]] = ()  # s from its first frame, severity, text
+    parameters: Mapping[str, float] = {}  # all parameters that it flew with
+    messages: Sequence[tuple[float, int, str]] = ()  # s since its first frame, severity, text
 
 
 # Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
@@ -139,16 +139,16 @@ class Setup:
     Of what belongs to one autopilot the others see nothing.
     """
 
-    instance: int = 0  # number, where several run
-    limit_s: float = 5.0  # wall-clock time limit of an answer
+    instance: int = 0  # number of the instance, if several run
+    limit_s: float = 5.0  # wall-clock limit of one answer
     port: int | None = None  # Betaflight: first port
-    gains: str = "vehicle"  # or a file's; "stock": its own
+    gains: str = "vehicle"  # "vehicle", a file; "stock": as shipped
     lines: Sequence[str] = ()  # Betaflight: lines for its console
-    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over the made ones
+    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: override computed ones
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's
-    hold_from_s: float | None = None  # PX4, ArduPilot: flown in a hold mode
+    hold_from_s: float | None = None  # PX4, ArduPilot: from here in hold mode
     hands_off: bool = False  # a ground station arms and flies it
-    defaults: Path | None = None  # ArduPilot: file of parameters
+    defaults: Path | None = None  # ArduPilot: parameter file
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE[@SECONDS]
     station: int | None = None  # ArduPilot: local UDP port for MAVLink
 
@@ -264,7 +264,7 @@ class AnswerTimer:
     def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
         """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
         while True:
-            if self._has_checked:  # most frames take one wait
+            if self._has_checked:  # most frames are answered in one wait
                 self.remaining()
             self._has_checked = True
             with suppress(BlockingIOError):
@@ -294,22 +294,22 @@ class Autopilot:
 
     name: ClassVar[str]
     timing: ClassVar[StartTiming]
-    port_option: ClassVar[str] = "instance"  # that states another port
-    log_pattern: ClassVar[str] = ""  # of its own logs, if any is read
-    patience_s = 0.0  # to end by itself when asked to
+    port_option: ClassVar[str] = "instance"  # option that states another port
+    log_pattern: ClassVar[str] = ""  # glob of its logs; empty: none are read
+    patience_s = 0.0  # s for it to end when asked to
 
     def __init__(self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, setup: Setup) -> None:
         self.counts = LockstepCounts()
-        self.limit = setup.limit_s  # wall-clock time limit of an answer, s
+        self.limit = setup.limit_s  # wall-clock limit of one answer, s
         self.setup, self.program = setup, program
-        self.endpoint = ""  # for a program started by hand
-        self.details: dict[str, Any] = {"gains": setup.gains}  # for the run's lockstep.json
-        self.remark = ""  # on a version that was not flown
+        self.endpoint = ""  # where a program started by hand connects
+        self.details: dict[str, Any] = {"gains": setup.gains}  # entries of the run's lockstep.json
+        self.remark = ""  # on a version that was never flown
         self._folder, self._step = folder, step
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None
         self._sockets: list[socket.socket] = []
-        self._earlier_logs: set[tuple[int, Path]] = set()  # of other flights in the same folder
+        self._earlier_logs: set[tuple[int, Path]] = set()  # logs of other flights in this folder
 
     def start(self) -> None:
         """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""

@@ -124,7 +124,7 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
             f"CA_ROTOR{index}_PY": y,
             f"CA_ROTOR{index}_PZ": z,
         }
-        # Positive for a rotor that turns counter-clockwise, whose reaction turns the nose to the right.
+        # Positive for a counter-clockwise rotor, whose reaction turns the nose right.
         parameters[f"CA_ROTOR{index}_KM"] = jet.reaction_m
         if vehicle.servo:
             parameters[f"CA_ROTOR{index}_TILT"] = 1 if (jet.servo == "left") != tilts_back else 2
@@ -133,8 +133,8 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
         parameters["CA_SV_TL_COUNT"] = 2
         for index in range(2):
             parameters |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
-            parameters[f"CA_SV_TL{index}_TD"] = 180 if tilts_back else 0  # towards the back, or the front
-            parameters[f"CA_SV_TL{index}_CT"] = 3  # for pitch and yaw
+            parameters[f"CA_SV_TL{index}_TD"] = 180 if tilts_back else 0  # 180: tilts towards the back
+            parameters[f"CA_SV_TL{index}_CT"] = 3  # 3: for pitch and yaw
     for axis, gains, scale in pair_rate_gains(vehicle, px4_torque_scale(vehicle)):
         name = f"MC_{axis.upper()}RATE"
         parameters |= {
@@ -206,9 +206,9 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
         cutoff = find_gyro_cutoff(vehicle)
         return parameters if cutoff is None else parameters | {"IMU_GYRO_CUTOFF": cutoff}
     parameters["IMU_GYRO_CUTOFF"] = 0.0
-    late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; a fraction to the older name
+    late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; the older name takes any number
     parameters |= px4_link(step) | {"EKF2_GPS_DELAY": float(late), "SENS_GPS0_DELAY": late}
-    # PX4's own log, and torques and rates at every sample: at 50 Hz a command would seem to act 8 ms sooner.
+    # PX4's own log has torques and rates at each sample: at 50 Hz a command would seem to act 8 ms earlier.
     return parameters | ({"SDLOG_PROFILE": 1 + 8 + 16} if target == "sitl" else {})
 
 
@@ -308,7 +308,7 @@ def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
         raise InputError(
             f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {max_motors} outputs at most"
         )
-    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # below the centre: nose up
+    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # below the centre of gravity: nose up
     rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]
     rows += [("0", pitch, yaw, 0, "true") for yaw in (1, -1)]
     return "\n".join(
@@ -336,7 +336,7 @@ def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
         parameters: dict[str, float] = {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
     else:
         motors = list(range(1, len(vehicle.jets) + 3))
-        # A motor that goes both ways has a dead zone as large as the room that is kept for yaw.
+        # A reversible motor has a dead zone as large as the headroom kept for yaw.
         parameters = {"FRAME_CLASS": 16, "SCR_ENABLE": 1, "MOT_YAW_HEADROOM": 0}
     for number, motor in enumerate(motors, 1):
         parameters[f"SERVO{number}_FUNCTION"] = (32 if motor <= 8 else 73) + motor
@@ -366,14 +366,14 @@ def ardupilot_parameters(
     for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
         parameters |= {f"{name}_P": gains.p / scale, f"{name}_I": gains.i / scale, f"{name}_D": gains.d / scale}
-        # The gyro's filter is the one that the loop was designed with; these would be late on top.
+        # The gyro's filter is the one the loop was designed with; these filters would add delay.
         parameters |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
         parameters[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
         parameters[f"{name}_IMAX"] = min(gains.integral_limit / scale, 1.0)
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
-    # Without shaping and feed-forward it is the attitude gain alone, and without limits of acceleration large errors
-    # count as small ones do: hexjet_design.loop.firmware.
+    # Without shaping and feed-forward only the attitude gain remains, and without acceleration limits large errors are
+    # treated like small ones: see hexjet_design.loop.firmware.
     parameters |= {"ATC_RATE_FF_ENAB": 0} | {f"ATC_ACC_{axis}_MAX": 0 for axis in "RPY"}
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min}

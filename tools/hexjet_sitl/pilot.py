@@ -63,7 +63,8 @@ class StickPilot:
         self._span = vehicle.aero.span_m
         self._stick_moves_heading, self._turned = stick_moves_heading, 0.0
         self._held_steps = max(1, round(STICKS_S / belief.step_s))
-        # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
+        # Headings [rad]: the set-point that the autopilot holds after the stick's turns, and the heading to which its
+        # loop should have turned by now.
         self._target: tuple[float, float] | None = None
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
         self.hover = find_hover_throttle(belief)
@@ -108,8 +109,8 @@ class StickPilot:
         target, expected = self._target or (heading, heading)
         if self._steps % self._held_steps == 1 or self._held_steps == 1:
             self._turned = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
-        # What is held may be another than what is believed to be: by how far the vehicle is from where it should have
-        # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns.
+        # The held set-point may differ from ours: the distance of the vehicle from where it should be shows this
+        # slowly. The distance from the set-point would be a second loop during turns.
         off = wrap(heading - expected) / target_s
         expected += self._step * (off + self._heading * wrap(target - expected))
         self._target = target + self._step * (self._turned * self._turn + off), expected

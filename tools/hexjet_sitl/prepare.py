@@ -155,7 +155,7 @@ def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -
     parameters = list_px4_parameters(scenario, scenario.step_s)
     if setup.gains == "stock":
         parameters = without_px4_gains(parameters)
-    optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # who states one wants it
+    optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # required if the user states one
     setup = replace(setup, parameters=parameters | dict(setup.parameters))
     return px4.Px4(program, folder, *_surroundings(scenario), setup, optional)
 

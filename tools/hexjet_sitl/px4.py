@@ -65,7 +65,7 @@ _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver
 
 def invert_yaw_curve(turn: float) -> float:
     """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
-    # The one real root of x^3 + p x = q with p > 0.
+    # The only real root of x^3 + p x = q with p > 0.
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
@@ -101,7 +101,7 @@ class Px4(Autopilot):
     name = "px4"
     timing = START_TIMING
     log_pattern = "log/**/*.ulg"
-    patience_s = 1.0  # it writes its buffers when asked to end
+    patience_s = 1.0  # s: it flushes its buffers before it ends
 
     def __init__(
         self,
@@ -134,12 +134,12 @@ class Px4(Autopilot):
         server = self._begin(socket.SOCK_STREAM, port)
         if self.program is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
-            # Nine digits are as many as its single precision tells apart.
+            # Nine digits distinguish all numbers in single precision.
             environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
             startup = str(self.program.resolve().parent.parent / "etc")
-            # The folder is absolute: it is started there, and would look for a relative one below it.
+            # An absolute path, because it is started in that folder.
             folder = str(self._folder.absolute())
-            # An older PX4 reads this file from the path and not the environment; this line of it says so, as an error.
+            # An older PX4 reads this file from the path, not the environment, and this line makes it report an error.
             (self._folder / "px4-rc.params").write_text(f"param set {_SINCE_1_17} 0\n")
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
@@ -160,7 +160,7 @@ class Px4(Autopilot):
         """See :class:`hexjet_sitl.lockstep.Autopilot`."""
         assert self._link is not None
         counts = self.counts
-        now = round(1e6 * frame.time) + 1  # 0 would be no time
+        now = round(1e6 * frame.time) + 1  # 0 would mean no time
         self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
@@ -204,7 +204,7 @@ class Px4(Autopilot):
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
     def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
-        controls, armed = values[2:18], bool(int(values[18]) & 128)  # flag in the mode field
+        controls, armed = values[2:18], bool(int(values[18]) & 128)  # armed flag in the mode field
         throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
             return ActuatorOutputs(throttle, (0.0, 0.0), armed)

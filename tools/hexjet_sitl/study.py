@@ -25,13 +25,13 @@ class AutopilotTable(Model):
     """
 
     name: Literal["betaflight", "px4", "ardupilot"]
-    binary: str = ""  # from the study's folder
-    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships
-    lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
-    # Parameters of PX4 and ArduPilot, over those from the vehicle.
+    binary: str = ""  # path relative to the study
+    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: gains as shipped
+    lines: list[str] = Field(default_factory=list)  # lines for Betaflight's console
+    # Parameters of PX4 and ArduPilot that override those of the vehicle.
     parameters: dict[str, float] = Field(default_factory=dict)
-    channels: list[str] = Field(default_factory=list)  # of ArduPilot, as --channel
-    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
+    channels: list[str] = Field(default_factory=list)  # channels of ArduPilot, as --channel
+    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # s of wall time for an answer
 
     @model_validator(mode="after")
     def _fits(self) -> AutopilotTable:

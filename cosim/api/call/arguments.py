@@ -24,7 +24,7 @@ class Limits(NamedTuple):
 
     least: float
     most: float = inf
-    is_open: bool = False  # whether ``least`` itself is left out
+    is_open: bool = False  # True: ``least`` itself is not allowed
 
     def __contains__(self, number: object) -> bool:
         if not isinstance(number, (int, float)) or not self.least <= number <= self.most:
@@ -124,7 +124,7 @@ def _valid(
         shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
         wrong = error.errors(include_url=False)
         listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
-        names = listed[0].split("'")[1::2] if listed else []  # of a text such as: 'a', 'b' or 'c'
+        names = listed[0].split("'")[1::2] if listed else []  # pydantic's text: 'a', 'b' or 'c'
         for each in wrong:
             if listed and isinstance(each["input"], str):
                 raise InputError(f"{where}: {each['input']!r}: {nearest(each['input'], names)}") from None

@@ -14,7 +14,7 @@ from cosim.base.trust import trust_named_code
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
-# Receives one line for each thing that is done otherwise than asked for.
+# Receives one sentence for each input that is ignored or reinterpreted.
 Note = Callable[[str], None]
 
 
@@ -71,13 +71,13 @@ def load_scenario(
         if controller is None and model is None and designed is None and "controller" not in keys:
             changes |= _controller_without_a_model(aircraft, scenario, note)
     if controller is not None:
-        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        # On the command line a file is relative to the current folder, in a scenario to the scenario's.
         changes["controller"] = seen_from(controller, Path())
         if any(text.strip().startswith("controller_parameters") for text in settings):
             changes["controller_parameters"] = scenario.controller_parameters
     chosen = engine_choices(engines)
     if "engine" in chosen and scenario.stations:
-        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all
+        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one engine for all stations
     changes |= chosen
     if seed is not None:
         changes["seed"] = seed
@@ -90,7 +90,7 @@ def load_scenario(
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
     scenario = scenario.replace(**changes) if changes else scenario
-    # Raises on a wrong key before anything is built.
+    # A wrong key is reported before anything is built.
     scenario.resolved_vehicle()
     return scenario
 
@@ -202,7 +202,7 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
         number, equals, name = text.partition("=")
         station = number.strip() if equals and number.strip().isdigit() else None
         engine = (name if station else text).strip()
-        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        # On the command line a file is relative to the current folder, in a scenario to the scenario's.
         engine = file_seen_from(engine, Path())
         target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
         if "engine" in target:

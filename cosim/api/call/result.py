@@ -74,7 +74,7 @@ class Result:
     """
 
     files: dict[str, Path]
-    # How many of its lines the command prints without ``--verbose`` where it prints no tables; None: all.
+    # Lines that the command prints without ``--verbose`` if it prints no tables; None: all of them.
     short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
     for entry in [*list_tools(GROUP), *list_tools(GROUPS[kind])]:
         if entry.group != GROUP or entry.name.startswith(f"{kind}."):
             first = found.setdefault(entry_name(entry), entry)
-            if first.value != entry.value:  # the same object may stand in both groups
+            if first.value != entry.value:  # the same object may be in both groups
                 raise InputError(
                     f"{kind} {entry_name(entry)!r}: there is one of this name already: "
                     f"{describe_entry(first)} is {first.value}, {describe_entry(entry)} is {entry.value}"
@@ -90,7 +90,7 @@ def load_entry(entry: EntryPoint) -> tuple[Any, str]:
         member = entry.load()
     except CodeRefusedError:
         raise
-    except Exception as error:  # of a module of somebody else
+    except Exception as error:  # a plug-in's code may raise anything
         raise InputError(f"{where}: {entry.value} cannot be loaded: {describe_error(error)}") from error
-    package = None if entry.dist is None else entry.dist.metadata  # read anew whenever it is asked for
+    package = None if entry.dist is None else entry.dist.metadata  # each access reads metadata from disk
     return member, "" if package is None else f"{package['Name']} {package['Version']}"

@@ -60,7 +60,7 @@ def compiled_copies() -> str:
     """Return the folder where Python keeps compiled copies of the user's code: nobody else can leave any there."""
     try:
         return str(cache_folder() / "compiled")
-    except RuntimeError:  # a user without a home
+    except RuntimeError:  # the user has no home folder
         return str(scratch() / "compiled")
 
 
@@ -177,7 +177,7 @@ def _editable_folders(top: str) -> list[Path]:
 
     folders = []
     for distribution in distributions(path=[str(folder) for folder in _installed_folders()]):
-        with suppress(ValueError, LookupError, TypeError, AttributeError):  # metadata that say something else
+        with suppress(ValueError, LookupError, TypeError, AttributeError):  # damaged metadata of a package
             origin = json.loads(distribution.read_text("direct_url.json") or "{}")
             tops = (distribution.read_text("top_level.txt") or re.sub(r"[-.]+", "_", distribution.name)).split()
             if top in tops and origin["dir_info"]["editable"] is True and origin["url"].startswith("file:"):

@@ -86,7 +86,7 @@ class Allocator(Protocol):
     """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
 
     hover: float  # throttle at which the vehicle hovers
-    rest: PerServo  # servo positions without demand
+    rest: PerServo  # servo positions when nothing is demanded
 
     def trim(self, collective: float) -> PerJet:
         """Return the balanced throttles of the jets, with nothing asked of the servos."""

@@ -15,10 +15,10 @@ Diagnostics = tuple[float, float, float]
 class EngineState(Enum):
     """What the step does with the engines."""
 
-    FLY = "fly"  # as the controller asks
+    FLY = "fly"  # follows the controller's commands
     IDLE = "idle"  # least throttle, no torque
-    OFF = "off"  # shut off
-    START = "start"  # as idle, and some have yet to start
+    OFF = "off"  # engine shut off
+    START = "start"  # idle, while some engines still start
 
 
 class Report(NamedTuple):
@@ -26,9 +26,9 @@ class Report(NamedTuple):
 
     legs: bool  # a leg touches the ground
     collective: float  # mean throttle of the step before
-    lost: tuple[int, ...] = ()  # failed engines, counted from 1
-    remaining: float | None = None  # share of fuel, 0 to 1; None: unknown
-    starting: tuple[int, ...] = ()  # engines yet to start, counted from 1
+    lost: tuple[int, ...] = ()  # numbers of failed engines, from 1
+    remaining: float | None = None  # fraction of fuel, 0 to 1; None: unknown
+    starting: tuple[int, ...] = ()  # numbers of engines that start, from 1
 
 
 class Parameter(NamedTuple):
@@ -37,7 +37,7 @@ class Parameter(NamedTuple):
     It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
     """
 
-    name: str  # letters, digits and _
+    name: str  # only letters, digits and _
     default: float
     unit: str = ""
     meaning: str = ""
@@ -48,17 +48,17 @@ class Parameter(NamedTuple):
 class Applied(NamedTuple):
     """What became of the step before: what the actuators were given, and what the engines report of it."""
 
-    throttle: PerJet  # 0 to 1; at first the initial ones
+    throttle: PerJet  # 0 to 1; initially the start values
     tilt: PerServo  # rad, within the servo's range
-    engines: EngineOutput  # reported at its end
-    burnt: float  # kg of fuel, counted from a full tank
+    engines: EngineOutput  # engine outputs at the end of the step
+    burnt: float  # kg of fuel burnt since the tank was full
 
 
 class Column(NamedTuple):
     """One column of a flight's log: what it is called and what it means, and where its numbers come from."""
 
-    name: str  # letters, digits, _; with unit: _rad_s
+    name: str  # letters, digits, _; unit last: _rad_s
     unit: str
-    frame: str  # body, NED, ...; or empty
+    frame: str  # reference frame (body, NED) or empty
     meaning: str
-    source: str = ""  # empty for columns of blocks
+    source: str = ""  # where in Sample; empty: a block's own

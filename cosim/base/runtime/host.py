@@ -57,7 +57,7 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
     It imports what this process would import, from the same places (``PYTHONPATH`` included), but never from the
     current folder: whatever lies beside a scenario, ``numpy.py`` for one, is not ours to run.
     """
-    places = [os.path.abspath(place) for place in sys.path if place]  # the empty one is the current folder
+    places = [os.path.abspath(place) for place in sys.path if place]  # an empty entry means the current folder
     home = str(PACKAGE.parent)
     places += [] if home in places else [home]
     size = None if megabytes is None else int(megabytes * 2**20)
@@ -251,7 +251,7 @@ def _kill_marked(mark: bytes) -> None:
 def _find_marked(mark: bytes) -> Iterator[int]:
     """Yield the processes that a host has started; one that is killed has no environment any more."""
     for file in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):  # somebody else's, or gone
+        with suppress(OSError):  # another user's process, or ended
             if mark in file.read_bytes():
                 yield int(file.parent.name)
 
@@ -273,7 +273,7 @@ def reap(process: subprocess.Popen[Any]) -> None:
         try:
             process.returncode = os.waitstatus_to_exitcode(os.waitpid(process.pid, 0)[1])
         except ChildProcessError:
-            process.returncode = 0  # as poll() has it
+            process.returncode = 0  # poll() returns 0 for an ended process
 
 
 def serve_pipes() -> Pipes:

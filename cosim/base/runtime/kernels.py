@@ -22,7 +22,7 @@ from cosim.base.errors import notify
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
 _NEEDED = {b"avx2", b"fma"}  # x86 processors have both since 2013
 _MAPS = "/proc/self/maps"
-_warnings: list[str] = []  # what was warned of in this process
+_warnings: list[str] = []  # warnings given so far by this process
 _NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
@@ -95,7 +95,7 @@ def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     for path in paths:
         try:
             library = ctypes.CDLL(path)
-        except OSError:  # a file that was replaced since
+        except OSError:  # the mapped file was replaced since
             continue
         name = next((name for name in _NAMES if hasattr(library, name)), None)
         if name is not None:

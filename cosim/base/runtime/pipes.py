@@ -42,7 +42,7 @@ class Pipes:
         self._writable.register(writer, select.POLLOUT)
         os.set_blocking(writer, False)
         self._rest = b""
-        self.watch: Callable[[], None] = lambda: None  # called while an answer is waited for
+        self.watch: Callable[[], None] = lambda: None  # called while waiting for an answer
 
     def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data``."""
@@ -92,7 +92,7 @@ class Pipes:
         if not self._rest:
             self._rest = data = self._read(end)
             size = len(data) - _LENGTH.size
-            if size >= 0 and _LENGTH.unpack_from(data)[0] == size <= max_bytes:  # alone, as a rule
+            if size >= 0 and _LENGTH.unpack_from(data)[0] == size <= max_bytes:  # usually a read holds just one message
                 self._rest = b""
                 return data[_LENGTH.size :]
         (length,) = _LENGTH.unpack(self._take(_LENGTH.size, end))
@@ -105,7 +105,7 @@ class Pipes:
         data = self._rest
         if count and not data:
             data = self._read(end)
-            if len(data) == count:  # as a rule
+            if len(data) == count:  # usually one read gets all bytes
                 return data
         parts, size = [data], len(data)
         while size < count:

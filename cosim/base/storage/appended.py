@@ -27,7 +27,7 @@ class AppendedFile:
             if written < size:
                 write_all(self.number, b"".join(pieces)[written:])
         except OSError as error:
-            os.ftruncate(self.number, before)  # half a piece would hide the next
+            os.ftruncate(self.number, before)  # a partial record would hide the next one
             raise FlightError(f"{self.path}: {one_line(error)}") from error
 
     def sync(self) -> None:

@@ -26,7 +26,7 @@ class RecentCache(Generic[T]):
             value = self._values.pop(key)
         except KeyError:
             value = make()
-        self._values[key] = value  # now the youngest
+        self._values[key] = value  # reinserted: most recently used is last
         while len(self._values) > self._capacity:
             self._values.popitem(last=False)
         return value

@@ -29,7 +29,7 @@ def replace_on_success(path: Path) -> Iterator[Path]:
         return
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
-        temporary.unlink()  # a link of this name may lead elsewhere
+        temporary.unlink()  # the name may be a link to another file
     try:
         yield temporary
         with open(temporary, "rb+") as file:
@@ -71,7 +71,7 @@ def read_file(path: Path, max_mb: float = 256.0, first: int = -1) -> bytes:
             return file.read(first)
     except InputError:
         raise
-    except (OSError, ValueError) as error:  # a name may have a zero in it
+    except (OSError, ValueError) as error:  # a name may contain a NUL character
         raise InputError(f"{path}: {one_line(error)}") from error
 
 

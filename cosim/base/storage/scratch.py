@@ -19,7 +19,7 @@ from cosim.base.storage.files import one_line, try_lock
 
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
-_made: dict[int, Path] = {}  # by process: a fork has its own
+_made: dict[int, Path] = {}  # by process id, as a fork needs its own
 
 
 def scratch() -> Path:
@@ -50,7 +50,7 @@ def _make() -> Path:
     _remove_left()
     while True:
         folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # held as long as the process lives
+        file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # locked as long as the process lives
         if try_lock(file) is not False and (folder / _LOCK).exists():
             atexit.register(_remove, os.getpid(), folder)
             return folder
@@ -60,7 +60,7 @@ def _make() -> Path:
 def _remove_left() -> None:
     """Remove the folders of processes that were killed."""
     for file in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_LOCK}"):
-        with suppress(OSError):  # somebody else's
+        with suppress(OSError):  # another user's folder
             held = os.open(file, os.O_RDWR)
             try:
                 if try_lock(held):

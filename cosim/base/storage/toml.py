@@ -94,8 +94,8 @@ def _scalar(value: object) -> object:
 Scalar = Annotated[bool | int | float | str, BeforeValidator(_scalar)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # from the flight's start, or as long
-Duration = Annotated[float, Field(gt=0.0, le=1e6)]  # s
+Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # s since the start of the flight, or span
+Duration = Annotated[float, Field(gt=0.0, le=1e6)]  # s, of a duration
 Vector = tuple[float, float, float]
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
@@ -111,7 +111,7 @@ _parsed: RecentCache[dict[str, Any]] = RecentCache(64)
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.  Raises InputError that names the file and, for bad syntax, the line."""
     try:
-        # The largest of ours has a hundredth of these MB.
+        # The largest shipped file has a hundredth of this size.
         text = read_file(path, max_mb=16.0).decode().replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); a TOML file is needed") from error
@@ -276,7 +276,7 @@ def _meant(key: str, unknown: Sequence[str]) -> str:
 def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     errors = error.errors()
     if not _is_not_false(errors[0]):
-        # A table that may also be false: nobody who states one means that.
+        # A table that may also be false gives two errors; the one about false is of no use to the user.
         errors = [item for item in errors if not _is_not_false(item)]
     first = errors[0]
     key = ".".join(_path(model, first["loc"]))
@@ -376,7 +376,7 @@ def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> li
                 submodels += _models_in(candidate.model_fields[str(part)].annotation)
             elif _tag(candidate) == part:
                 submodels.append(candidate)
-        # An index into a list, or a key of a mapping, stays at the same models.
+        # An index or a mapping's key keeps the same models, a field's name leads to its own.
         models = submodels or models
     return sorted({name for candidate in models for name in candidate.model_fields})
 

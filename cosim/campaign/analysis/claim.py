@@ -24,7 +24,7 @@ class ClaimResult(NamedTuple):
 
     claim: Claim
     text: str
-    is_finished: bool  # False: flights are missing
+    is_finished: bool  # False: some flights are still missing
     verdicts: dict[str, Verdict]
 
     def to_dict(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ def judge_claim(campaign: Campaign) -> ClaimResult | None:
         rule.add(int(number or 0), verdict_of(outcome, success))
     verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
     for name, (down, up) in campaign.referee.get("rates", {}).items():
-        if (verdict := verdicts.get(name)) is not None and (down or up):  # others of its verdicts may be wrong too
+        if (verdict := verdicts.get(name)) is not None and (down or up):  # one wrong verdict makes others doubtful
             bound, interval = max(0.0, verdict.bound - down), widen(verdict.interval, down, up)
             verdicts[name] = replace(verdict, decision="open", bound=bound, interval=interval)
     return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)

@@ -38,7 +38,7 @@ def campaign_figures(
     return figures | {f"metric-{number}": distribution(table, metric) for number, metric in enumerate(table.metrics)}
 
 
-# ---- how many
+# ---- figures of outcomes
 
 
 def outcomes(table: FlightTable) -> Figure:
@@ -94,7 +94,7 @@ def probability(table: FlightTable, proportions: Sequence[Proportion]) -> Figure
         )
     layout = _layout(_rows_height(table)) | {"showlegend": False}
     layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, proportions)}
-    # without a flight there is no point to make the axis from
+    # A figure without flights has no points from which Plotly could make the axis.
     layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
@@ -116,7 +116,7 @@ def _rows_height(table: FlightTable) -> int:
     return 96 + 34 * len(table.controllers)
 
 
-# ---- what drives it
+# ---- figures of sensitivity
 
 
 def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
@@ -127,7 +127,7 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
     largest = {path: max(effects[path].index for effects in by_key.values()) for path in labels}
     paths = sorted(labels, key=lambda path: largest[path])[-MAX_CURVES:]
     data = []
-    for controller, _ in reversed(ranked):  # the first on top
+    for controller, _ in reversed(ranked):  # Plotly draws the last one on top
         effects = [by_key[controller][path] for path in paths]
         bar = bars(
             table.controllers[controller],
@@ -253,7 +253,7 @@ def key_axis(key: KeyColumn) -> Figure:
     return axis | {"type": "log" if key.log else "linear", "zeroline": False}
 
 
-# ---- how the metrics are spread
+# ---- figures of metrics
 
 
 def distribution(table: FlightTable, metric: Metric) -> Figure:
@@ -266,7 +266,7 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
     max_points = 160
     for controller in controller_indices(table):
         rows = table.rows_of(controller)
-        values = np.sort(metric.factor * table.values[metric.name][rows])  # NaN comes last
+        values = np.sort(metric.factor * table.values[metric.name][rows])  # np.sort puts NaN last
         finite = values[np.isfinite(values)]
         if not finite.size:
             continue
@@ -301,7 +301,7 @@ def _metric_axis(table: FlightTable, metric: Metric) -> Figure:
     return {"type": "log", "dtick": 1} if finite.size and finite.min() > 0.0 and high > 30.0 * low else {}
 
 
-# ---- pieces
+# ---- shared parts of figures
 
 
 def round_digits(values: Array, digits: int = 4) -> list[Any]:

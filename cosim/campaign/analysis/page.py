@@ -188,7 +188,7 @@ def _data_cards(campaign: Campaign) -> Iterator[Card]:
         yield Card("What the flights were made from", ("file", "version or hash"), rows)
 
 
-# ---- the head
+# ---- head of the page
 
 
 def head_rows(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
@@ -331,7 +331,7 @@ def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
     return sources
 
 
-# ---- what drives it
+# ---- sensitivity
 
 
 def order_by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
@@ -372,7 +372,7 @@ def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
 
 
-# ---- why flights were no success, and the data
+# ---- failed flights and raw data
 
 
 def reason_rows(campaign: Campaign, table: FlightTable, limit: int = 12) -> list[list[str]]:

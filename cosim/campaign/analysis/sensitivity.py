@@ -28,12 +28,12 @@ class KeyEffect:
     """The effect of one key on one result."""
 
     key: str
-    index: float  # first order, corrected for chance
+    index: float  # first-order index, corrected for chance
     interval: Interval
-    real: bool  # exceeds the noise floor
-    rank: float | None  # Spearman's; None for choices
+    real: bool  # True: index exceeds the noise floor
+    rank: float | None  # Spearman's rank correlation, if numeric
     rank_interval: Interval | None
-    partial: float | None  # other ranks held; None for choices
+    partial: float | None  # with other ranks held; None for choices
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Ranking:
     """The keys in the order of their first-order indices."""
 
     flights: int
-    floor: float  # largest index by chance, in 19 of 20
+    floor: float  # index that chance exceeds in 1 of 20
     effects: list[KeyEffect]
 
     @property

@@ -80,7 +80,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(finite, key.numbers, -1).astype(np.intp)
     flights = max((int(np.sum(table.rows_of(controller))) for controller in controller_indices(table)), default=0)
-    flights_per_cell = 15  # mean of the cells of random draws
+    flights_per_cell = 15  # mean number of random draws in a cell
     # A page can hold this many cells over all pairs of keys, for one controller.
     max_cells = 6000
     count = int(np.clip(isqrt(flights // flights_per_cell), 3, max(16, min(40, isqrt(max_cells // pairs)))))
@@ -89,7 +89,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
     if table.grid or 2 * levels.size <= 3 * count:
         edges: Array = _around(np.unique(scaled))
-    elif not key.log and np.all(levels % 1.0 == 0.0):  # as many whole numbers in each cell
+    elif not key.log and np.all(levels % 1.0 == 0.0):  # equal number of integers in each cell
         wide = -(-(levels[-1] - levels[0] + 1.0) // count)
         edges = np.arange(levels[0] - 0.5, levels[-1] + wide, wide)
     else:

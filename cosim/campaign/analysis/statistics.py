@@ -28,8 +28,8 @@ class Proportion(NamedTuple):
 
     hits: int
     of: int
-    wilson: Interval  # holds 95 % on average over probabilities
-    exact: Interval  # Clopper and Pearson's, at least 95 %
+    wilson: Interval  # Wilson's 95 % interval (mean coverage)
+    exact: Interval  # Clopper-Pearson interval, at least 95 %
 
     @property
     def value(self) -> float | None:
@@ -62,7 +62,7 @@ def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, A
     middle = (p + Z**2 / (2.0 * n)) / (1.0 + Z**2 / n)
     half = Z / (1.0 + Z**2 / n) * np.sqrt(p * (1.0 - p) / n + Z**2 / (4.0 * n**2))
     some = np.asarray(of) > 0
-    # at 0 and at 1 the ends are exactly those, but for rounding
+    # At 0 and at 1 the ends of the interval are known exactly, and rounding would miss them.
     low = np.where(some & (p > 0.0), np.maximum(middle - half, 0.0), 0.0)
     high = np.where(some & (p < 1.0), np.minimum(middle + half, 1.0), 1.0)
     return low, high
@@ -72,8 +72,8 @@ class Pairs(NamedTuple):
     """The outcomes of the same draws with two controllers: in how many both, one or neither succeeded."""
 
     both: int
-    first: int  # only the first
-    second: int  # only the second
+    first: int  # draws where only the first succeeds
+    second: int  # draws where only the second succeeds
     neither: int
 
     @property
@@ -147,9 +147,9 @@ def holm(values: Sequence[float]) -> list[float]:
 class MedianDifference(NamedTuple):
     """The difference of a metric of the same draws between two controllers, second less first."""
 
-    draws: int  # with the metric under both controllers
+    draws: int  # draws with the metric under both
     median: float
-    interval: Interval | None  # None: fewer than six draws
+    interval: Interval | None  # None: with fewer than six draws
     p: float  # Wilcoxon's signed-rank test
 
 
@@ -168,7 +168,7 @@ def median_difference(differences: Array) -> MedianDifference | None:
         if np.isfinite([confidence.low, confidence.high]).all()
         else None
     )
-    # all alike: nothing to rank
+    # Where all differences are 0 there is nothing to rank.
     p = float(stats.wilcoxon(differences).pvalue) if np.any(differences) else 1.0
     return MedianDifference(differences.size, float(np.median(differences)), interval, p)
 

@@ -47,22 +47,22 @@ class Comparison(NamedTuple):
     first: int
     second: int
     pairs: Pairs
-    interval: Interval | None  # of the difference, second less first
-    p: float  # McNemar's
-    p_holm: float  # corrected for the number of comparisons
-    metrics: dict[str, MedianDifference]  # second less first, if both completed
-    completed: int  # draws that both completed
+    interval: Interval | None  # difference, second minus first
+    p: float  # p value of McNemar's exact test
+    p_holm: float  # p value with Holm's correction
+    metrics: dict[str, MedianDifference]  # second minus first, where both completed
+    completed: int  # draws that both controllers completed
 
 
 class Spread(NamedTuple):
     """One metric of one controller, over the flights that completed and have it (SI)."""
 
     flights: int
-    none: int  # completed without it: never settled, say
-    of: int  # all flights, lost ones too
-    low: float  # 5 % of the flights lie below
+    none: int  # completed without it, e.g. not settled
+    of: int  # all flights, failed ones included
+    low: float  # 5th percentile
     median: float
-    high: float  # 5 % lie above
+    high: float  # 95th percentile
 
 
 def success_fractions(table: FlightTable) -> list[Proportion]:
@@ -174,7 +174,7 @@ def unmet_criteria(table: FlightTable, row: int, success: Mapping[str, Range]) -
     return lines or ["no success"]
 
 
-# ---- as data
+# ---- the summary as data
 
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
@@ -320,7 +320,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     Where there are more than three pairs the others are left to the page, and that is said.
     """
     pairs = summary["comparisons"]
-    max_pairs = 3  # pairs of controllers on a terminal
+    max_pairs = 3  # pairs of controllers that are printed
     listed = pairs if len(pairs) <= max_pairs else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
     for pair in listed:
         yield f"  {_compared_line(pair)}"

@@ -52,10 +52,10 @@ class KeyColumn(NamedTuple):
     """One varied key with its value on every row: a number, or the index of a choice in ``levels``."""
 
     path: str
-    label: str  # short enough for an axis, and unique
+    label: str  # unique, and short enough for an axis
     unit: str
     numbers: Array
-    levels: list[str]  # names of the choices; empty for a number
+    levels: list[str]  # names of choices; empty for a number
     log: bool = False
 
     @property
@@ -69,19 +69,19 @@ class FlightTable(NamedTuple):
 
     flight: Counts
     draw: Counts
-    controller: Counts  # place in ``controllers``
-    kind: Counts  # place in KINDS
+    controller: Counts  # index into ``controllers``
+    kind: Counts  # index into KINDS
     reason: list[str]
-    beyond: list[list[str]]  # metrics beyond the flight's own limits
-    duration: Array  # s flown
+    beyond: list[list[str]]  # metrics above the flight's own limits
+    duration: Array  # flown time, s
     keys: list[KeyColumn]
-    metrics: list[Metric]  # the telling ones, first the study's own
-    values: dict[str, Array]  # by name, SI; NaN where there is none
+    metrics: list[Metric]  # the informative ones, the study's first
+    values: dict[str, Array]  # SI values by name; NaN where none
     controllers: list[str]
-    grid: bool  # all combinations of levels, not draws
-    # By how much the referee widens the interval of each controller.
+    grid: bool  # True: every combination of a grid
+    # By how much the referee's comparison widens the interval of each controller's success rate.
     rates: Mapping[str, Interval] | None = None
-    broken: Sequence[Sequence[str]] = ()  # requirements that each flight breaks
+    broken: Sequence[Sequence[str]] = ()  # requirements that each flight misses
 
     @property
     def success(self) -> Mask:
@@ -114,7 +114,7 @@ def read_flight_table(campaign: Campaign) -> FlightTable:
     kind[outcomes == "completed"] = KINDS.index("missed")
     kind[success] = KINDS.index("success")
     row_controllers = [str(name) for name in columns.get("controller", [])]
-    # a study that states none flies its scenario's own
+    # A study that lists no controllers flies its scenario's own.
     named = controllers_of(study) if study.controllers else []
     controllers = list(named or dict.fromkeys(row_controllers) or study.controller_names)
     code_of = {name: code for code, name in enumerate(controllers)}
@@ -166,7 +166,7 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
     varied = [name for name in varied if not (name.startswith(FLOWN_STATIONS) and name.endswith(tuple(common)))]
     by_key = {vary.key: vary for vary in campaign.study.vary}
     if campaign.study.design == "grid":
-        # A key that is drawn for each point of a grid is none of its axes.
+        # A key that is drawn anew for each point of a grid is not one of the grid's axes.
         varied = [name for name in varied if name in by_key]
     columns = []
     for name, label in zip(varied, short_names(varied), strict=True):
@@ -238,7 +238,7 @@ def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list
     moving = [
         name for name in dict.fromkeys(order) if name in finite and finite[name].size and np.ptp(finite[name]) > 0.0
     ]
-    max_metrics = 8  # in the report; the data set has all
+    max_metrics = 8  # metrics on the page; the table has all
     return list(dict.fromkeys([*moving[:max_metrics], *(name for name in moving if name in OF_THE_WHOLE)]))
 
 

@@ -86,7 +86,7 @@ def eccentricity(table: FlightTable) -> Array:
         if key.levels or not np.all(np.isfinite(key.numbers)):
             continue
         _, rank, counts = np.unique(key.numbers, return_inverse=True, return_counts=True)
-        middle = (np.cumsum(counts) - 0.5 * counts)[rank] / size  # equal values get their middle rank
+        middle = (np.cumsum(counts) - 0.5 * counts)[rank] / size  # equal values share their middle rank
         squares += (2.0 * middle - 1.0) ** 2
         count += 1
     return np.sqrt(squares / max(count, 1))

@@ -18,8 +18,8 @@ class Case(Model):
     """A named variant of a study's scenario, one value of the key ``case``."""
 
     name: Annotated[str, Field(min_length=1)]
-    settings: dict[str, Any] = Field(default_factory=dict)  # over the scenario's; seed: the case's
-    autopilot: dict[str, Any] = Field(default_factory=dict)  # over the study's table [autopilot]
+    settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario; seed: the case's
+    autopilot: dict[str, Any] = Field(default_factory=dict)  # overrides the study's table [autopilot]
 
 
 def vary_cases(data: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -107,7 +107,7 @@ class Vary(Model):
     normal: Normal | None = None
     lognormal: LogNormal | None = None
     triangular: Triangular | None = None
-    uncertainty: Literal[True] | None = None  # engine: by its file's uncertainty
+    uncertainty: Literal[True] | None = None  # engine: drawn by its file's uncertainty
     relative: Literal["", "factor", "offset"] = ""
 
     @model_validator(mode="after")
@@ -137,7 +137,7 @@ class Vary(Model):
             if self.lognormal is not None and self.lognormal.min is not None:
                 raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
         for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
-            # within 8 standard deviations the inverse keeps its digits
+            # Beyond 8 standard deviations the inverse of the distribution loses digits.
             if form is not None and not (form.score(low) < 8.0 and form.score(high) > -8.0):
                 raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is too far out for this {name}")
         return self

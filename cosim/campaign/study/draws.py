@@ -54,7 +54,7 @@ class LazySequence(Sequence[T]):
     def __getitem__(self, index: slice) -> list[T]: ...
 
     def __getitem__(self, index: int | slice) -> T | list[T]:
-        # An index past the end raises IndexError, which ends an iteration.
+        # An index past the end raises IndexError, which also ends a for loop over this object.
         numbers = range(len(self))[index]
         return self._make(numbers) if isinstance(numbers, int) else [self._make(number) for number in numbers]
 
@@ -245,7 +245,7 @@ def _copula(study: Study) -> Callable[[Array], Array]:
         normal = ndtri(points[:, sides])
         points = points.copy()
         for row, side in enumerate(sides):
-            # summed here and not by a matrix product, whose order of additions is the machine's
+            # Summed in a fixed order: a matrix product's order of additions depends on the machine.
             together = sum(lower[row, column] * normal[:, column] for column in range(row + 1))
             points[:, side] = np.clip(ndtr(together), SMALLEST, 1.0 - SMALLEST * 2.0)
         return points
@@ -269,7 +269,7 @@ def reorder_points(points: Array, matrix: Array) -> Array:
     target = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
     try:
         sampled = np.linalg.cholesky(np.corrcoef(scores, rowvar=False))
-    except np.linalg.LinAlgError:  # a few runs may lie in a line
+    except np.linalg.LinAlgError:  # a few points may be collinear
         sampled = np.eye(len(sides))
     scores = scores @ np.linalg.inv(sampled).T @ target.T
     order = np.argsort(np.argsort(scores, axis=0, kind="stable"), axis=0, kind="stable")
@@ -299,7 +299,7 @@ def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
         numbers = bend(quantiles) * scale + shift
         if stepped:
             return [key.fit(value) for value in round_to_steps(numbers.tolist(), vary, key)]
-        # Rounding may have left the bounds by a bit.
+        # Rounding may pass the bounds by one bit.
         return list(np.clip(numbers, low, high).tolist())
 
     return values

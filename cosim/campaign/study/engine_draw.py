@@ -107,7 +107,7 @@ def engine_draw(scenario: Scenario, source: EngineSource | None = None) -> Engin
     for name, deviation, spread in zip(table.parameters, table.deviation, table.spreads, strict=True):
         common = keys[f"{FLOWN_PARAMETERS}.{name}"]
         own = [keys[f"{FLOWN_STATIONS}{number}.{name}"] for number in stations]
-        # a station that states another value is drawn about that
+        # A station that states another value is drawn around that value.
         single = tuple(key for key in own if spread or key.nominal != common.nominal)
         parameters.append(_Parameter(deviation, spread, common, single))
     return EngineDraw(table, parameters)

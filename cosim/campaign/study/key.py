@@ -30,14 +30,14 @@ class Key:
 
     path: str
     kind: Kind
-    nominal: Value | None  # in the scenario; None where it has none
-    unit: str = ""  # by the suffix of the name
+    nominal: Value | None  # value in the scenario; None: has none
+    unit: str = ""  # from the suffix of the name
     low: float = -inf
     high: float = inf
-    open_low: bool = False  # ``low`` itself is not allowed
+    open_low: bool = False  # True: ``low`` itself is not allowed
     open_high: bool = False
     choices: tuple[Value, ...] = ()
-    grid: float | None = None  # s: control step; only its multiples
+    grid: float | None = None  # s, control step; allows its multiples
 
     @property
     def allowed(self) -> str:
@@ -87,7 +87,7 @@ class Key:
     def _rounded(self, value: float) -> float | int:
         if self.kind == "int":
             return round(value)
-        # a billionth of a step is noise of the division, and what a person wrote would not be that number again
+        # Round the result: 1e-9 of a step is noise of the division and would change a number that a person wrote.
         return value if self.grid is None else float(f"{round(value / self.grid) * self.grid:.12g}")
 
     def _within(self, value: float) -> bool:

@@ -243,7 +243,7 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
     if name in NOT_VARIED or name in ("controller_parameters", "vehicle", "engine_parameters", "stations"):
         return
     if name == "mismatch":
-        value = value.model_copy(update={"engine_parameters": {}, "stations": {}})  # these are the engine's keys
+        value = value.model_copy(update={"engine_parameters": {}, "stations": {}})  # the engine has its own ones
     if name in ("aircraft", "engine", "controller"):
         yield Key(name, "choice", value, choices=tuple(_names(name)))
     elif name == "sensors":
@@ -417,7 +417,7 @@ def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) ->
 
 def _nearest(name: str, keys: Iterable[str]) -> str:
     """Return the keys that may be meant: those that end alike, or have its words in their parts."""
-    # Of keys that differ in their indices alone the first is meant.
+    # Among keys that differ in their indices alone, the first is used.
     by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
     scored = sorted((-_similarity(name, path), len(path), path) for path in by_name.values())
     threshold = max(0.6, -scored[0][0] - 0.15)

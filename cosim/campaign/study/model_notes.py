@@ -85,7 +85,7 @@ def _extreme_flights(study: Study) -> Iterator[Flight]:
     count = len(names)
     controllers = [k for k, name in enumerate(names) if name in PREDICTORS and PREDICTORS[name].needs_model][:1]
     controllers += [k for k, name in enumerate(names) if name not in PREDICTORS]
-    max_flights = 1000  # flights compared for ends of what varies
+    max_flights = 1000  # flights compared at the ends of ranges
     first_flights = [planned[n] for n in range(0, min(len(planned), max_flights * count), count)]
     chosen = {0}
     for key in study.drawn:

@@ -66,7 +66,7 @@ class NormalSpace:
         """
         from scipy.special import ndtr
 
-        # summed in order and not by a matrix product, whose order of additions is the machine's
+        # Summed in a fixed order: a matrix product's order of additions depends on the machine.
         correlated = sum(np.outer(points[:, side], self._lower[:, side]) for side in range(self.dimension))
         quantiles = np.clip(ndtr(np.clip(correlated, -FURTHEST, FURTHEST)), SMALLEST, 1.0 - SMALLEST * 2.0)
         columns = [column for transform in self._maps for column in transform(quantiles)]
@@ -87,5 +87,5 @@ def _engine_columns(engine: EngineDraw, first: int, quantiles: Array) -> list[li
 
 def draw_seed(random: np.random.Generator) -> int:
     """Return a new seed of a flight's noise and turbulence: all of its 53 bits are equally likely."""
-    # Every reader of the results takes a whole number of 53 bits without loss.
+    # An integer of 53 bits survives every reader, also those that read numbers as doubles.
     return int(random.integers(2**53))

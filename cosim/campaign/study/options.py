@@ -165,10 +165,10 @@ def _default_design(data: Mapping[str, Any]) -> str:
 def _merge_by_key(tables: Any, new: list[dict[str, Any]], key_of: Any) -> list[Any]:
     """Return ``tables`` with those of ``new`` in the place of the ones with the same key, or at the end."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        return [tables] if new == [] else new  # the model says what is wrong with it
+        return [tables] if new == [] else new  # validation will report what is wrong
     replaced = {key_of(table): table for table in new}
     if len(replaced) < len(new):
-        return [*tables, *new]  # the model says which one is there twice
+        return [*tables, *new]  # validation will report the duplicate
     merged = [replaced.pop(key_of(table), table) for table in tables]
     return [*merged, *replaced.values()]
 

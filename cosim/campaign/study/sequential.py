@@ -63,7 +63,7 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
             f"{name} {text}: write it as PROBABILITY%@CONFIDENCE%, such as 99.9%@95%, "
             "or CONTROLLER>CONTROLLER@CONFIDENCE%"
         )
-    # Two controllers that are alike each win half of the draws that they fly differently.
+    # Two controllers that are alike each win half of the draws in which they differ.
     probability = 0.5 if match[1] is None else _percentage(match[1], 1.0, f"{name} {text}")
     pair = None if match[1] is not None else (match[2], match[3])
     if pair is not None and pair[0] == pair[1]:
@@ -73,7 +73,7 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
 
 def default_runs(text: str) -> int:
     """Return how many draws a study with this claim has where nobody says it.  Raises InputError as parse_claim."""
-    # A study that states no number has ten times the fewest flights that can show its claim.
+    # A study that states no number may fly ten times the fewest flights that can prove its claim.
     return min(10 * parse_claim(text).fewest, MAX_TESTED)
 
 
@@ -113,10 +113,10 @@ class SequentialTest:
     def __init__(self, claim: Claim) -> None:
         self.claim = claim
         self.decision: Decision = "open"
-        self._crossed: Decision = "open"  # open: the flights were used up
+        self._crossed: Decision = "open"  # "open": flights ran out first
         self.flights = self.failures = 0
         self._failing = 1.0 - claim.probability
-        # of studies that have not ended, by their failures from ``_lowest``, if each flight fails with ``_failing``
+        # Probability of each number of failures, from ``_lowest`` on, of running studies, at ``_failing``.
         self._going = np.ones(1)
         self._lowest, self._refuted_from = 0, 1
         self._spent = {"shown": 0.0, "refuted": 0.0}
@@ -171,8 +171,8 @@ class SequentialTest:
         self._spent[decision] += probability
         self._ends[decision].append((self.flights, failures, probability))
 
-    # ---- intervals: studies may end in this order, the best first: shown (the sooner the better), open (by failures),
-    # refuted (the later the better).  An end is judged by how probable it and all better or all worse ones are
+    # ---- Intervals. Endings from best to worst: shown (sooner is better), open (by failures), refuted (later is
+    # better). At a bound this ending and all better, or all worse, ones have the probability ``error``.
 
     def _highest(self, error: float) -> float:
         """Return the highest probability of failure at which an end as good as this one still has ``error``."""
@@ -216,7 +216,7 @@ class SequentialTest:
 
     @staticmethod
     def _solve(function: Callable[[float], float]) -> float:
-        from scipy.optimize import brentq  # its import takes a third of a second
+        from scipy.optimize import brentq  # importing scipy takes 0.3 s
 
         return float(brentq(function, 1e-12, 1.0 - 1e-12, xtol=1e-12))
 
@@ -228,7 +228,7 @@ class ClaimTest:
     """
 
     def __init__(self, claim: Claim) -> None:
-        # One and the same up to the first flight without a verdict.
+        # Both are one test until the first flight without a verdict.
         self._worst = self._best = SequentialTest(claim)
         self.flights = self.failures = self.not_flown = 0
 
@@ -279,8 +279,8 @@ class StoppingRule:
         self._controllers, self._draws = controllers, draws
         names = controllers if claim.pair is None else [" > ".join(claim.pair)]
         self.tests = {name: ClaimTest(claim) for name in names}
-        self._counted = 0  # draws
-        # Success by the number of a flight whose draw is not counted yet; None without a verdict.
+        self._counted = 0  # draws counted so far
+        # Success by flight number, of flights whose draw is not yet complete; None: without a verdict.
         self._waiting: dict[int, bool | None] = {}
 
     @property

@@ -63,31 +63,31 @@ class Study(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""
-    scenario: str  # a name, or a file by the study's folder
-    settings: dict[str, Any] = Field(default_factory=dict)  # over the scenario's, by dotted key
+    scenario: str  # name, or file relative to the study
+    settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario, by dotted key
     controllers: Annotated[list[str], AfterValidator(_without_repeats)] = Field(
         default_factory=list
-    )  # none: the scenario's
+    )  # empty: the scenario's controller
     design: Design
-    runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # draws; of a grid: its points
-    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # of a whole grid, with other seeds
+    runs: Annotated[int, Field(ge=1, le=MAX_DRAWS)] | None = None  # number of draws; of a grid its points
+    repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # grid flown again with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
-    case: list[Case] = Field(default_factory=list)  # varied by the key case
-    nominal_engine: bool = False  # False: sweep draws an uncertain one
+    case: list[Case] = Field(default_factory=list)  # named cases, varied by the key "case"
+    nominal_engine: bool = False  # True: do not draw an uncertain engine
     correlate: list[Correlation] = Field(default_factory=list)
-    success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold too
+    success: dict[str, Range] = Field(default_factory=dict)  # metrics that success requires too
     require: Annotated[list[RequireEntry], AfterValidator(unique_names)] = Field(
         default_factory=list
-    )  # of each flight, beside the scenario's
-    until: str | None = None  # a claim that ends the study: 99.9%@95%
-    batch: bool = False  # flown on arrays, many at once
-    # It flies in the place of the controller, whose gains go into it.
+    )  # requirements added to the scenario's
+    until: str | None = None  # claim that ends the study: 99.9%@95%
+    batch: bool = False  # flown on arrays, many flights at once
+    # An autopilot of others flies in place of the controller, with the controller's gains.
     autopilot: Annotated[StudyAutopilot, PlainValidator(read_autopilot)] | None = None
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _where: str = PrivateAttr(default="study")
-    _bases: dict[str | None, Scenario] = PrivateAttr(default_factory=dict)  # by case, once they are needed
+    _bases: dict[str | None, Scenario] = PrivateAttr(default_factory=dict)  # scenario of each case, made on demand
     _keys: dict[str, Key] = PrivateAttr(default_factory=dict)
     _drawn: list[str] | None = PrivateAttr(default=None)
 
@@ -161,7 +161,7 @@ class Study(Model):
             return Key(CASE, "choice", None, choices=tuple(case.name for case in self.case))
         if name not in self._keys:
             base = self.base()
-            if name.startswith(CUSTOM_PARAMETERS):  # of any controller that is flown
+            if name.startswith(CUSTOM_PARAMETERS):  # applies to whatever controller is flown
                 scenarios = [with_values(base, {"controller": controller}) for controller in self.tried]
                 scenarios.sort(
                     key=lambda scenario: [
@@ -275,7 +275,7 @@ class Study(Model):
         """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
         study = cls.unchecked(data, folder, where)
         if not is_code_forbidden():
-            # A displayed study was checked when it was flown.
+            # A study that is only displayed was checked when it was flown.
             need_trust(study_code(study), where)
             check(study, where)
         return study
@@ -423,7 +423,7 @@ def check(study: Study, where: str) -> None:
                 _check_uncertain_engine(study)
             else:
                 check_vary(vary, study.key(vary.key))
-        for controller in study.tried:  # files exist, and are for this aircraft
+        for controller in study.tried:  # check that files exist and fit the model
             with_values(study.base(), {"controller": controller})
         _check_together(study)
     except InputError as error:

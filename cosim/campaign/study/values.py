@@ -85,7 +85,7 @@ def quantum(key: Key) -> float | None:
 
 def whole_bounds(low: float, high: float, step: float) -> tuple[float, float]:
     """Return the first and the last whole number of steps within bounds; infinite where a bound is."""
-    # The rounding of the division must not cost the bound itself.
+    # Rounding of the division must not exclude the bound itself.
     slack = 1e-9
     first = float(ceil(low / step - slack)) if isfinite(low) else low
     return first, float(floor(high / step + slack)) if isfinite(high) else high

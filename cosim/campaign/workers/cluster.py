@@ -78,13 +78,13 @@ class DaskWorkers:
             raise
 
     def _start_cluster(self, count: int | None) -> Any:
-        # Threads of this process: what they do they do in processes of their own, started by command.
+        # Threads of this process suffice, because each flight runs in a process of its own.
         self._cluster = self._dask.LocalCluster(
             n_workers=1,
             threads_per_worker=count or len(os.sched_getaffinity(0)),
             processes=False,
             dashboard_address="127.0.0.1:0",
-            # Without this the worker's pages are on all interfaces.
+            # Otherwise the worker's status page would listen on all interfaces.
             worker_dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
             memory_limit=0,
@@ -94,7 +94,7 @@ class DaskWorkers:
 
     def _connect(self, address: str) -> Any:
         scheduler = _scheduler_at(address)
-        # Dask warns of other versions; those that matter are compared here.
+        # Dask warns about versions of its own; those that matter to flights are compared here.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
@@ -111,7 +111,7 @@ class DaskWorkers:
                 raise InputError(f"cluster {self._where}: has no workers; one is started with: dask worker {option}")
             sleep(0.1)
         installed = {name: self._client.submit(installed_versions, workers=[name], pure=False) for name in workers}
-        check_s = 20.0  # s; a busy worker says it with a task
+        check_s = 20.0  # s; busy workers report with each task
         end = monotonic() + check_s
         for name, future in installed.items():
             try:
@@ -130,7 +130,7 @@ class DaskWorkers:
         tasks = _Tasks(self._client, study, self._packed(study), flights, limit)
         try:
             while not tasks.is_done:
-                # One task of a thread is running and one is waiting.
+                # One task per thread runs and one waits.
                 tasks.hand_out(2 * self._threads.count)
                 yield from tasks.collect()
                 self._need_cluster()
@@ -148,7 +148,7 @@ class DaskWorkers:
         if self._client.status in ("closing", "closed"):
             raise FlightError(f"{self._where}: the scheduler is lost")
         without = self._threads.without_s
-        # In the middle of a campaign a batch system may take a machine away and bring another.
+        # A batch system may take a machine away in the middle of a campaign and bring another later.
         max_without_s = 120.0
         if without > max_without_s:
             raise FlightError(f"{self._where}: has had no workers for {without:.0f} s")
@@ -182,7 +182,7 @@ class _Threads:
         self._client = client
         self._by_worker: dict[str, int] = {}
         self._counted_at = -LOOK_S
-        self._last_worker_at = monotonic()  # when there last was one
+        self._last_worker_at = monotonic()  # when a worker was last connected
 
     @property
     def count(self) -> int:
@@ -216,11 +216,11 @@ class _Tasks:
         self._limit = limit
         self._flights = iter(flights)
         self._buffer: deque[Flight] = deque()
-        self._returned: deque[list[Flight]] = deque()  # came back from tasks that were lost
-        self._packed: Any | None = None  # the study, once it is on the cluster
+        self._returned: deque[list[Flight]] = deque()  # flights of lost tasks, to be flown again
+        self._packed: Any | None = None  # the study, after its upload
         self._pending: dict[str, tuple[Any, list[Flight]]] = {}
         self._finished: SimpleQueue[Any] = SimpleQueue()
-        self._mean_s: float | None = None  # of a flight
+        self._mean_s: float | None = None  # mean duration of a flight
         self._is_exhausted = False
         self._name = f"hexjet-{uuid4().hex[:12]}"
         self._number = numbers()
@@ -255,7 +255,7 @@ class _Tasks:
 
     def _next(self, tasks: int) -> list[Flight]:
         """Return the flights of the next of ``tasks``: one until a flight's duration is known, and fewer at the end."""
-        task_s = 0.5  # s; handing one out takes 5 ms
+        task_s = 0.5  # s of work per task; hand-out takes 5 ms
         size = 1 if self._mean_s is None else min(MAX_IN_TASK, max(1, round(task_s / max(self._mean_s, 1e-3))))
         missing = size * tasks - len(self._buffer)
         self._buffer.extend(islice(self._flights, max(0, missing)))
@@ -264,7 +264,7 @@ class _Tasks:
         return [self._buffer.popleft() for _ in range(size)]
 
     def _submit(self, batch: list[Flight]) -> None:
-        with warnings.catch_warnings():  # an engine may be large
+        with warnings.catch_warnings():  # Dask warns about large objects
             warnings.simplefilter("ignore")
             if self._packed is None:
                 name = f"{self._name}-study-{next(self._number)}"
@@ -287,7 +287,7 @@ class _Tasks:
         if pending is None:
             return
         batch = pending[1]
-        if future.status in ("cancelled", "lost"):  # with the scheduler, or by somebody else
+        if future.status in ("cancelled", "lost"):  # cancelled by the scheduler or a user
             self._returned.append(batch)
             self._packed = None
             return
@@ -296,7 +296,7 @@ class _Tasks:
         except _dask().KilledWorker as error:
             yield from self._after_losses(batch, error)
         except (TimeoutError, CancelledError):
-            # The worker has gone with the rows: Dask has the flights flown again.
+            # The worker left with its rows, so Dask has the flights flown again.
             self._pending[str(future.key)] = pending
             self._finished.put(future)
         except (FlightError, InputError) as error:
@@ -376,7 +376,7 @@ def _scheduler_at(address: str) -> str:
         except Exception as error:
             answer.append(error)
 
-    asking = Thread(target=ask, daemon=True)  # a notebook has a loop that runs already
+    asking = Thread(target=ask, daemon=True)  # a notebook already runs an event loop
     asking.start()
     asking.join()
     if isinstance(answer[0], (OSError, TimeoutError)):

@@ -88,7 +88,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
 
     Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
     """
-    # Flights that a tool flies as one piece of work.
+    # A batch has a method that flies all its flights together.
     if (fly_together := getattr(flight, "fly", None)) is not None:
         return fly_together(study)  # type: ignore[no-any-return]
     begin = time.perf_counter()

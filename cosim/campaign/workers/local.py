@@ -73,7 +73,7 @@ class LocalWorkers:
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
-        # Processes that are still busy have flights whose results are no longer needed.
+        # Processes that are still busy fly what is no longer needed.
         self._end_busy()
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         waiting = _Waiting(flights)
@@ -197,12 +197,12 @@ class _QueueDepth:
 
     def __init__(self) -> None:
         self.flights = 0
-        self._mean_s: float | None = None  # of a flight
+        self._mean_s: float | None = None  # mean duration of a flight
 
     def learn(self, seconds: float) -> None:
         self._mean_s = update_mean(self._mean_s, seconds)
         ahead_s = 0.25  # s of work queued in a process
-        max_flights = 8  # flights
+        max_flights = 8  # flights per message
         self.flights = min(max_flights, ceil(ahead_s / max(self._mean_s, 1e-3))) if self._mean_s < ahead_s else 0
 
 
@@ -211,12 +211,12 @@ class _Process:
 
     def __init__(self, fly: Fly) -> None:
         self.queued: deque[Flight] = deque()
-        self.active_since: float | None = None  # None: it is not ready yet
-        self.last_duration_s = 0.0  # s, the last flight
+        self.active_since: float | None = None  # None: still starting
+        self.last_duration_s = 0.0  # s, duration of the last flight
         self._begun = time.monotonic()
         self._study: Study | None = None
         try:
-            # whatever its flights put aside, it goes with it
+            # The worker's temporary files are deleted with this folder.
             self._folder = tempfile.mkdtemp(prefix="worker-", dir=scratch())
         except InputError as error:
             raise FlightError(f"no process could be started: {error}") from error
@@ -224,7 +224,7 @@ class _Process:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         inherited = dict(os.environ) | ONE_THREAD | {"TMPDIR": self._folder}
         try:
-            # In a group of its own: Ctrl-C is answered by the process that waits.
+            # A process group of its own keeps Ctrl-C from the worker; the process that waits handles it.
             self._process, self.connection = Host.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -281,7 +281,7 @@ class _Process:
 
     def _send(self, message: Any) -> None:
         with suppress(OSError):
-            # A worker that is gone is reported by the next read from it.
+            # A lost worker is detected at the next read.
             self.connection.send(message)
 
 
@@ -291,7 +291,7 @@ def serve(descriptor: int, folder: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_parent()
     Thread(target=_exit_with_parent, args=(descriptor, folder), daemon=True).start()
-    with suppress(EOFError, OSError):  # the other end is gone
+    with suppress(EOFError, OSError):  # the other end is closed
         _serve_flights(Connection(descriptor), folder)
     _exit(folder)
 
@@ -304,7 +304,7 @@ def _serve_flights(connection: Connection[Any, Any], folder: str) -> None:
         message = connection.recv()
         if isinstance(message, tuple):
             study, limit, decided = message
-            inherit(decided)  # whoever started this has asked the user
+            inherit(decided)  # the parent has asked the user already
             continue
         signal.setitimer(signal.ITIMER_REAL, limit + BACKSTOP_S)
         try:
@@ -313,7 +313,7 @@ def _serve_flights(connection: Connection[Any, Any], folder: str) -> None:
             answer = error
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         if not os.path.isdir(folder):
-            # Somebody cleaned up, which may be why the flight failed: another process flies it again.
+            # The temporary files were deleted, which may be why the flight failed: another process flies it again.
             return
         connection.send(answer)
 
@@ -341,7 +341,7 @@ def _exit(folder: str) -> None:
     """End this process at once, and leave nothing behind."""
     gone = f"{folder}-gone"
     with suppress(OSError):
-        # From now on a flight under way puts nothing more into the folder.
+        # After this a flight in progress writes nothing more into the folder.
         os.rename(folder, gone)
     shutil.rmtree(gone, ignore_errors=True)
     os._exit(1)

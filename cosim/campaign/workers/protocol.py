@@ -40,10 +40,10 @@ class Workers(Protocol):
 def time_limit(study: Study) -> float:
     """Return how long a flight of ``study`` may take by default, s of wall time."""
     before = 0.0 if study.autopilot is None else study.autopilot.before_s
-    # Flights on arrays are handed out many at a time.
+    # A batch is handed out as one task and takes longer.
     together = 10.0 if study.batch else 1.0
-    min_limit_s = 60.0  # s wall time; some engines load in 20 s
-    factor = 10.0  # of simulated time; 0.01 is usual
+    min_limit_s = 60.0  # s wall time; loading may take 20 s
+    factor = 10.0  # s wall per s simulated; 0.01 is usual
     return together * max(min_limit_s, factor * (study.base().duration_s + before))
 
 

@@ -30,7 +30,7 @@ class _Processes:
     """Processes that wait for flights; each is used by one thread at a time."""
 
     def __init__(self) -> None:
-        self._idle: dict[LocalWorkers, tuple[float, Timer]] = {}  # the time limit that they have
+        self._idle: dict[LocalWorkers, tuple[float, Timer]] = {}  # idle workers by their time limit
         self._lock = Lock()
 
     def take(self, limit: float) -> LocalWorkers:
@@ -43,7 +43,7 @@ class _Processes:
         return idle
 
     def give_back(self, workers: LocalWorkers, limit: float) -> None:
-        idle_s = 60.0  # s; then a process without flights ends
+        idle_s = 60.0  # s until an idle process ends
         timer = Timer(idle_s, self._end, (workers,))
         timer.daemon = True
         with self._lock:
@@ -60,7 +60,7 @@ class _Processes:
     def _end(self, workers: LocalWorkers) -> None:
         with self._lock:
             if self._idle.pop(workers, None) is None:
-                return  # somebody has just taken it
+                return  # another thread took it already
         workers.close()
 
 
@@ -70,9 +70,9 @@ atexit.register(_processes.end_idle)
 
 def fly_together(frozen: FrozenStudy, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
     """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
-    with _unpacking:  # several threads of a worker may unpack
+    with _unpacking:  # worker threads may unpack concurrently
         _unpack(frozen, folder / digest)
-        # Whoever sent the study has looked at its code: that is what a cluster is for.
+        # Whoever sends a study to a cluster has accepted its code.
         trust(folder / digest)
         study = _studies.get((digest, folder), lambda: load(folder / digest))
     workers = _processes.take(limit)
@@ -92,6 +92,6 @@ def end_idle() -> None:
 
 def _unpack(frozen: FrozenStudy, folder: Path) -> None:
     """Write the study down if that was not done yet, or somebody has cleaned up since."""
-    if not (folder / STUDY).is_file():  # the last that is written
+    if not (folder / STUDY).is_file():  # the study file is written last
         folder.mkdir(parents=True, exist_ok=True)
         frozen.write(folder)

@@ -27,7 +27,7 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     """
     tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act
-    limit_s = 86_400.0  # s: a task may be long, but ends
+    limit_s = 86_400.0  # s, a day: no task is endless
     with LocalWorkers(workers, limit_s, _answer, _lost) as pool:
         for row in pool.fly(study, tasks):
             result: dict[str, Any] = dict(row)

@@ -54,7 +54,7 @@ class TiltAllocator:
         self._jets, self._limits, self._idle = jets, limits, idle
         self._plan: Plan | None = None
         self._lift = lift
-        self._extra = 0.0  # extra collective of the last allocation
+        self._extra = 0.0  # collective added by the last allocation
         self._low, self._high = limits.throttle_min, limits.throttle_max
         self._range = tilt_range
         self.hover = hover
@@ -112,7 +112,7 @@ class TiltAllocator:
         thrust_ratio = (c + self._idle) / self._hover_thrust
         if thrust_ratio < LEAST_SHARE:
             thrust_ratio = LEAST_SHARE
-        # Where everything fits the residual is exactly 0, not a rounding error: the integrals stop at any residual.
+        # Where everything fits the residual must be exactly 0, without rounding: integrals stop at any residual.
         limit = self._range
         p = self.pitch_sign * pitch / thrust_ratio
         residual_pitch = residual_yaw = 0.0
@@ -125,7 +125,7 @@ class TiltAllocator:
             y = room if y > 0.0 else -room
             residual_yaw = yaw - y * thrust_ratio
 
-        sides: tuple[Any, Any] = (right, left)  # one shared object per side
+        sides: tuple[Any, Any] = (right, left)  # shared objects, so compiled code is fast
         return _ACTUATION(
             tuple([sides[1] if on_left else sides[0] for on_left in self.left]),
             (p + y, p - y),
@@ -158,7 +158,7 @@ class TiltAllocator:
         extra = self._extra = self._beyond(plan, throttles, missing)
         if extra > 0.0:
             throttles = [throttles[i] + extra * plan.boost[i] for i in jets]
-        # Where everything fits the residual is exactly 0.
+        # Where everything fits the residual must be exactly 0.
         c = collective if up >= least and extra == missing else plan.centre + above + extra
         throttle = tuple([clip(throttles[i], low, high) if frees[i] else at_roll[i] for i in jets])
 

@@ -44,9 +44,9 @@ class Hull:
     """The hull of a layout with thrusts [N] and hinges [rad] within these ends."""
 
     def __init__(self, columns: Array, sets: Array, thrusts: Array, angles: Array) -> None:
-        self.columns = columns  # force and moment, (6, corners)
-        self._sets = sets  # its engines as ones, (sets, corners)
-        self._thrusts, self._angles = thrusts, angles  # (corners, jets or hinges)
+        self.columns = columns  # force and moment of corners: 6 rows
+        self._sets = sets  # rows of 0/1: which engines a set has
+        self._thrusts, self._angles = thrusts, angles  # one row per corner
 
     @classmethod
     def of(cls, layout: Layout, min_thrust: Array, max_thrust: Array, low: Array, high: Array) -> Hull | None:
@@ -87,7 +87,7 @@ class Hull:
 
         equal = np.vstack([objective.rows @ self.columns / scale, self._sets])
         values = np.concatenate([objective.values / scale, np.ones(len(self._sets))])
-        # Without whole numbers this is a linear program, with less around it than linprog has.
+        # A problem without integers is a linear program; milp has less overhead than linprog.
         result = milp(
             -(objective.goal @ self.columns) / scale,
             constraints=LinearConstraint(equal, values, values),
@@ -96,7 +96,7 @@ class Hull:
         if result.status == 2:
             nothing = np.zeros(self._angles.shape[1])
             return Bound(-inf, np.zeros(self._thrusts.shape[1]), nothing, nothing)
-        assert result.status == 0, result.message  # shares of corners are bounded
+        assert result.status == 0, result.message  # bounded, because corner weights are
         weights = result.x
         thrust, angles = weights @ self._thrusts, weights @ self._angles
         spread = np.sqrt(np.maximum(weights @ self._angles**2 - angles**2, 0.0))

@@ -167,14 +167,14 @@ class Reach:
             least = max(least, self._climb(objective, bound.thrust, bound.angles))
             widest = int(bound.spread.argmax())
             if cuts <= 0 or not bound.spread[widest]:
-                closed = max(closed, bound.upper)  # cannot be bounded closer
+                closed = max(closed, bound.upper)  # this box cannot be bounded more closely
                 continue
             cuts -= 1
             for half in range(2):
                 ends = low.copy(), high.copy()
                 ends[1 - half][widest] = 0.5 * (low[widest] + high[widest])
                 hull = Hull.of(self._layout, self._least, self._most, *ends)
-                assert hull is not None  # a part of a bounded hull is bounded
+                assert hull is not None  # a part of a bounded hull is bounded too
                 inside = hull.bound(objective, self._weight)
                 number += 1
                 heappush(queue, (-inside.upper, number, *ends, inside))
@@ -221,7 +221,7 @@ class Reach:
             effects, turns = self._linear(x[:jets] * scale, x[jets:])
             return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
 
-        # What nothing changes is no constraint that a program could meet: looked at here, in the middle and beside it.
+        # Rows that nothing changes would make the program infeasible, so they are checked here directly.
         middle = 0.5 * (low + high)
         offset = middle + OFFSET * (high - low) * np.cos(np.arange(len(middle)))
         changes = np.hstack([rows @ wrench_of(x)[1] * (high > low) for x in (start, middle, offset)])
@@ -263,7 +263,7 @@ class Reach:
             axis, twist = axes[group], layout.stations[jet].twist
             columns.append([*axis, *_moment(positions[jet], axis, twist)])
             for hinge in layout.hinge_axes(angles, jet):
-                # The thrust turns with the hinge, and the station where it is carried.
+                # The thrust turns with the hinge, and so does the station if the hinge carries it.
                 fx, fy, fz = cross(hinge.axis, axis)
                 force = (hinge.effect * fx, hinge.effect * fy, hinge.effect * fz)
                 change = np.array([*force, *_moment(positions[jet], force, twist)])

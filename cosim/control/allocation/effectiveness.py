@@ -66,7 +66,7 @@ class Effector(NamedTuple):
     step: float  # largest change of its command in a step
     effort: float
     wrench: tuple[float, ...] = ()  # force, moment per unit and Pa, body axes
-    lead: float = 0.0  # for full servo rate: rate times lag
+    lead: float = 0.0  # rate times lag: lead for full servo rate
 
 
 class AllocationModel(NamedTuple):
@@ -123,8 +123,8 @@ class Constants(NamedTuple):
 class SolverOptions(NamedTuple):
     """Start, limits and priorities of a solution, in place of the allocator's own."""
 
-    last: list[float]  # thrusts [N] and servos to begin from
-    thrust_limits: list[tuple[float, float]]  # of each thrust, N
+    last: list[float]  # thrusts [N] and servos of the last step
+    thrust_limits: list[tuple[float, float]]  # N, limits of each thrust
     levels: list[tuple[int, ...]]
     servo_limits: list[tuple[float, float]]
     neutral: list[float]  # preferred servo positions
@@ -152,7 +152,7 @@ class EffectivenessAllocator:
         self.hover = (self._weight / self._jets - low) / span
         gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
         force, moment = 1.0 / self._weight, 1.0 / (self._weight * gyration)
-        # Scales of the rows; a list, of which compiled code reads one without making objects of all.
+        # Scales of the rows, as a list: compiled code reads one item of it without making float objects.
         self._norms: list[float] = [moment, moment, force, moment, force, force]
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
@@ -178,7 +178,7 @@ class EffectivenessAllocator:
         """Start with all engines healthy and hinges at rest."""
         self._use([JetHealth()] * self._jets)
         self._settle()
-        # Commands begin where servos stand.
+        # The first commands are where the servos are.
         self._last = [*self._preferred, *(effector.rest for effector in self._effectors)]
 
     def _use(self, health: Sequence[JetHealth]) -> None:
@@ -216,7 +216,7 @@ class EffectivenessAllocator:
         before = self._last
         self._use(health)
         self._settle()
-        self._last = before  # commands go on from where they are
+        self._last = before  # continue from the previous solution
         return True
 
     def trim(self, collective: float) -> PerJet:
@@ -269,7 +269,7 @@ class EffectivenessAllocator:
             for row, inverse in zip((ROLL, PITCH, YAW), self._inverse[axis], strict=True):
                 turn += inverse * rows[row][j] / self._norms[row]
             effects.append(turn / scale)
-        # Linearised: the exact commands differ by the square of ``small``.
+        # The commands are linearised: they differ from the exact ones by the square of ``small``.
         given = 0.0
         for m, s, effect in zip(moved, still, effects, strict=True):
             given += effect * (m - s)
@@ -329,13 +329,13 @@ class EffectivenessAllocator:
         for low, _ in self._thrust_limits:
             least += low
         asked = lift
-        # Jets do not counteract the lift of surfaces.
+        # Jets do not push against the lift of surfaces.
         for number in range(self._hinges, len(self._effectors)):
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
-        # Lift is at least this fraction of the force ahead, which allows for what surfaces lift.
+        # Lift is at least 5 % of the forward force, because surfaces lift too.
         asked = lift + max(0.0, 0.05 * max(force, least) - asked)
         without = force
-        if asked < least:  # the engines' least thrust points forward
+        if asked < least:  # even idle thrust points forward
             force = max(force, sqrt(least * least - asked * asked))
         wanted = self._wanted(asked, torque, ZERO3)
         wanted[PITCH] += pitch

@@ -22,10 +22,10 @@ class EngineReference(NamedTuple):
     throttle: Sequence[float]
     thrust: Sequence[float]  # N, at each throttle
     speed: Sequence[float] | None  # rad/s at each throttle; None: no sensor
-    lag: float  # s, about hover
-    delay: float  # s
-    shortest: float  # s, least in its range, up or down
-    longest: float  # s
+    lag: float  # s, engine lag around hover
+    delay: float  # s, engine delay
+    shortest: float  # s, shortest lag in its range, either way
+    longest: float  # s, longest lag in its range
 
     def thrust_at(self, throttle: float) -> float:
         """Return the thrust at rest [N]."""
@@ -84,7 +84,7 @@ class EngineMonitor:
             _Engine(_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
             for reference in references
         ]
-        # Over five times the confirmation, the least with room for it, a fall is looked at by itself.
+        # A sudden fall is judged separately, over five times the confirmation: the shortest window with room for it.
         self._sudden = 5 * self._confirm if sudden else 0  # steps
         periods = max(1, self._confirm - 1)
         self._decay = [exp(-periods * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
@@ -106,10 +106,10 @@ class EngineMonitor:
     def resume(self, throttle: Sequence[float]) -> None:
         """Monitor again after engines were off on purpose: settled at ``throttle``, in the health that they had."""
         at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
-        # Thrust that the commands ask for at rest, oldest first.
+        # Steady thrust for each past command, oldest first.
         self._past = [at_rest] * (self._sudden + self._latest + 1)
-        self._reports = [at_rest] * max(2, self._confirm)  # oldest first
-        self._window = [at_rest] * (2 * self._sudden + 1)  # reports, oldest first
+        self._reports = [at_rest] * max(2, self._confirm)  # reported thrusts, oldest first
+        self._window = [at_rest] * (2 * self._sudden + 1)  # reported thrusts, oldest first
         for engine, x in zip(self._engines, at_rest, strict=True):
             engine.settle(x)
 
@@ -144,7 +144,7 @@ class EngineMonitor:
                 deficit = max(deficit, self._sudden_deficit(i, x))
             if excess <= threshold and deficit <= threshold:
                 engine.outside = 0
-                # Within half of the threshold it is taken to follow its command at that moment.
+                # Within half of the threshold the engine is taken to follow its command.
                 if excess <= 0.5 * threshold and deficit <= 0.5 * threshold:
                     engine.agreed, engine.agreed_reference = x, 0.5 * (low + high)
                 continue
@@ -216,7 +216,7 @@ class EngineMonitor:
         if change < follows_above * commanded_change:
             return engine.outside >= self._stuck and self._set_health(i, 0.0, x)
         if x > engine.high + self._threshold:
-            # It is slow to come down, or runs away.
+            # The engine comes down too slowly, or runs away.
             return change > commanded_change and self._set_health(i, 0.0, heading)
         gain_estimate = min(1.0, heading / reference) if reference > 0.0 else 1.0
         return self._set_health(i, 0.0 if gain_estimate < lost_below else gain_estimate, 0.0)
@@ -252,8 +252,8 @@ class _Engine:
     def settle(self, thrust: float) -> None:
         """Start at rest at a thrust [N]."""
         self.high = self.low = thrust
-        self.outside = 0  # steps
-        self.agreed = self.agreed_reference = thrust  # thrusts at the last agreement
+        self.outside = 0  # steps outside of the threshold
+        self.agreed = self.agreed_reference = thrust  # thrusts at the last agreement with model
 
     def follow(self, least: float, most: float) -> tuple[float, float]:
         """Return the bounds, upper and lower, after a step in which the command asks for ``least`` to ``most`` N."""
@@ -269,7 +269,7 @@ class _Curve:
 
     def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
         self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]
-        self._x = self._y = self._rise = 0.0  # last segment used, from its lower point
+        self._x = self._y = self._rise = 0.0  # last segment: lower point and slope
         self._end, self._run = -inf, 1.0
         self._start, slope = self._ys[0], self._ys[-1] - self._ys[0]
         self._slope = slope

@@ -61,8 +61,8 @@ DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
 class EngineLag(NamedTuple):
     """Delay of the engines, and the control step."""
 
-    delay: float  # s until a throttle command has acted
-    step: float  # s
+    delay: float  # s from a throttle command to its effect
+    step: float  # s, control step
 
 
 class HingedRecovery(EffectivenessAllocator):
@@ -81,10 +81,10 @@ class HingedRecovery(EffectivenessAllocator):
         """Start with all engines healthy and hinges at rest."""
         self._reported: list[float] = []  # N; empty while all engines run
         self._rising = [0.0] * self._jets  # slopes of the reported thrusts, N/s
-        self._carrying: list[float] = []  # thrusts and servos of balanced lift
-        self._lifting: list[float] = []  # servos of most balanced lift, if known
-        self._short = True  # reports cannot carry the weight
-        self._turning_on = False  # turns the wrong way, hinges at limits
+        self._carrying: list[float] = []  # thrusts and servos that balance lift
+        self._lifting: list[float] = []  # servos of largest balanced lift, if any
+        self._short = True  # thrusts as reported cannot carry weight
+        self._turning_on = False  # turns against command, hinges at limits
         self.lean = (0.0, 0.0)  # rad, roll and pitch; see the module
         super().reset()
 
@@ -97,7 +97,7 @@ class HingedRecovery(EffectivenessAllocator):
         """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
-        # The speed of a rotor without fire stands for thrust that is not there.
+        # A rotor that turns without fire reports a speed as if it had thrust.
         given = [
             0.0 if jet.gain == 0.0 and jet.fixed == 0.0 else f for f, jet in zip(thrust, self._health, strict=True)
         ]
@@ -119,7 +119,7 @@ class HingedRecovery(EffectivenessAllocator):
         """
         if not self._reported:
             return super().allocate(collective, torque, added)
-        # The pressure of the speed over the ground is wrong in wind, and far off where no heading is held.
+        # Dynamic pressure from ground speed is wrong in wind, and useless where no heading is held.
         self.pressure = 0.0
         lift = self.total_thrust(collective)
         wanted = self._wanted(lift, torque, added)

@@ -43,11 +43,11 @@ class Plan:
     """
 
     centre: float
-    free: tuple[bool, ...]  # jets that follow; others get ``trim``
+    free: tuple[bool, ...]  # controlled jets; others get ``trim``
     trim: tuple[float, ...]
     up: tuple[float, ...]
     roll: tuple[float, ...]
-    roll_range: tuple[float, float]  # beyond it no collective is left
+    roll_range: tuple[float, float]  # beyond it no collective remains
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
 
@@ -69,9 +69,9 @@ def plan(
     if not free.size:
         return None
     given = rows[:, free] * gain[free]
-    stands = rows @ fixed + given.sum(axis=1) * idle  # force and moments at zero command
+    stands = rows @ fixed + given.sum(axis=1) * idle  # force and moments with zero commands
     per_collective, per_roll = rows.sum(axis=1), rows @ side
-    at_zero = per_collective * idle - stands  # what the commands must add for c = 0
+    at_zero = per_collective * idle - stands  # what commands must add at collective 0
     top = _most_collective(given, at_zero, per_collective, low, high)
     if top is None:
         return None
@@ -112,7 +112,7 @@ def plan(
             given @ boost - per_collective if boost.any() else np.zeros(3),
         )
     ]
-    # Below a billionth of a share m they are rounding.
+    # Levers below a billionth of a metre are rounding.
     constant, per_up, per_reach, per_boost = (0.0 if abs(value) < 1e-9 else value for value in left)
     everything = np.zeros((4, len(jets)))
     everything[0] = [engine.command for engine in health]
@@ -154,7 +154,7 @@ def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
         columns[:jets, 1:] = allocator.signs
     else:
         raise InputError(f"{type(allocator).__name__}: its torques are not those of banks or rotors")
-    # What is left of rounding is no coupling.
+    # Couplings below the rounding are none.
     return [[round(float(x), 15) + 0.0 for x in row] for row in np.linalg.pinv(columns)[1:]]
 
 
@@ -196,7 +196,7 @@ def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high
     """
     import numpy as np
 
-    flat = 1e-9  # throttle per collective: constant
+    flat = 1e-9  # throttle per collective counted as 0
 
     room = [
         ((high if slope > 0.0 else low) - base) / slope
@@ -226,7 +226,7 @@ def _weights(
     low, high, centre, kept = limits
     n = given.shape[1]
     zero, none = np.zeros((3, n)), np.zeros((3, 1))
-    # unknowns: trim, up, roll (n each); reach; pitch left over by up and by roll (2 each); largest excess of each
+    # Unknowns: trim, up, roll (n each); reach; pitch left over by up and by roll (2 each); largest excess of each.
     over_up, over_roll = np.zeros((3, 7)), np.zeros((3, 7))
     over_up[2, :2], over_roll[2, 2:4] = (1.0, -1.0), (1.0, -1.0)
     equal = np.vstack(
@@ -249,7 +249,7 @@ def _weights(
             wanted.append(np.full(n, sign * value))
     unequal = np.vstack([corners, -corners, *excess])
     bound = np.concatenate([np.full(4 * n, high), np.full(4 * n, -low), *wanted])
-    # Against roll authority: pitch moment left to the tilt is dear, as throttle balances pitch where it can, and the
+    # Roll authority weighs 1. A pitch moment left to tilts is dear, as throttles balance pitch where they can; the
     # largest departure of a jet from its nominal command costs a little, which spreads the load.
     cost = np.concatenate([np.zeros(3 * n), [-1.0], np.full(4, 1e3), np.full(3, 0.05)])
     bounds = [(None, None)] * (3 * n) + [(0.0, None)] * 8

@@ -48,13 +48,13 @@ class ThrustMap:
     def __init__(self, reference: StaticCurve, stations: Sequence[StaticCurve]) -> None:
         inverse = {id(curve): invert(curve) for curve in (reference, *stations)}
         self.low, self.span = reference.thrust[0], reference.span
-        # None: the throttle is the fraction, to the last bit
+        # None: throttle equals the fraction, to the last bit.
         self.stations: list[Inverse | None] = [
             None if reference.is_straight and curve[1:] == reference[1:] else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
-        self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: a straight line
-        # Thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle.
+        self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: thrust is linear in throttle
+        # Thrust at zero throttle as a fraction of the range: thrust is then proportional to c + idle.
         self.idle = self.low / self.span if abs(self.low) > MAX_BEND * self.span else 0.0
 
     def fraction(self, thrust: float) -> float:
@@ -112,7 +112,7 @@ class Inverse:
         """Return the throttle that gives ``thrust`` [N]."""
         if not self._above < thrust <= self._to:
             thrusts = self.thrusts
-            # bisect_left of the points between the ends
+            # The bisection of bisect_left, restricted to inner points.
             i, end = 0, len(thrusts) - 2
             while i < end:
                 middle = (i + end) >> 1

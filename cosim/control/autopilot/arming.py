@@ -17,7 +17,7 @@ class Arming:
 
     ``since`` is the step of arming, of the start of a take-off, or of standing again; ``flew``: since arming."""
 
-    # rad/s: a vehicle that turns like this is being carried.
+    # rad/s: a vehicle that turns faster is being carried by hand.
     max_rate = 0.2
 
     def __init__(self, course: Course, remote: RemoteControl, watch: FailsafeMonitor, step: float) -> None:

@@ -21,7 +21,7 @@ from cosim.control.autopilot.status import Status
 class Autopilot(FlightState):
     """Flight modes of one vehicle: the requests of ground stations become the command of every control step."""
 
-    # m/s: sinking faster than this is no contact.
+    # m/s: legs that sink faster do not stand on the ground.
     max_settle_sink = 1.0
 
     @property
@@ -98,7 +98,7 @@ class Autopilot(FlightState):
         if self.home is None and k >= self._home_delay and is_standing:
             self.set_home_here()
         elif self.home is None and not is_standing:
-            # The flight began in the air.
+            # A flight that begins in the air has its home there.
             self.landmarks.home = Home(*self.estimates.fix.position, 0.0)
         if self.landed is LandedState.IN_AIR:
             self.energy.ground_speed.update_wind()
@@ -167,7 +167,7 @@ class Autopilot(FlightState):
                 self.course.guide.restart_height()
                 return braking
         if collective is None or self.landing.collective is not None or not self._gives_collective():
-            # Nothing was allocated before the first step.
+            # Before the first step nothing was allocated.
             if k > 0:
                 self.envelope.restart_at(report.collective)
             return collective
@@ -244,7 +244,7 @@ class Autopilot(FlightState):
         if landing.reject_switch():
             self.say(Severity.WARNING, "the legs report ground in the air, their switch is ignored", k)
         if landing.collective is None and self.mode is Mode.HOLD and course.position is None and has_contact:
-            # No request has asked it to leave the ground.
+            # Without a request to take off it stays on the ground.
             landing.collective, self.landed = self.report.collective, LandedState.LANDING
         is_down = has_contact and self.estimates.now.velocity[2] < self.max_settle_sink
         if landing.collective is not None:

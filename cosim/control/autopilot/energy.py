@@ -22,18 +22,18 @@ class Energy:
 
     ``hover``: the collective at which the vehicle hovers."""
 
-    # s over which the burn is averaged, longer than climbs and gusts; and in the air before it is used.
+    # s to average the fuel flow, longer than climbs and gusts; s in the air before the mean is used.
     mean_s, settling_s = 10.0, 5.0
-    # 1/s: a gauge that falls faster was reset; no tank is emptied within 20 s.
+    # 1/s: a fuel gauge that falls faster was reset, as no tank is emptied within 20 s.
     max_burn = 0.05
-    # s from the ground's touch until it stands, or from spooling up until it climbs.
+    # s from touchdown until the vehicle stands, or from spooling up until it climbs.
     end_s = 3.0
 
     def __init__(self, course: Course, ground_speed: GroundSpeed, hover: float, step: float) -> None:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks
         self._estimates, self.ground_speed = course.estimates, ground_speed
         self._hover, self._step = hover, step
-        self.hover_burn: float | None = None  # 1/s of a full tank, by the engines
+        self.hover_burn: float | None = None  # 1/s of a full tank, from the engines
         self.reset()
 
     def reset(self) -> None:
@@ -79,7 +79,7 @@ class Energy:
         fastest, slow = min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"]), p["HJ_LAND_SLOW_H"]
         end = min(p["MPC_LAND_SPEED"], fastest)
         above = height - slow
-        # Braking within the height h: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv.
+        # Braking within h from speed v to e: h = (v - e) t + (v^2 - e^2) / 2a, so dt = dh / v = (t / v + 1 / a) dv.
         v = min(fastest, descent_rate(above, limits.braking, limits.response_time, end))
         braking = (v - end) * limits.response_time + (v * v - end * end) / (2.0 * limits.braking)
         steady = max(0.0, above - braking) / v

@@ -26,12 +26,12 @@ _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
 class FailsafeMonitor:
     """Checks fence, link, fuel, engines and sensors each step; calls ``act`` with action and reason of a new event."""
 
-    # s of a lean that counts as lost control, and of a wind that is told of: longer than a gust or a manoeuvre.
+    # s for which a lean must last to count as lost control, and a wind to be reported: longer than a gust or a
+    # manoeuvre.
     lost_control_s, wind_s = 0.5, 2.0
-    # Fraction of the lean that is allowed: with more taken by wind little is left to steer with.
+    # Fraction of the allowed lean: if wind takes more, little is left for steering.
     max_wind = 0.7
-    # Where a pilot took over outside the fence it acts again so many m further out (GNSS noise is less), or after
-    # so many s outside.
+    # After a pilot took over outside the fence it acts again so many m further out, or after so many s outside.
     further_m, patience_s = 2.0, 10.0
 
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
@@ -40,18 +40,18 @@ class FailsafeMonitor:
         self._tank = FuelFailsafe(parameters, energy, step, act)
         self._step = step
         self._act = act
-        self.zones: tuple[FenceZone, ...] = ()  # of a ground station; flights keep them
+        self.zones: tuple[FenceZone, ...] = ()  # drawn by a station; kept across flights
         self.reset()
 
     def reset(self) -> None:
         """Start a flight without any event."""
-        self.link_lost = -1  # step of the loss; -1: it is there
+        self.link_lost = -1  # step of the loss; -1: connected
         self._link_has_acted = False
         self.energy.reset()
         self._tank.reset()
-        self._excess: float | None = None  # m when it last acted; None: inside
-        self._fence_has_acted = False  # the action of the fence is being flown
-        self._waited_s = 0.0  # outside since the take-over
+        self._excess: float | None = None  # m outside when it last acted; or None
+        self._fence_has_acted = False  # the fence's action is being flown
+        self._waited_s = 0.0  # s outside since the pilot took over
         self._lost_engines: tuple[int, ...] = ()
         self._failed_sensors: tuple[str, ...] = ()
         self._lean_s = self._wind_s = 0.0
@@ -159,13 +159,13 @@ class FuelFailsafe:
     parameters in per cent are the least.
     """
 
-    # s between checks: a thousandth of a short-lived tank; and between warnings that nothing is left to wait for.
+    # s between checks, a thousandth of a small tank; s between warnings when nothing can be done.
     interval_s, patience_s = 0.1, 10.0
-    # Fraction of the margin of the return: the descent alone goes wrong in fewer ways.
+    # Fraction of the return's margin that a landing in place needs: a descent alone can go wrong in fewer ways.
     down_fraction = 0.5
-    # Where a landing that was taken over begins again: of that margin, and of the landing's reserve.
+    # A landing that a pilot stopped begins again at these fractions of the margin and of the landing reserve.
     last_fraction, last_floor = 0.3, 0.5
-    # With so many times a threshold left it may act again, after a descent that a pilot flew.
+    # It may act again with this many times the threshold left, after a pilot stopped the descent.
     rearm_factor = 1.1
 
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:

@@ -39,9 +39,9 @@ _ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 class Thrust(NamedTuple):
     """The nominal thrust of the vehicle."""
 
-    hover: float  # collective at which it hovers
-    idle: float = 0.0  # at zero throttle, of the full span
-    answer: tuple[float, float] = (0.2, 0.2)  # s, delay plus lag: at hover, longest
+    hover: float  # collective at hover
+    idle: float = 0.0  # idle thrust over the thrust range
+    answer: tuple[float, float] = (0.2, 0.2)  # s, delay plus lag: at hover and longest
 
 
 class FaultCommands(NamedTuple):
@@ -58,9 +58,9 @@ class FlightState:
     noise, which distinguishes a receiver that has stopped from one that stands still.
     """
 
-    # Ignore sideways acceleration so many s after an engine loss: it comes from the hinges, not from wind.
+    # s after an engine loss in which sideways acceleration is ignored: it comes from hinges, not wind.
     pushed_s = 3.0
-    # s of GNSS before its position may become home.
+    # s of GNSS fixes before the position may become home.
     home_delay_s = 1.0
 
     def __init__(
@@ -104,11 +104,11 @@ class FlightState:
         # A flight that begins in the air assumes the ground at height 0, where the vehicle would stand on its legs.
         legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
         self._leg_height = max(legs, default=0.0) if self._airborne else 0.0
-        # Whether hinges that turn engines push it aside after a loss, before throttles have followed.
+        # Whether hinges that turn engines push the vehicle aside after an engine loss, before throttles have followed.
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._is_pushed_by_hinges = catch and vehicle.layout().moves
         self._push_steps = round(self.pushed_s / step)
-        # Whether it cannot hold its heading without an engine.
+        # Whether it cannot hold its heading with one engine out.
         self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
         self._home_delay = round(self.home_delay_s / step)
         self.reset()
@@ -117,14 +117,14 @@ class FlightState:
         """Start a flight where the sensors read ``measured``; parameters, mission, fence and rally points stay."""
         self.mode = Mode.HOLD
         self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
-        # The reason of the acting failsafe; empty where none acts.
+        # Reason of the active failsafe; empty: none.
         self.failsafe = ""
-        # The last messages to ground stations.
+        # Latest messages to ground stations.
         self.messages: deque[Message] = deque(maxlen=200)
         self._message_count = 0
         self.k = -1
         self.report = Report(not self._airborne, 0.0)
-        # The last step with all engines.
+        # Last step at which all engines ran.
         self._last_healthy_step = 0
         self.estimates.reset(measured)
         self.landmarks.reset(self._leg_height)
@@ -162,7 +162,7 @@ class FlightState:
             if self.mode is Mode.MISSION and self.armed and (rest := self.mission_flight.mission.describe_rest()):
                 self.say(Severity.WARNING, rest, k)
         self.mode = mode
-        # No mode flies without any engine.
+        # No mode can fly without any engine.
         if len(self.report.lost) < self._jets:
             self.failsafe = ""
         self.landing.abort()

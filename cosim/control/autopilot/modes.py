@@ -11,15 +11,15 @@ class Mode(Enum):
 
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
-    ALTCTL = "ALTCTL"  # lean and climb rate by stick
-    POSCTL = "POSCTL"  # velocity and climb by stick, then holds
+    ALTCTL = "ALTCTL"  # stick: lean and climb rate
+    POSCTL = "POSCTL"  # stick: velocity and climb; else holds
     HOLD = "HOLD"
     TAKEOFF = "TAKEOFF"
     LAND = "LAND"
     RTL = "RTL"
     MISSION = "MISSION"
     OFFBOARD = "OFFBOARD"
-    ORBIT = "ORBIT"  # round a centre that a request names
+    ORBIT = "ORBIT"  # circles around the requested centre
 
 
 BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})

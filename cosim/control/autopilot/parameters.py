@@ -50,7 +50,7 @@ class Caution(NamedTuple):
 
     axis: str  # "roll", "pitch", "yaw", "altitude"
     unstable: bool
-    was_stable: bool  # it was stable before
+    was_stable: bool  # stable before the change
     text: str
 
 
@@ -91,7 +91,7 @@ class Parameters:
             raise InputError(f"{name} = {value:g}: cannot be changed, it is {self._values[name]:g}")
         if line.kind == "int" and value != int(value):
             raise InputError(f"{name} = {value!r}: must be a whole number")
-        # A bound that went through a 32-bit float is still the bound.
+        # A bound that passed through a 32-bit float must still be accepted.
         slack = 1e-6 * max(abs(line.least), abs(line.most))
         if not line.least - slack <= value <= line.most + slack:
             unit = f" {line.unit}" if line.unit else ""
@@ -154,7 +154,7 @@ def _gain(name: str, default: float, unit: str, group: str, text: str, most: flo
 
 def _loops(control: Control) -> Iterator[Parameter]:
     rate = (control.rate.roll, control.rate.pitch, control.rate.yaw)
-    # Commands are in throttle on roll, in rad of tilt on pitch and yaw.
+    # Commands are throttle on roll, rad of tilt on pitch and yaw.
     units = (("s/rad", "1/rad", "s^2/rad"), ("s", "1", "s^2"), ("s", "1", "s^2"))
     for axis, law, (of_p, of_i, of_d) in zip(AXES, rate, units, strict=True):
         name = f"HJ_{axis.upper()}"
@@ -208,7 +208,7 @@ def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) ->
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
     values = tuple(EnumValue(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
-    if controller not in PREDICTORS:  # from outside
+    if controller not in PREDICTORS:  # a controller that is not built in
         values += (EnumValue(number_of(controller), controller),)
     first, last = values[0].value, values[-1].value
     flown = PREDICTORS[controller].value if controller in PREDICTORS else last

@@ -65,7 +65,7 @@ def _disarm(pilot: FlightState, request: rq.Disarm, k: int) -> Answer:
         pilot.shut_off(k)
         return accept()
     if pilot.landing.touchdown.is_bouncing:
-        # The legs alone report contact: the thrust has to go first.
+        # Only the legs report contact, so reduce thrust first.
         pilot.enter(Mode.LAND, k)
         pilot.landing.disarms = True
         return accept("disarms when it stands")
@@ -174,7 +174,7 @@ def _begin_orbit(pilot: FlightState, request: rq.Orbit, k: int) -> Answer:
 
 def _hold(pilot: FlightState, request: rq.Hold, k: int) -> Answer:
     if pilot.mode is Mode.HOLD and pilot.course.position is None:
-        # It stops or has stopped: a repeated request does not move the target.
+        # It is stopping or has stopped, so a repeated request does not move the target.
         pilot.failsafe = ""
         return accept()
     pilot.enter(Mode.HOLD, k)

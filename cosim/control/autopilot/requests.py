@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Quaternion
 from cosim.control.checked_record import Bounds, CheckedRecord, make, plain
 
-# Chosen by us: far beyond any flight of these vehicles, near enough that no arithmetic overflows.
+# Far beyond any flight of these vehicles, but small enough that no arithmetic overflows.
 Metres = Annotated[float, Bounds(-1e5, 1e5)]
 Speed = Annotated[float, Bounds(0.0, 1e3)]
 Velocity = Annotated[float, Bounds(-1e3, 1e3)]
@@ -114,7 +114,7 @@ class Orbit(CheckedRecord):
     east: Metres | None = None
     altitude: Metres | None = None
     yaw: OrbitYaw = OrbitYaw.CENTRE
-    turns: Annotated[float, Bounds(0.0, 1e4)] = 0.0  # 0: without end
+    turns: Annotated[float, Bounds(0.0, 1e4)] = 0.0  # 0: circle without end
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -201,16 +201,16 @@ class ItemKind(Enum):
     of a payload that is not here: passed at once, so that the other items keep their numbers.
     """
 
-    WAYPOINT = "waypoint"  # north, east, altitude, hold_s, yaw, ...
-    TAKEOFF = "takeoff"  # altitude
-    LAND = "land"  # north and east, or where it is
+    WAYPOINT = "waypoint"  # at north, east, altitude; waits hold_s
+    TAKEOFF = "takeoff"  # to altitude
+    LAND = "land"  # at north, east; or where it is
     RETURN = "return"
-    SPEED = "speed"  # speed
-    DELAY = "delay"  # hold_s
+    SPEED = "speed"  # changes the speed
+    DELAY = "delay"  # waits for hold_s
     JUMP = "jump"  # to `target`, `repeat` times (-1: always)
-    CIRCLE = "circle"  # round north, east at altitude
-    STAY = "stay"  # at north, east, altitude for good; yaw
-    ALTITUDE = "altitude"  # north, east, altitude
+    CIRCLE = "circle"  # around north, east at altitude
+    STAY = "stay"  # at north, east, altitude without end
+    ALTITUDE = "altitude"  # climbs or sinks to altitude
     LEFT_OUT = "left_out"
 
 
@@ -234,7 +234,7 @@ class MissionItem(CheckedRecord):
     altitude: Metres | None = None
     yaw: Angle | None = None
     hold_s: Seconds = 0.0
-    acceptance_m: Annotated[float, Bounds(0.0, 1e3)] = 0.0  # 0: the parameter's
+    acceptance_m: Annotated[float, Bounds(0.0, 1e3)] = 0.0  # 0: as the parameter says
     speed: Annotated[float, Bounds(0.1, 1e3)] | None = None
     target: Index | None = None
     repeat: Annotated[int, Bounds(-1, 1000)] = 0
@@ -359,7 +359,7 @@ class InjectFault(CheckedRecord):
     sensor: str | None = None
     amount: Number | None = None
     vector: tuple[Number, Number, Number] | None = None
-    duration_s: Seconds | None = None  # absent: to the end
+    duration_s: Seconds | None = None  # None: to the end of the flight
 
 
 class ClearFaults(CheckedRecord):

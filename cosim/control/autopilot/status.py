@@ -25,21 +25,21 @@ class Status(NamedTuple):
     refusals: tuple[str, ...]  # why arming would be refused
     home: Home | None
     fix: Fix
-    target: Home | None  # where it flies to or stays
-    track: Pair | None  # set-point on the way there, m
-    altitude: float  # m, set-point or the last one
+    target: Home | None  # where it flies to, or holds
+    track: Pair | None  # horizontal set-point on the way, m
+    altitude: float  # set-point [m], or the last one
     yaw: float  # set-point, rad
     mission_count: int
     mission_current: int
-    mission_reached: int  # last finished item; -1: none
+    mission_reached: int  # last completed item; -1: none
     mission_done: bool
-    failsafe: str  # why it acts; empty: it does not
+    failsafe: str  # reason of the active failsafe; or empty
     remaining: float | None  # of fuel or battery; None: unknown
     sticks_fresh: bool
     link_lost: bool
-    zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
+    zones: tuple[FenceZone, ...] = ()  # zones of the drawn fence
     rally: tuple[RallyPoint, ...] = ()
-    orbit: Orbit | None = None  # that it flies; ``target`` is its centre
-    positioned: bool = True  # fixes of the GNSS come
-    seen: Measured | None = None  # attitude, rates, height, climb
+    orbit: Orbit | None = None  # circle flown; ``target``: its centre
+    positioned: bool = True  # whether GNSS fixes arrive
+    seen: Measured | None = None  # estimated attitude, rates and height
     quality: EstimateQuality = EstimateQuality()

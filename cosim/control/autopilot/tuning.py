@@ -59,7 +59,7 @@ class LiveTuning:
         self._control = control
         self._blocks = blocks
         self._step = step
-        # What a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet.
+        # A predictor selected in flight starts from this history: 4 s at 250 Hz, 40 delays of a jet.
         blocks.rate.keep_history(1000)
 
     def set(self, name: str, value: float) -> None:

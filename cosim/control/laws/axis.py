@@ -95,7 +95,7 @@ class Actuators:
     def __init__(self, samples: int, pole: float) -> None:
         self._pole, self.samples = pole, samples
         powers = [pole**j for j in range(samples + 1)]
-        # Summed over the delay: of where the lag is, and of each command on its way, the oldest first.
+        # Weights over the delay: of the lag's state, and of each command in transport, oldest first.
         self._of_lag = sum(powers[1:])
         self._weights = [sum((1.0 - pole) * power for power in powers[: samples - i]) for i in range(samples)]
         self.reset()
@@ -108,7 +108,7 @@ class Actuators:
         return cls(samples, lag / (1.0 + lag))
 
     def reset(self) -> None:
-        self._sent = [0.0] * (self.samples + 1)  # the oldest first
+        self._sent = [0.0] * (self.samples + 1)  # commands in transport, oldest first
         self.now = 0.0
 
     def update(self, applied: float) -> float:

@@ -43,7 +43,7 @@ class Demand:
         self.measured = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
         self.injected = Disturbance()
         self.is_idle = False  # the engines idle or are off
-        self.burnt = 0.0  # kg of fuel
+        self.burnt = 0.0  # kg of fuel burnt
         self.rate_setpoint = UNKNOWN3
         self.torque = ZERO3
         self.collective = self.allocated = 0.0

@@ -98,11 +98,11 @@ class Recovery:
         self._levers = tuple([-jet.position_m[1] for jet in vehicle.jets])
         self._inertia = vehicle.inertia_kg_m2[0]
         self._low = thrust_map.low * len(self._levers)
-        self._span = thrust_map.span * len(self._levers)  # N per collective
+        self._span = thrust_map.span * len(self._levers)  # N of thrust per unit of collective
         total_lever = 0.0
         for lever in self._levers:
             total_lever += lever if lever >= 0.0 else -lever
-        self._moment = thrust_map.span * total_lever  # N m per unit of roll
+        self._moment = thrust_map.span * total_lever  # N m per unit of roll command
         self._step = step
         self._a, self._b = 4.0 / (level_s + steps * step), 3.0 / (climb_s + steps * step)
         self.is_complete = False
@@ -149,8 +149,8 @@ class Recovery:
         step, inertia, roll, lift = self._step, self._inertia, self._roll, self._lift
         climb_error = climb - climb_setpoint
         balance = mass * GRAVITY / upright
-        # The usual loops fly again within 0.3 m/s of climb, 6 deg of lean, 0.15 rad/s and 3 % of lift: they were
-        # designed for less.
+        # The normal loops take over within 0.3 m/s of climb, 6 deg of lean, 0.15 rad/s and 3 % of lift: they were
+        # designed for smaller deviations.
         self.is_complete = (
             -0.3 < climb_error < 0.3
             and upright > 0.995

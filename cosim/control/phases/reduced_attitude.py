@@ -80,7 +80,7 @@ class ReducedAttitude:
             (copysign(1.0, -jet.position_m[1]), copysign(1.0, jet.position_m[0]), copysign(1.0, jet.reaction_m))
             for jet in jets
         ]
-        # The final spin [rad/s], and the thrust [N] of the opposite rotor there.
+        # Final spin [rad/s], and the thrust [N] of the opposite rotor at that spin.
         weight, limit = vehicle.mass_kg * GRAVITY, radians(vehicle.limits.rate_deg_s)
         self._spin, self._opposite_thrust = self._equilibrium(weight, limit)
         self._gains = [self._feedback_for(jet, lag) for jet in range(4)]

@@ -61,7 +61,7 @@ def speeds(measured: Measured) -> tuple[float, float]:
 class WingTable(NamedTuple):
     """Lift, drag [m^2] and pitching moment [m^3] per Pa of dynamic pressure, surfaces at zero, over a corridor."""
 
-    alpha: tuple[float, ...]  # rad, rising
+    alpha: tuple[float, ...]  # rad, ascending
     lift: tuple[float, ...]
     drag: tuple[float, ...]
     moment: tuple[float, ...]
@@ -116,7 +116,7 @@ class WingFlight(FlightLaw):
         super().__init__(loops)
         self._allocator = allocator
         self._table, self._mass, self._step, self._lag = table, mass, step, lag
-        # numbers, which a step reads sooner than a model's fields
+        # Plain numbers: a step reads them faster than a model's fields.
         self._limits = (settings.acceleration_m_s2, settings.braking_m_s2)
         self._integral_gain, self._integral_limit = settings.integral_1_s2, settings.integral_limit_m_s2
         self._gain, self._open = settings.velocity_1_s, settings.open_m_s
@@ -166,7 +166,7 @@ class WingFlight(FlightLaw):
         if not allocator.surfaces:
             return super().update(demand)
         allocator.pressure = dynamic_pressure(measured)
-        # The height loop's output as a force up: it divides by the cosine of the lean, but this law turns the thrust.
+        # The height loop's output as an upward force: undo its division by the cosine of the lean.
         remainder = self.actuator_demand(
             allocator.total_thrust(demand.collective) * demand.upright, measured, demand.burnt
         )
@@ -216,8 +216,8 @@ class WingFlight(FlightLaw):
         alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, least_pressure))
         self._alpha += step / (self._alpha_lag + step) * (alpha - self._alpha)
         self._path = path = opening * clamp(atan2(-down, max(speed, open_speed)), steepest_rad)
-        # A path that bends has to turn the nose too, and the attitude follows late.  The alpha that is short until then
-        # would cost lift, at 25 m/s more than half of what the height loop asks for.
+        # A path that bends turns the nose too, and attitude follows late. The angle of attack missing until then would
+        # cost lift, at 25 m/s more than half of what the height loop commands.
         bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, open_speed)
         path += clamp(self._lag * bend, MAX_LEAD * self._alphas[1])
         roll, pitch, heading = command.attitude
@@ -235,7 +235,7 @@ class WingFlight(FlightLaw):
         up = vertical - lift * c + drag * s
         c, s = cos(pitch), sin(pitch)
         along = ahead * c + up * s
-        self._vertical = vertical - max(0.0, along) * s  # thrust of a raised nose lifts
+        self._vertical = vertical - max(0.0, along) * s  # the thrust of a raised nose adds lift
         return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
     def report_residual(self, ahead: float, unallocated: Unallocated, margin: float = 0.005) -> Unallocated:

@@ -20,7 +20,7 @@ from cosim.control.predictors.state import LinearPredictor, Modes, modal_observe
 from cosim.spec.vehicle import RateModel
 
 Pair = tuple[Complex, Complex]
-PairResponse = Callable[[Complex], Pair]  # ``P_y`` and ``P_u`` of ``z``
+PairResponse = Callable[[Complex], Pair]  # (``P_y``, ``P_u``) over ``z``
 
 
 def model_response(model: RateModel, z: Complex) -> Complex:
@@ -115,7 +115,7 @@ class DelayedSystem:
     """
 
     A: Array
-    B: Array  # one column an input
+    B: Array  # one column per input
     C: Array
     delay: int
 
@@ -288,7 +288,7 @@ class ObserverSpace:
         self._observer = (A, B[:, :2], B[:, 2], C[0], C[1])
         samples, f = modes.whole, modes.delay - modes.whole
         poles, residues = np.array(modes.poles), np.array(modes.residues)
-        # Newest first: one a whole step, then over the fraction.
+        # Newest first: one weight per whole step, the last one for the fraction.
         on_the_way = [np.sum(residues * poles**j).real for j in range(samples)]
         part_of = np.array([f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles])
         on_the_way.append(np.sum(residues * poles**samples * part_of).real)
@@ -330,7 +330,7 @@ class LinearSpace:
     def __init__(self, predictor: LinearPredictor) -> None:
         self._transition, self._of_state = np.array(predictor.transition), np.array(predictor.of_state)
         self._of_rate, self._of_command = np.array(predictor.of_rate), np.array(predictor.of_command)
-        self._weights = np.array(predictor.weights[::-1])  # the last command first
+        self._weights = np.array(predictor.weights[::-1])  # newest command last
         self.history_length = len(self._weights)
         self.states = {"predictor": len(self._of_state)}
 

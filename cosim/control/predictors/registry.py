@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
 
-Own = Mapping[str, float]  # values by parameter's name
+Own = Mapping[str, float]  # parameter values by name
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class TuningParameter:
     most: float
     search: tuple[float, float]
     default: float | None = None
-    mavlink: str | None = None  # None: not changed in flight
+    mavlink: str | None = None  # MAVLink name; None: fixed in flight
     decimals: int = 3
 
     def scale(self, delay_s: float) -> float:
@@ -70,14 +70,14 @@ class PredictorSpec:
     name: str
     title: str
     make: Callable[[Any, Own], Predictor]
-    number: int | None = None  # permanent; None: made from the name
+    number: int | None = None  # permanent id; None: hash of the name
     needs_model: bool = True
     parameters: tuple[TuningParameter, ...] = ()
     response: Callable[[RateModel, Own], PairResponse] | None = None
     space: Callable[[RateModel, Own], PredictorSpace] | None = None
-    automatic: bool = False  # tried by a design that chooses freely
-    with_lead: bool = False  # tried there with a lead too
-    compared: bool = False  # flown in comparisons of controllers
+    automatic: bool = False  # an automatic design tries it
+    with_lead: bool = False  # an automatic design tries it with a lead
+    compared: bool = False  # flown where controllers are compared
 
     @property
     def value(self) -> int:
@@ -106,7 +106,7 @@ class PredictorSpec:
 
 def number_of(name: str) -> int:
     """Return the number over MAVLink of a predictor that specifies none."""
-    # Numbers below 1000 are permanent ones.
+    # Ids below 1000 are reserved for permanent ones.
     return 1000 + crc32(name.encode()) % 60000
 
 
@@ -118,7 +118,7 @@ class Registry(Mapping[str, PredictorSpec]):
 
     def __init__(self, specs: Iterable[PredictorSpec]) -> None:
         self._specs: dict[str, PredictorSpec] = {}
-        self._waiting: dict[str, Any] | None = None  # None: not looked for yet
+        self._waiting: dict[str, Any] | None = None  # None: not searched yet
         for spec in specs:
             self.register(spec)
 
@@ -214,7 +214,7 @@ class Registry(Mapping[str, PredictorSpec]):
             if not isinstance(spec, PredictorSpec) or spec.name != name:
                 raise InputError(f"{describe_entry(entry)}: must be a PredictorSpec of this name, not {spec!r}")
             self.register(spec)
-        if refused is not None and not is_code_forbidden():  # a display omits what is not installed
+        if refused is not None and not is_code_forbidden():  # lists omit what cannot be imported
             raise refused
 
 

@@ -64,7 +64,7 @@ class DiscreteModel:
 
     def update(self, applied: float) -> float:
         """Return the output at ``t_k`` from the input held over ``[t_k-1, t_k)``."""
-        # Transposed direct form: past[i] is the part of the output i steps ahead that is known now.
+        # Transposed direct form II: past[i] is the known part of the output i steps ahead.
         past = self._past
         value = past[0] + self.b[0] * applied
         last = len(past) - 1
@@ -115,7 +115,7 @@ class SmithPredictor:
 
     def __init__(self, model: RateModel) -> None:
         self.now = rate_model(model)
-        # Over whole samples the delayed output is the undelayed one, stored.
+        # With a delay of whole samples the delayed output is the stored undelayed one.
         self.whole = model.delay_samples == int(model.delay_samples)
         self.then: DelayLine | DelayedModel
         self.then = DelayLine(int(model.delay_samples)) if self.whole else DelayedModel(model)
@@ -145,7 +145,7 @@ class FilteredSmithPredictor:
     def __init__(self, model: RateModel, numerator: Sequence[float], denominator: Sequence[float]) -> None:
         self.now = rate_model(model)
         self.then = DelayedModel(model)
-        # A filter in z^-1 with feed-through: the feed-through and a strictly proper rest.
+        # A filter in z^-1 is split into its feed-through and a strictly proper remainder.
         self.through = numerator[0]
         rest = [b - self.through * a for b, a in zip(numerator[1:], denominator[1:], strict=True)]
         self.rest = DiscreteModel(rest, denominator) if rest else None
@@ -169,7 +169,7 @@ class FilteredSmithPredictor:
         if self.rest:
             filtered += self.rest.update(self._before)
         self._before = difference
-        # Written as Smith's output plus the filter's change, so that F = 1 is Smith's predictor bit for bit.
+        # Written as Smith's output plus the filter's correction, so that F = 1 is Smith's predictor bit for bit.
         now = self.now.update(applied)
         self.diagnostics = (now, then, self._delay)
         return measured + (now - then) + (filtered - difference)
@@ -187,7 +187,7 @@ def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[floa
     p, h = max(model.poles), model.delay_samples
     at_one = (1.0 - a) ** 2
     if abs(1.0 - p) < 1e-9:
-        # Derivative of (b0 z^2 + b1 z) = F (z - a)^2 at 1.
+        # Derivative of (b0 z^2 + b1 z) = F (z - a)^2 at z = 1.
         b0 = h * at_one + 2.0 * (1.0 - a) - at_one
     else:
         b0 = (p**h * (p - a) ** 2 / p - at_one) / (p - 1.0)
@@ -208,7 +208,7 @@ def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
         others = poles[:i] + poles[i + 1 :]
         residue = model.gain * prod(pole - zero for zero in model.zeros) / prod(pole - other for other in others)
         weight = 1.0 - fraction if pole == 1.0 else (pole ** (1.0 - fraction) - 1.0) / (pole - 1.0)
-        # (share z + 1 - share) prod (z - other), over z prod (z - pole)
+        # Transfer function (share z + 1 - share) prod (z - other) / (z prod (z - pole)).
         rest = polynomial(others)
         for power, c in enumerate(rest):
             numerator[power] += residue * weight * c

@@ -74,7 +74,7 @@ class DoubleIntegratorObserver:
 
     def __init__(self, bandwidth: float, step: float) -> None:
         w = bandwidth
-        # exp of [[-2w, 1], [-w^2, 0]]: a double pole at -w
+        # Matrix exponential of [[-2w, 1], [-w^2, 0]], which has a double pole at -w.
         decay = float(np.exp(-w * step))
         self.transition = (decay * (1.0 - w * step), decay * step, -decay * w * w * step, decay * (1.0 + w * step))
         inverse = np.linalg.inv(np.array([[-2.0 * w, 1.0], [-w * w, 0.0]]))
@@ -109,7 +109,7 @@ class ModelObserver:
         if disturbance:
             F[:2, 2] = model.B
         pole = float(np.exp(-bandwidth * model.step))
-        # Ackermann's formula for the predictor form, then F^-1 for the correction at the same instant
+        # Ackermann's formula for the predictor form, then F^-1 for a correction at the same instant.
         c = np.zeros(n)
         c[0] = 1.0
         observability = np.array([c @ np.linalg.matrix_power(F, i) for i in range(n)])
@@ -145,18 +145,18 @@ class StatePredictor:
         f = model.delay_samples - n
         A, B = state_model.A, state_model.B
         self.f = f
-        # A command given n + f samples ago takes over from the one before it when f of the step has gone by.
+        # A command sent n + f samples ago replaces the previous one after the fraction f of the step.
         phi, new = state_model.fraction(1.0 - f)
         old = phi @ state_model.fraction(f)[1]
         self.push = (float(old[0]), float(new[0]), float(old[1]), float(new[1]))
         phi, gamma = state_model.fraction(f)
         row = np.linalg.matrix_power(A, n)[0]
         self.of_state = tuple(float(v) for v in row @ phi)
-        # Oldest first: for the observer alone, over the fraction, then one a step.
+        # Oldest first: of the observer alone, of the fraction, then one weight per step.
         weights = [0.0, float(row @ gamma), *(float((np.linalg.matrix_power(A, n - 1 - j) @ B)[0]) for j in range(n))]
         self.weights = weights
         self.of_disturbance = sum(weights)
-        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # the modal model has no separate output
+        self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)  # the modal model has no delay-free output
         self.reset()
 
     def reset(self) -> None:
@@ -298,7 +298,7 @@ class ModalPredictor:
         self.state_weights = modes.state_weights()
         self.command_weight = modes.command_weight()
         n, f = modes.whole, modes.delay - modes.whole
-        # Oldest first: for the observer alone, over the fraction, then one a step.
+        # Oldest first: of the observer alone, of the fraction, then one weight per step.
         over_fraction: list[complex] = [f if p == 1.0 else (p**f - 1.0) / (p - 1.0) for p in modes.poles]
         residues, poles = modes.residues, modes.poles
         late = [c * p**n for c, p in zip(residues, poles, strict=True)]
@@ -309,7 +309,7 @@ class ModalPredictor:
         ]
         self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)
         self._is_real = not any(isinstance(pole, complex) for pole in modes.poles)
-        # pole, share, residue, gain and weight of each mode where all are real
+        # Pole, share, residue, gain and weight of each mode, for modes that are all real.
         numbers = zip(modes.poles, modes.shares, modes.residues, self.gain, self.state_weights, strict=False)
         self._modes = [_Mode(*[number.real for number in mode]) for mode in numbers]
         self.reset()

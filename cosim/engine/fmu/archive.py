@@ -45,22 +45,22 @@ class Archive:
 
     path: Path
     sha256: str
-    fmi: int  # 2 or 3
-    version: str  # of FMI, as the description says
+    fmi: int  # FMI major version, 2 or 3
+    version: str  # version text of the description
     model: str
-    ports: Mapping[str, Port]  # empty if read without ports
-    port_notes: tuple[str, ...]  # what was assumed about the ports
-    harmless_violations: tuple[str, ...]  # of FMI; stepping is independent of them
+    ports: Mapping[str, Port]  # empty if the ports were not searched
+    port_notes: tuple[str, ...]  # assumptions made about the ports
+    harmless_violations: tuple[str, ...]  # violations of FMI without effect here
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     once_per_process: bool
     starting: EngineStart = field(default_factory=EngineStart)
-    equations_sha256: str | None = None  # hash_equations; None: foreign
+    equations_sha256: str | None = None  # hash_equations(); None: not shipped
     identifier: str = ""
     token: str = ""
-    internal_step: float | None = None  # s, where the description states it
-    returns_early: bool = False  # FMI 3.0: from a step
+    internal_step: float | None = None  # s, if the description states it
+    returns_early: bool = False  # FMI 3.0: doStep may return early
 
     @property
     def throttle(self) -> Variable:

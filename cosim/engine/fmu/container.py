@@ -22,18 +22,18 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 class ArchiveLimits(NamedTuple):
     """Limits of what an archive may hold."""
 
-    # Chosen by us: an engine is a library of a few MB and perhaps a map of tables; a hundred times that is let through.
-    max_packed_bytes: int = 512 * 2**20  # bytes of the archive
-    max_unpacked_bytes: int = 1024 * 2**20  # bytes of all that is in it
+    # Chosen by us: an engine is a library of a few MB with perhaps some tables, and a hundred times that is accepted.
+    max_packed_bytes: int = 512 * 2**20  # size of the archive
+    max_unpacked_bytes: int = 1024 * 2**20  # total size of the unpacked files
     max_files: int = 10_000
-    # Times the archive's own size; tables of numbers come to 10, zeros to 1000.
+    # Unpacked over packed size of a file: tables of numbers reach 10, zeros 1000.
     max_inflation: int = 100
-    # Bytes unpacked, below which inflation does not matter.
+    # Files smaller than this, unpacked, are not tested for their ratio.
     inflation_from_bytes: int = 16 * 2**20
     max_xml_bytes: int = 16 * 2**20  # bytes
-    # Elements inside each other; FMI needs less than ten.
+    # Depth of nested elements; FMI needs fewer than ten.
     max_xml_depth: int = 64
-    # Bytes of a part of a path; file systems end at 255.
+    # File systems allow at most 255 bytes in a part of a path.
     max_name_bytes: int = 250
 
 
@@ -108,7 +108,7 @@ def read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except FileNotFoundError as error:
         raise UnusableError("no such file") from error
-    except (OSError, ValueError) as error:  # ValueError: a path with a NUL in it
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
         raise UnusableError(getattr(error, "strerror", None) or str(error)) from error
 
 
@@ -182,7 +182,7 @@ def _size(count: int) -> str:
 
 
 def _need_harmless_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
-    # zipfile reads no more of an entry than the size that is checked here
+    # zipfile never reads more of an entry than the size that is checked here.
     if len(entries) > LIMITS.max_files:
         raise UnusableError(f"has {len(entries)} files inside; an engine may have {LIMITS.max_files}")
     unpacked = sum(entry.file_size for entry in entries)
@@ -200,7 +200,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
     for entry in entries:
         name = entry.filename
         path = PurePosixPath(name)
-        # zipfile cuts a name at a NUL; what stood behind it is in orig_filename
+        # zipfile cuts a name at a NUL; the full name is in orig_filename.
         shown = to_one_line(repr(entry.orig_filename))[:120]
         strange = ":" in name or "\0" in entry.orig_filename
         if strange or path.is_absolute() or ".." in path.parts or not path.parts:
@@ -247,7 +247,7 @@ def check_xml(name: str, xml: bytes) -> None:
 
     if xml.startswith((b"\xfe\xff", b"\xff\xfe")) or b"\0" in xml[:4]:
         raise UnusableError(f"{name} is in UTF-16 or UTF-32; allowed: {', '.join(sorted(ENCODINGS))}")
-    parser = expat.ParserCreate(namespace_separator="}")  # refuses unbound prefixes
+    parser = expat.ParserCreate(namespace_separator="}")  # also rejects unbound prefixes
     parser.XmlDeclHandler = declaration
     parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = start

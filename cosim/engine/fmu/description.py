@@ -35,7 +35,7 @@ HARMLESS_VIOLATIONS = tuple(
         r"contains an illegal (carriage return|line feed|tab) character",
         r"is not a legal variable name",
         r"and must be declared as a local or output",  # of a state, which is not read
-        # Of the schema: what is not read here.
+        # Schema rules about attributes that are not read here.
         r"The attribute '\w+' is not allowed",
         r"Element 'fmiModelDescription', attribute '(generationDateAndTime|variableNamingConvention|version)'",
         r"Element '(ModelStructure|Outputs|Derivatives|InitialUnknowns|Unknown|Output|InitialUnknown|LogCategories|"
@@ -63,7 +63,7 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
         return read_model_description(pack_descriptions(data)), ()
     except ValidationError as error:
         complaints = [to_one_line(problem) for problem in error.problems]
-    except Exception as error:  # FMPy raises bare exceptions
+    except Exception as error:  # FMPy raises plain exceptions
         stumbled = to_one_line(error)
     try:
         description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
@@ -82,7 +82,7 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
         raise _refusal(dangerous)
     for v in description.modelVariables:
         if (v.causality, v.variability) == ("parameter", "constant"):
-            v.causality = "local"  # a number that nobody may set
+            v.causality = "local"  # nobody can set it, so it is a local
     return description, tuple(complaints)
 
 

@@ -62,7 +62,7 @@ class FmuInstance:
         self._stepping = False
         self._dead = False
         self._start_steps = 0  # communication steps of the warm-up
-        self._inputs = _input_values(0.0, STANDARD_AIR)  # as set last
+        self._inputs = _input_values(0.0, STANDARD_AIR)  # inputs as last set
         self.fmu: Slave | None = None
         try:
             fmu = Slave(folder / find_library(archive), archive.fmi)
@@ -161,7 +161,7 @@ class FmuInstance:
         """Set variables; the elements of an array that are not among them stay at their start values."""
         arrays: dict[tuple[str, int], tuple[Variable, list[float]]] = {}
         for variable, value in settings:
-            # FMI 2.0 counts its references anew for every type
+            # FMI 2.0 numbers value references separately for each type.
             _, values = arrays.setdefault((variable.type, variable.reference), (variable, list(variable.starts)))
             values[variable.index] = value
         for variable, values in arrays.values():
@@ -202,7 +202,7 @@ class FmuInstance:
         """Return how far a discarded step of FMI 2.0 has come, or an empty string where the FMU does not report it."""
         component, value = ctypes.c_void_p(self._slave.component), ctypes.c_double(math.nan)
         try:
-            # 2 is fmi2LastSuccessfulTime of fmi2StatusKind.
+            # Status kind 2 is fmi2LastSuccessfulTime.
             status = self._slave.function("GetRealStatus")(component, 2, ctypes.byref(value))
         except OSError:
             return ""
@@ -242,7 +242,7 @@ class FmuInstance:
         places: dict[str, _bank.Place] = {}
         for number, kind in enumerate(types):
             values: list[float] = []
-            first_index: dict[int, int] = {}  # reference: its first value
+            first_index: dict[int, int] = {}  # index of the first value per reference
             for name, port in ports.items():
                 v = port.variable
                 if v.type != kind:
@@ -257,7 +257,7 @@ class FmuInstance:
                 else:
                     places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"{way}{kind}")
-            # Of the inputs only the throttle, the first port, is set in every step.
+            # Of the inputs only the throttle, which is the first port, is set in each step.
             first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
             blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first))
         return tuple(blocks), tuple(places.get(name) for name in names)
@@ -270,7 +270,7 @@ class FmuInstance:
         if self._python:
             _remove_from_path(self._resources)
         if self._dead:
-            return  # after a fatal error no call is allowed
+            return  # FMI forbids calls after a fatal error
         if self._stepping:
             fmu.terminate()
         fmu.free()
@@ -295,10 +295,10 @@ def _isolate_modules(resources: Path) -> Iterator[None]:
         yield
     finally:
         _remove_from_path(resources)
-        sys.path.append(folder)  # for what it imports later
+        sys.path.append(folder)  # for modules that it imports later
         for name, module in list(sys.modules.items()):
             if str(getattr(module, "__file__", None) or "").startswith(folder + os.sep):
-                del sys.modules[name]  # the instance keeps what it has
+                del sys.modules[name]  # the instance keeps its own reference
 
 
 def _remove_from_path(resources: Path) -> None:

@@ -143,7 +143,7 @@ class MappingFile(Model):
 
     fmu: str = Field(min_length=1)
     title: str = ""
-    isolated: bool | None = None  # own process; None: the scenario's
+    isolated: bool | None = None  # own process; None: as the scenario says
     ports: _Ports = Field(default_factory=_Ports.model_construct)
     units: _Units = Field(default_factory=_Units.model_construct)
     range: _Range = Field(default_factory=_Range.model_construct)
@@ -155,8 +155,8 @@ class MappingFile(Model):
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
-    uncertainty: Uncertainty | None = None  # of identified parameters
-    # Further outputs by their column in the log.
+    uncertainty: Uncertainty | None = None  # uncertainty of identified parameters
+    # Further outputs to log, by column name.
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
 
 

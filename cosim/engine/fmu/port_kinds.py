@@ -40,8 +40,8 @@ class PortKind(NamedTuple):
     causality: str
     quantity: Quantity
     types: tuple[str, ...] = REALS
-    library_name: str = ""  # the library's name for it, if another
-    only_mapped: bool = False  # never found by its name
+    library_name: str = ""  # name in shipped engines, if different
+    only_mapped: bool = False  # used only if a mapping names it
 
 
 KINDS: Mapping[str, PortKind] = {
@@ -56,12 +56,12 @@ KINDS: Mapping[str, PortKind] = {
     "total_temperature": PortKind("input", TEMPERATURE),
     "run": PortKind("input", RATIO, SWITCHES),
     "thrust": PortKind("output", FORCE),
-    # Taken from a thrust that is the gross one.
+    # Subtracted from a thrust that is gross thrust.
     "ram_drag": PortKind("output", FORCE, only_mapped=True),
     "spool_speed": PortKind("output", ANGULAR_SPEED),
     "exhaust_temperature": PortKind("output", TEMPERATURE),
     "fuel_flow": PortKind("output", MASS_FLOW),
-    # In the frame of the jet, which tilts with it; a torque of an engine is most often that of its shaft.
+    # Forces are in the frame of the jet, which tilts with it; most engines' torque is that of the shaft.
     "force_forward": PortKind("output", FORCE, only_mapped=True),
     "force_right": PortKind("output", FORCE, only_mapped=True),
     "torque": PortKind("output", MOMENT, only_mapped=True),

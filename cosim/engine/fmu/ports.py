@@ -35,11 +35,11 @@ class PortMap:
     ports: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     throttle_range: tuple[float, float] | None = None
-    search: bool = True  # look for the ports that are not stated
-    scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
-    inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
+    search: bool = True  # search for ports that are not stated
+    scale: Mapping[str, float] = field(default_factory=dict)  # port value over variable value
+    inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # inputs held constant
     warm_up_s: float = 0.0
-    rest_n: float = 0.0  # N, peak to peak, of a steady thrust
+    rest_n: float = 0.0  # N, peak-to-peak ripple of steady thrust
 
 
 RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
@@ -88,7 +88,7 @@ class PortFinding(NamedTuple):
     variable: Variable | None
     trouble: str = ""
     part: str = "ports"
-    notes: tuple[str, ...] = ()  # on what is assumed
+    notes: tuple[str, ...] = ()  # assumptions that were made
 
 
 def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
@@ -112,7 +112,7 @@ def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
         except PortError as error:
             part = "ports" if variable is None else "range" if name == "throttle" else "units"
             if variable is not None and name == "throttle":
-                ports[name] = Port(variable)  # it is no other port then
+                ports[name] = Port(variable)  # one variable is one port
             yield PortFinding(name, variable, str(error), part)
 
 
@@ -192,7 +192,7 @@ def _of_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Ma
 def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
     """Return whether a variable's declared unit is of another quantity than the port's."""
     if v.unit is None or port in ("throttle", "run", "start"):
-        # A lever may be in degrees, in volts, in anything that has a range.
+        # A throttle may be in degrees or volts or any unit, if its range is stated.
         return port == "throttle" and any(
             is_unit_of(v.unit, v.base, other) for other in (PRESSURE, TEMPERATURE, SPEED, FORCE)
         )

@@ -45,12 +45,12 @@ class Slave:
     Raises OSError where it does not load or lacks a function.
     """
 
-    component = 0  # address of the instance
+    component = 0  # address of the FMI component
 
     def __init__(self, library: Path, fmi: int) -> None:
         self._prefix, self.fmi = f"fmi{fmi}", fmi
         here = os.getcwd()
-        os.chdir(library.parent)  # for libraries that lie beside it
+        os.chdir(library.parent)  # so that libraries beside it are found
         try:
             self.dll = ctypes.CDLL(str(library))
         finally:
@@ -80,7 +80,7 @@ class Slave:
             arguments = (*kind, c_char_p(token.encode()), c_char_p(where.encode()), *more)
         else:
             make, where = self.function("InstantiateCoSimulation"), f"{resources}{os.sep}"
-            flags = (c_bool(False), c_bool(True), c_bool(False), c_bool(returns_early))  # visible, logging, events
+            flags = (c_bool(False), c_bool(True), c_bool(False), c_bool(returns_early))
             more = (*flags, None, c_size_t(0), c_void_p(log.address), c_void_p(_bank.LOGGER3), None)
             arguments = (c_char_p(token.encode()), c_char_p(where.encode()), *more)
         make.restype = c_void_p
@@ -94,7 +94,7 @@ class Slave:
 
         def checked() -> None:
             status = call()
-            if status > 1:  # neither OK nor a warning
+            if status > 1:  # neither OK nor Warning
                 raise CallError(function, status)
 
         return checked

@@ -15,9 +15,9 @@ Setting = tuple[Variable, float]
 class EngineStart(NamedTuple):
     """What every instance of an engine begins with."""
 
-    constants: tuple[Setting, ...] = ()  # set before initialization, and held
-    warm_up_s: float = 0.0  # s at throttle 0 before anything else
-    rest_n: float = 0.0  # N, peak to peak, of a steady thrust
+    constants: tuple[Setting, ...] = ()  # set before initialization and held
+    warm_up_s: float = 0.0  # s at zero throttle before the flight
+    rest_n: float = 0.0  # N, peak-to-peak ripple of steady thrust
 
 
 def resolve_start(port_map: PortMap, inputs: Sequence[Variable], ports: Mapping[str, Port]) -> EngineStart:

@@ -42,11 +42,11 @@ class ParameterRange(NamedTuple):
 class Uncertainty(Model):
     """Standard deviations of an engine's parameters, each in its parameter's unit."""
 
-    source: str = ""  # where the numbers are from, one line
-    parameters: Annotated[list[str], Field(min_length=1)]  # by name; rows of the other keys
-    deviation: list[NotNegative]  # common to all engines of a vehicle
-    correlation: Matrix | None = None  # of the common deviations; None: none
-    spread: list[NotNegative] | None = None  # between engines of one kind; None: none
+    source: str = ""  # origin of the numbers, one line
+    parameters: Annotated[list[str], Field(min_length=1)]  # names, in the order of the other keys
+    deviation: list[NotNegative]  # shared by all engines of a vehicle
+    correlation: Matrix | None = None  # of the shared deviations; None: none
+    spread: list[NotNegative] | None = None  # between engines of a kind; None: none
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -101,7 +101,7 @@ class Uncertainty(Model):
         from scipy.special import ndtr
 
         return [
-            # Summed here and not by a matrix product, whose order of additions is the machine's.
+            # Summed in a fixed order: a matrix product's order of additions depends on the machine.
             np.asarray(ndtr(sum(factors[column] * normal[:, column] for column in range(row + 1))))
             for row, factors in enumerate(self.factor)
         ]
@@ -187,4 +187,4 @@ def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -
     least = ndtr(np.maximum((low - centre) / deviation, -CUT))
     most = ndtr(np.minimum((high - centre) / deviation, CUT))
     drawn = centre + deviation * ndtri(least + quantiles * (most - least))
-    return np.asarray(np.clip(drawn, low, high))  # rounding may pass the limits
+    return np.asarray(np.clip(drawn, low, high))  # rounding may exceed the limits

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.engine.library import BASE_UNITS, UNITS
 
-Exponents = tuple[int, ...]  # of each of BASE_UNITS
+Exponents = tuple[int, ...]  # one exponent for each of BASE_UNITS
 
 
 class Unit(NamedTuple):
@@ -28,7 +28,7 @@ class Quantity(NamedTuple):
 
     name: str
     si: str
-    units: dict[str, tuple[float, float]]  # name: factor, offset
+    units: dict[str, tuple[float, float]]  # name: factor and offset to SI
 
     @property
     def exponents(self) -> Exponents:
@@ -134,7 +134,7 @@ def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, floa
         raise UnitError(f"is in {name}, which the FMU defines as something else than {quantity.name}")
     if base.exponents != quantity.exponents:
         raise UnitError(f"is in {name}; it must be {quantity.name}, such as {quantity.si}")
-    # A thousandth: what is left out of a conversion factor is less, a wrong unit is more.
+    # Relative tolerance of a conversion factor: rounded factors differ by less, wrong units by more.
     if known and not (
         isclose(base.factor, known[0], rel_tol=1e-3) and isclose(base.offset, known[1], rel_tol=1e-3, abs_tol=0.1)
     ):

@@ -16,7 +16,7 @@ from cosim.engine.fmu.archive import Archive, find_library
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, read_bytes, to_one_line
 from cosim.engine.library import platform_folder
 
-_free: list[UnpackedArchive] = []  # the youngest last
+_free: list[UnpackedArchive] = []  # most recently freed last
 
 
 class UnpackedArchive:
@@ -78,7 +78,7 @@ def unpack(archive: Archive) -> UnpackedArchive:
         raise
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
-    except OSError as error:  # of writing
+    except OSError as error:  # could not write there
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE as error:

@@ -11,7 +11,7 @@ REALS = ("Real", "Float64", "Float32")
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 THROTTLE_TYPES = (*REALS, *INTEGERS)
 SWITCHES = (*REALS, "Boolean", *INTEGERS)
-# Of an input or a parameter: a number, true or false, or the name of an enumeration's item.
+# Value of an input or a parameter: a number, a Boolean, or the name of an enumeration's item.
 ConstantValue = bool | int | float | str
 
 
@@ -20,7 +20,7 @@ class Variable:
     """One scalar variable of an FMU, or one element of an array; ``start`` is None where none is stated."""
 
     name: str
-    type: str  # FMI's name of the type
+    type: str  # type name in FMI
     reference: int
     unit: str | None
     min: float | None
@@ -29,10 +29,10 @@ class Variable:
     description: str
     causality: str = ""
     variability: str = ""
-    base: Unit | None = None  # what the description says of the unit
-    items: tuple[tuple[str, int], ...] = ()  # of an enumeration
-    index: int = 0  # in the array, in the order of FMI
-    starts: tuple[float, ...] = (0.0,)  # of the whole array; 0: not stated
+    base: Unit | None = None  # SI exponents and factor of the unit
+    items: tuple[tuple[str, int], ...] = ()  # items of an enumeration
+    index: int = 0  # index in an array, in FMI's order
+    starts: tuple[float, ...] = (0.0,)  # start values of the array; 0 if absent
 
     @property
     def is_array(self) -> bool:

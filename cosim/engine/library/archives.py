@@ -139,7 +139,7 @@ def write_archive(contents: Mapping[str, bytes], target: Path) -> None:
         with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
             for path in sorted(contents):
                 entry = zipfile.ZipInfo(path, date_time=(1980, 1, 1, 0, 0, 0))
-                entry.create_system = 3  # Unix, for the permission bits
+                entry.create_system = 3  # Unix, so that permission bits count
                 entry.external_attr = (0o755 if path.startswith("binaries/") else 0o644) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, contents[path])
@@ -171,10 +171,10 @@ def _cmake_options() -> dict[str, str]:
     options = {"CMAKE_C_FLAGS:STRING": C_FLAGS}
     compiler = shutil.which((os.environ.get("CC") or "cc").split()[0])
     if compiler and sys.platform != "win32":
-        # FMPy's CMake project enables C++ too.  Nothing is compiled with it, so no such compiler is needed.
+        # FMPy's CMake project enables C++ as well. No C++ is compiled, so no such compiler is needed.
         options |= {"CMAKE_CXX_COMPILER:STRING": compiler, "CMAKE_CXX_COMPILER_FORCED:BOOL": "TRUE"}
     if sys.platform != "win32":
-        # Without it only an importer that has the library of mathematics itself, as Python has, could load the FMU.
+        # Without it only importers that have loaded libm themselves, as Python has, could load the FMU.
         options["CMAKE_C_STANDARD_LIBRARIES:STRING"] = "-lm"
     return options
 
@@ -199,7 +199,7 @@ def _cmake_on_path() -> Iterator[None]:
 
         os.environ["PATH"] = f"{CMAKE_BIN_DIR}{os.pathsep}{before}"
     except ImportError:
-        pass  # uses the cmake on PATH
+        pass  # falls back to cmake on PATH
     try:
         yield
     finally:

@@ -65,14 +65,14 @@ class EngineDefinition:
     title: str
     description: str
     sources: tuple[Path, ...]
-    internal_step: float  # s
+    internal_step: float  # s, of the solver
     ports: Mapping[str, str]
     ledger: Mapping[str, str]
     rotor_inertia: float  # kg m^2
-    flame_out: Mapping[str, float]  # of engines without a port run
+    flame_out: Mapping[str, float]  # for engines without a port "run"
     variables: tuple[VariableDefinition, ...]
     uncertainty: Mapping[str, Any] = field(default_factory=dict)  # of parameters; empty: not stated
-    tool: Path | None = None  # C of an engine that a program computes
+    tool: Path | None = None  # program that generates the C, if any
 
     @property
     def identifier(self) -> str:

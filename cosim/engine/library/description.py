@@ -110,8 +110,8 @@ def _value(v: VariableDefinition) -> dict[str, str | None]:
 def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 3.0 archive."""
     root = _root(engine, "3.0", instantiationToken=token)
-    # FMI 3.0 says with the two step attributes together just what this slave does: the step may vary from call to
-    # call, and should be a whole multiple of the internal one.
+    # The two step attributes of FMI 3.0 together say what this slave does: the step may vary from call to call and
+    # should be a whole multiple of the internal step.
     _add(
         root,
         "CoSimulation",
@@ -128,7 +128,7 @@ def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
     structure = _add(root, "ModelStructure")
     outputs = [str(v.reference) for v in engine.variables if v.causality == "output"]
     for reference in outputs:
-        # Between steps the outputs follow from the state alone: there is no direct feedthrough.
+        # Between steps the outputs depend on the state alone: there is no direct feed-through.
         _add(structure, "Output", valueReference=reference, dependencies="")
     for reference in outputs:
         _add(structure, "InitialUnknown", valueReference=reference)
@@ -138,7 +138,7 @@ def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
 def render_model_description_2(engine: EngineDefinition, token: str, sources: Iterable[str]) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 2.0 archive, which lists the C ``sources``."""
     root = _root(engine, "2.0", guid=token)
-    # FMI 2.0 cannot state an internal step, so "variable step" would promise more than the slave keeps.
+    # FMI 2.0 cannot state an internal step, so "variable step" would promise more than the slave provides.
     slave = _add(
         root,
         "CoSimulation",

@@ -63,17 +63,17 @@ _KINDS = {*REALS, *INTEGERS, "Boolean"}
 class ControllerFmu:
     """A controller in an FMU; its variables are those of FMPy's description."""
 
-    path: Path  # of the archive
+    path: Path  # path of the archive
     mapping: Path | None
     fmi: int
     level: str
-    jets: int  # of a whole controller
-    servos: tuple[str, ...]  # moved by a whole controller
+    jets: int  # number of jets of a whole controller
+    servos: tuple[str, ...]  # servos that a whole controller moves
     extras: tuple[str, ...]
-    inputs: Mapping[str, Any]  # by the name of the port
+    inputs: Mapping[str, Any]  # variables by port name
     outputs: Mapping[str, Any]
     parameters: Sequence[Any]
-    column_outputs: Sequence[Any]  # outputs that become columns
+    column_outputs: Sequence[Any]  # outputs logged as columns
     notes: tuple[str, ...]
     description: Any
     data: bytes

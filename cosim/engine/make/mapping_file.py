@@ -101,7 +101,7 @@ def _lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -> Ite
         "range", [_open("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
     )
     for title, variables in (
-        ("inputs", archive.inputs),  # without a line: the start value
+        ("inputs", archive.inputs),  # without a line: the FMU's start value
         ("parameters", archive.parameters),
     ):
         free = [v for v in variables if v.name not in taken and v.type != "String"]

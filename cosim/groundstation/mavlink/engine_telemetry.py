@@ -65,7 +65,7 @@ def fuel_status(v: TelemetryState) -> list[Message]:
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
     capacity, rate = (mass / KEROSENE_KG_M3 * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
-    # The last number is MAV_FUEL_TYPE: liquid.
+    # MAV_FUEL_TYPE 1 is liquid.
     return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, 1)]
 
 

@@ -28,7 +28,7 @@ class Stream:
     name: str
     rate: float
     make_messages: Build
-    in_turn: bool = False  # one message a slot
+    in_turn: bool = False  # messages take turns, one per slot
 
     def select(self, messages: list[Message], turn: int) -> list[Message]:
         """Return those of its messages that go in a slot; ``turn``: the slots before."""

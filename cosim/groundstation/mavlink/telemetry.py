@@ -58,7 +58,7 @@ def sys_status(v: TelemetryState) -> list[Message]:
     has_tank = not isnan(v.vehicle.fuel_capacity)
     battery = 0 if has_tank or v.remaining is None else _BATTERY
     present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
-    # The fence is reported healthy and off, because MAVProxy treats an unhealthy fence as breached.
+    # The fence is reported healthy and disabled, because MAVProxy treats an unhealthy fence as breached.
     enabled = present & ~_GEOFENCE
     lost = any(health == 0.0 for health in v.sample.health[: v.vehicle.jets])
     bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
@@ -108,7 +108,7 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     course = to_field(degrees(atan2(ve, vn) % (2.0 * pi)) * 100.0, 0, 35999) if fixed else U16
     return [
         mav.MAVLink_gps_raw_int_message(
-            # There is no geoid: 0 above the ellipsoid stands for an extension that is not sent.
+            # Without a geoid the ellipsoid height is 0, which marks an extension field as not sent.
             v.us, 3 if fixed else 1, to_e7(lat), to_e7(lon), to_mm(metres), U16, U16, speed, course, U8, 0,
             to_field(vehicle.position_noise * 1e3, 0, I32), to_field(vehicle.position_noise * 1e3, 0, I32),
             to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
@@ -146,14 +146,14 @@ def vfr_hud(v: TelemetryState) -> list[Message]:
     heading = to_field(degrees(v.euler[2]) % 360.0, 0, 360) % 360
     throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
-    # No sensor on board measures the airspeed.
+    # There is no airspeed sensor on board.
     return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.altitude_above_sea, -v.estimate.velocity[2])]
 
 
 def attitude_target(v: TelemetryState) -> list[Message]:
     command = v.sample.command
     quaternion = from_euler(*command.attitude)
-    mask = 0 if command.rate is None else 128  # ignore the attitude: rates are given
+    mask = 0 if command.rate is None else 128  # bit 7: ignore attitude, use rates
     return [
         mav.MAVLink_attitude_target_message(
             v.ms, mask, quaternion, *v.sample.control.rate_setpoint, v.sample.control.collective
@@ -452,6 +452,6 @@ def statustext(severity: int, text: str, number: int) -> list[Message]:
         return [mav.MAVLink_statustext_message(severity, data)]
     pieces = [data[i : i + 50] for i in range(0, len(data), 50)]
     if len(pieces[-1]) == 50 and len(pieces) < 256:
-        pieces.append(b"")  # after a full piece the text goes on
+        pieces.append(b"")  # a full piece is followed by another
     number = number % U16 + 1
     return [mav.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]

@@ -31,9 +31,9 @@ class VehicleConstants:
     version: str = "0.1.0"
     personality: Personality = "px4"
     system: int = 1
-    tilt_range: float = nan  # rad either way; NaN: sent in rad
-    servos: tuple[str, ...] = ("left", "right")  # names of the servos as faults state them
-    # Least and greatest angle of each servo, where the servos are not two banks.
+    tilt_range: float = nan  # rad, either way; NaN: tilts are in rad
+    servos: tuple[str, ...] = ("left", "right")  # servo names as used in faults
+    # Range of each servo angle, if the servos are not two banks.
     ranges: tuple[tuple[float, float], ...] = ()
     full_thrust: PerJet = ()  # N at full throttle; empty: unknown
     fuel_capacity: float = nan  # kg; NaN: no tank
@@ -48,9 +48,9 @@ class FlightEvents:
 
     armed: int = 0
     took_off: int = 0
-    landed_ms: int = 0  # simulation time
+    landed_ms: int = 0  # ms of simulation time
     flights: int = 0
-    burnt: tuple[float, ...] = ()  # kg by engine in this flight; or NaN
+    burnt: tuple[float, ...] = ()  # kg burnt by each engine; NaN: unknown
     clock: Callable[[], float] = field(default=time.time)
 
     def update(self, before: TelemetryState | None, now: TelemetryState) -> None:
@@ -70,7 +70,7 @@ class FlightEvents:
         flows, full = now.sample.engines.fuel_flow[: now.vehicle.jets], now.vehicle.fuel_capacity
         spent, total = before.sample.fuel - now.sample.fuel if before else nan, sum(flows)
         if not spent >= 0.0:
-            # The first snapshot, or a tank that was filled for another flight.
+            # The first snapshot, or the tank was refilled for another flight.
             self.burnt = (0.0 * full,) * len(flows)
         elif total > 0.0:
             shares = zip(self.burnt, flows, strict=True)
@@ -89,20 +89,20 @@ class TelemetryState:
         self.snapshot = snapshot
         self.events = events
         self.time = snapshot.time
-        self.measured = snapshot.measured  # measurements of the sensors
-        # The state is that after the step, with the actuation that acted until then.
+        self.measured = snapshot.measured  # sensor measurements
+        # The state is that after the step; the actuation is what acted during it.
         self.sample = snapshot.sample._replace(
             k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
         )
         self.status, ending = snapshot.status, snapshot.ending
-        # Engines that are off have the least throttle as input, which has no effect.
+        # Engines that are off get the least throttle as input, which has no effect.
         if self.status.engines is EngineState.OFF:
             still = self.sample.actuation._replace(throttle=(0.0,) * len(self.sample.actuation.throttle))
             control = self.sample.control._replace(collective=0.0)
             self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
-        # The motion that the autopilot flies with, or else as measured.
+        # Motion as the autopilot estimates it, or else as measured.
         self.estimate = self.status.seen or self.measured
         self.euler = to_euler(self.estimate.attitude)
         self.position_deg = vehicle.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]

@@ -71,9 +71,9 @@ class MavlinkVehicle:
         self.services = list(services)
         self.on_request = dict(on_request or {})
         self.shutdown_requests = shutdown_requests
-        # Ground stations by their ids, with the time when each was last heard; the longest silent comes first.
+        # Ground stations by id, with the time each was last heard; the one silent for longest comes first.
         self.stations: dict[tuple[int, int], float] = {}
-        # Number of local pages that are open, each of which counts as a ground station.
+        # Number of open local pages; each counts as a ground station.
         self.page_count: Callable[[], int] = lambda: 0
         self.acknowledged = 0
         self._streams = Streams(link.now())
@@ -153,7 +153,7 @@ class MavlinkVehicle:
                 packets = stream.select(made, peer.turn)
                 peer.turn += stream.in_turn
                 for index, packed in enumerate(packets):
-                    # The heartbeat is never replaced by a newer one, because it shows that the vehicle is connected.
+                    # A heartbeat is not replaced by a newer one: each shows that the vehicle is connected.
                     if stream.name == "HEARTBEAT":
                         peer.send(packed)
                     else:
@@ -219,7 +219,7 @@ class MavlinkVehicle:
 
         def reply(answer: Answer) -> None:
             if not answer.accepted:
-                self._is_lost = not is_lost  # repeated at the next poll
+                self._is_lost = not is_lost  # tried again at the next poll
 
         self.port.ask(LinkLost() if is_lost else LinkBack(), reply, "link")
 
@@ -242,7 +242,7 @@ class MavlinkVehicle:
             return
         key = (client.system, client.component, command)
         if key in self._pending:
-            return  # its answer will be sent
+            return  # its answer is still to be sent
         if self._last_done is not None and command.number in commands.ONCE:
             done, at, result = self._last_done
             if done == key and self._now - at < repeat_s:
@@ -276,7 +276,7 @@ class MavlinkVehicle:
             self._acknowledge(command, client, result)
             if result is CommandResult.ACCEPTED:
                 self._last_done = (key, self._now, result)
-            # For Arm the pilot itself sends a text that says why it refused.
+            # For Arm the pilot itself sends the reason of a refusal.
             elif answer.text and not isinstance(plan.requests[index], Arm):
                 self.say(int(Severity.WARNING), answer.text, client.peer)
 
@@ -360,7 +360,7 @@ _HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {
     "TIMESYNC": MavlinkVehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,
     "FOLLOW_TARGET": MavlinkVehicle._follow,
-    # Of no effect here, as rates are set message by message.
+    # Ignored, as rates are set for each message.
     "REQUEST_DATA_STREAM": lambda vehicle, message, client: None,
 }
 assert set(_HANDLERS) <= set(BY_NAME)

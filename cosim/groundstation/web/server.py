@@ -43,21 +43,21 @@ from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 class PageLimits(NamedTuple):
     """Limits of the server and of its pages, chosen by us."""
 
-    frames_1_s: int = 20  # smooth to the eye
-    max_message_bytes: int = 4096  # the page's own have 200
-    messages_1_s: float = 80.0  # of a page, whose sticks send 20
+    frames_1_s: int = 20  # frames per second, smooth to the eye
+    max_message_bytes: int = 4096  # messages of our page have 200 bytes
+    messages_1_s: float = 80.0  # per page; its sticks send 20
     burst_messages: float = 160.0
     max_pages: int = 8
-    # What waits for a page that does not read, here (it then misses frames, of 2 kB) and in the kernel, whose own
-    # choice would be seconds of old frames.
+    # Buffers for a page that reads slowly, here (it then misses frames of 2 kB) and in the kernel, whose own choice
+    # would hold seconds of old frames.
     buffer_bytes: int = 64 * 1024
     kernel_bytes: int = 32 * 1024
-    stuck_s: float = 10.0  # until a page that reads nothing goes
-    hello_s: float = 5.0  # for a page to send its token
-    # Points of the strip chart that may wait, a second at 16 times real time, and those of one frame.
+    stuck_s: float = 10.0  # s until a page that never reads is shut
+    hello_s: float = 5.0  # s for a page to send its token
+    # Points of the strip chart that may wait, which is a second at 16 times real time; and points in one frame.
     max_waiting_points: int = 4000
     max_points: int = 40
-    values_every: int = 10  # frames: parameters each half second
+    values_every: int = 10  # frames between parameters: half a second
 
 
 LIMITS = PageLimits()
@@ -108,14 +108,14 @@ class WebServer:
             raise InputError(f"web {port}: must be a port from 0 to 65535")
         self._exchange = exchange
         self.port = port
-        self.refused = 0  # connections and messages
-        self.skipped = 0  # frames that a slow page missed
+        self.refused = 0  # connections and messages refused
+        self.skipped = 0  # frames that slow pages missed
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
         self._strip: deque[tuple[int, Sample]] = deque(maxlen=LIMITS.max_waiting_points)
         self._newest_point = (0, -1)  # flight and step of the newest point
         self._rows = feed.RowConverter()
-        self._frame_count = 0  # number of frames that were made
+        self._frame_count = 0  # number of frames sent
         self._thread: threading.Thread | None = None
 
     @property
@@ -142,7 +142,7 @@ class WebServer:
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
-        self._thread.daemon = True  # ends with the process
+        self._thread.daemon = True  # the thread ends with the process
         self._thread.start()
         running.wait()
 
@@ -163,7 +163,7 @@ class WebServer:
     async def _main(self, listening: socket.socket, running: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
-        # A browser that opens a connection ahead of need is no error.
+        # Browsers open connections ahead of need, which is not an error.
         quiet = logging.getLogger("cosim.groundstation.web")
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False
@@ -188,7 +188,7 @@ class WebServer:
             await self._stopping.wait()
             unsubscribe()
             frames.cancel()
-            self._frame()  # shows pages the end
+            self._frame()  # sends pages the ending
 
     def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
@@ -286,7 +286,7 @@ class WebServer:
 
     def _call_soon(self, callback: Callable[[], None]) -> None:
         """Schedule a call in the server's thread, if that still runs."""
-        with suppress(RuntimeError):  # the loop no longer runs
+        with suppress(RuntimeError):  # the event loop has stopped
             self._loop.call_soon_threadsafe(callback)
 
     def _on_publish(self) -> None:
@@ -295,7 +295,7 @@ class WebServer:
         if snapshot is None or snapshot.sample is None or not self._pages:
             return
         point = (snapshot.info.number, snapshot.sample.k)
-        if point != self._newest_point:  # published once
+        if point != self._newest_point:  # send each point once
             self._newest_point = point
             self._strip.append((snapshot.info.number, snapshot.sample))
 
@@ -361,9 +361,9 @@ class _Page:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.flight = 0  # number that the page was sent
-        self.last_message = 0  # number that the page was sent
-        self.values: dict[str, float] = {}  # parameters that the page was sent
+        self.flight = 0  # number of the flight sent last
+        self.last_message = 0  # number of the message sent last
+        self.values: dict[str, float] = {}  # parameters sent last
         self.read_at = time.monotonic()
         self._allowance, self._last_count = LIMITS.burst_messages, self.read_at
 
@@ -429,7 +429,7 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    kinds = TYPES | {"txt": TEXT}  # text files are the licences
+    kinds = TYPES | {"txt": TEXT}  # the text files are licences
     served = {
         path: (kinds[path.rpartition(".")[2]], body, policy)
         for path, body in [

@@ -42,26 +42,25 @@ class SweepTuning(NamedTuple):
     """How a sweep is chosen where nothing is said, and how it is tried again."""
 
     lead_s: float = 1.0
-    rest_s: float = 6.0  # for the loop to come to rest
-    # The band: no loop that is flown here is quicker, and a slower sweep takes longer than fuel and place stay the
-    # same.  ``span`` is its end over its start, ``corners`` its end over an engine's corner, beyond which that hardly
-    # answers.
+    rest_s: float = 6.0  # s for the loop to come to rest
+    # The band of the sweep: no loop flown here is faster than max_hz, and a slower sweep takes longer than fuel and
+    # position stay the same. ``span`` is the end of the band over its start, ``corners`` its end over the engine's
+    # corner, above which an engine hardly responds.
     max_hz: float = 6.0
     min_hz: float = 0.1
     span: float = 20.0
     corners: float = 4.0
-    # Share of an axis from which the engines' lag counts in it.
+    # Fraction of an axis's torque from engines, from which on their lag is included.
     min_share: float = 0.05
-    # To start with, in the unit of the axis; made smaller while it saturates.
+    # First amplitude, in the unit of the axis; reduced while the command saturates.
     amplitude: float = 0.02
     tries: int = 6
-    # By how much, and how often, the amplitude is raised where the answer is lost in noise.
+    # Factor on the amplitude where noise hides the response, and how many times.
     louder: float = 3.0
     louder_tries: int = 3
-    # Of the amplitude, to try again with after the vehicle was lost.
+    # Factor on the amplitude after the vehicle crashed or diverged.
     after_loss: float = 0.3
-    # Of the amplitude that would just have fitted; after some tries by its cube, as what noise alone brings to a limit
-    # fits by a hair each time.
+    # Of the amplitude that would just have fitted; later tries take its cube, as noise alone exceeds limits slightly.
     margin: float = 0.8
     margin_tries: int = 4
 
@@ -115,7 +114,8 @@ def identify_axis(
     requested, subject = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
     flight, response, notes = _fly_until_clear(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
-    # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
+    # Pitch and yaw turn the jets instead of throttling them, and what hinges and engines share has no single engine's
+    # delay.
     own_delay = flight.engine.transport_delay if axis == "roll" and not accelerates else None
     fits = _fits(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
     return Identification(
@@ -138,7 +138,7 @@ def identify_axis(
     )
 
 
-# ---- flying
+# ---- flights
 
 
 def _band(
@@ -203,10 +203,10 @@ class _Flight:
     step: float
     injected: Array
     command: Array  # as applied: delayed, disturbed, limited
-    rate: Array  # as the gyro gives it
+    rate: Array  # as the gyro measures it
     ledger_samples: float | None  # command to rate; None: see no_ledger
     no_ledger: str
-    fits_in: float  # share of the amplitude never refused
+    fits_in: float  # fraction of the amplitude that fitted
 
     @property
     def fine(self) -> bool:

@@ -106,7 +106,7 @@ def _band(
     if low is not None and high is not None:
         return low, high
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
-    # An engine's own start is a little above the lowest frequency that the longest sweep tells.
+    # Slightly above the lowest frequency that the longest sweep can measure.
     least = 1.01 * (shortest_record(1.0) / MAX_SWEEP_S)
     start = max(DECADES[0] * slow, least) if low is None else low
     end = min(DECADES[1] * quick, 0.4 / step) if high is None else high

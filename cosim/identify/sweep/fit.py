@@ -26,11 +26,11 @@ NEARLY_WHOLE = 0.05  # samples to a whole number, taken as one
 class Model:
     """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``, sampled every ``step`` seconds behind a hold."""
 
-    gain: float  # output per unit of command and second
-    rate: float  # 1/s, the slow pole; 0 integrates
-    lags: tuple[float, ...]  # s
+    gain: float  # output per unit of command and s
+    rate: float  # 1/s, slow pole; 0: an integrator
+    lags: tuple[float, ...]  # s, of each lag
     delay_samples: float
-    step: float  # s
+    step: float  # s, sample time
 
     @property
     def poles_1_s(self) -> tuple[float, ...]:
@@ -103,12 +103,12 @@ class Fit:
 
     label: str
     model: Model
-    bounds: Mapping[str, tuple[float, float]]  # by names of values, held ones left out
+    bounds: Mapping[str, tuple[float, float]]  # by value name; held values are left out
     fixed: tuple[str, ...]
     misfit: float  # rms of |ln(model / response)|
     worst_db: float
     worst_deg: float
-    # The 95 % bound [samples] of delay and lags together, which are known better than either.
+    # Half width of the 95 % interval [samples] of delay and lags together, which are known better than either alone.
     all_delay_half: float = 0.0
 
     @property
@@ -180,7 +180,7 @@ class _Problem:
         self.free = [i for i, name in enumerate(self.names) if name not in hold]
         self.sign = 1.0
         fastest = 0.5 / step
-        # the phases of points a frequency apart repeat after a delay of one over it: longer ones look like shorter ones
+        # A delay of one over the frequency spacing looks like none: longer delays cannot be told from shorter ones.
         longest = min(self.longest_delay_s, self.unambiguous / float(np.diff(hertz).min())) / step
         self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
         self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])

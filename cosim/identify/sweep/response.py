@@ -34,7 +34,7 @@ class Record:
     injected: Array
     command: Array
     output: Array
-    step: float  # s
+    step: float  # s, sample time
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class FrequencyResponse:
 
     hertz: Array
     value: Complex
-    coherence: Array  # lesser one of command and output, 0 to 1
+    coherence: Array  # lesser of command and output, 0 to 1
     spread: Array  # standard deviation over |value|
-    step: float  # s
+    step: float  # s, sample time
 
     @property
     def magnitude_db(self) -> Array:

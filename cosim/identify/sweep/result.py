@@ -46,8 +46,8 @@ class Identification:
     """One input, one output: the response and the models fitted to it, the first being the chosen one."""
 
     kind: str  # "engine" or "axis"
-    subject: str  # the engine, or the aircraft
-    engine: str  # what the model is filed under
+    subject: str  # name of the engine or aircraft
+    engine: str  # engine that the model belongs to
     channel: str  # "throttle to thrust", or the axis
     command_unit: str
     output_unit: str
@@ -55,8 +55,8 @@ class Identification:
     response: FrequencyResponse
     fits: tuple[Fit, ...]
     source: str
-    ledger_samples: float | None  # low-frequency delay by the ledger
-    reference: RateModel | None  # the model that the aircraft states
+    ledger_samples: float | None  # low-frequency delay in the delay ledger
+    reference: RateModel | None  # model that the aircraft states
     notes: tuple[str, ...]
     engine_sha256: str = ""  # EngineSpec.fingerprint
     no_ledger: str = ""  # why the delay ledger has no sum
@@ -118,7 +118,7 @@ class Identification:
             "coherence_min": float(self.response.coherence.min()),
             "coherence_median": float(np.median(self.response.coherence)),
             "estimates": fits,
-            "fits": fits,  # the name in earlier versions
+            "fits": fits,  # "fits": name in earlier versions
             "ledger_samples": self.ledger_samples,
             "no_ledger": self.no_ledger or None,
             "reference": None
@@ -211,7 +211,7 @@ def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, 
     return []
 
 
-# ---- whether a model may be used: what it leaves over, and which of its numbers are known
+# ---- whether a model may be used: its misfit, and which of its numbers are known
 
 
 def half_width(fit: Fit, name: str) -> float:
@@ -285,7 +285,7 @@ def note_off_ledger(fit: Fit, ledger_samples: float | None, from_hz: float) -> l
     ]
 
 
-# ---- words
+# ---- texts
 
 
 _TITLES = {
@@ -335,7 +335,7 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: flo
         return "none"
     low, high = fit.bounds[name]
     if not is_determined(fit, name):
-        # a slow pole near 0 is known from above alone
+        # For a slow pole near 0 only an upper bound is known.
         return f"below {high:.1g}" if name == "rate_1_s" and not invert and high < slow_pole else "not determined"
     if name == "delay_samples" and half_width(fit, name) > value:
         return f"below {high:.2g}"

@@ -38,7 +38,7 @@ from cosim.base.storage.appended import AppendedFile
 from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.results.run import AUTOPILOT
 
-if TYPE_CHECKING:  # not needed to read a record
+if TYPE_CHECKING:  # unused when a record is read
     from cosim.control.autopilot.autopilot import Autopilot
     from cosim.control.autopilot.status import Status
 
@@ -128,7 +128,7 @@ class PilotRecord:
         line = (json.dumps({"k": k, "kind": kind, **fields}, allow_nan=False) + "\n").encode()
         self._waiting.append(line)
         self._size += len(line)
-        # A kill loses a few seconds at most.
+        # If the process is killed, a few seconds are lost at most.
         if self._size > 64 * 1024 or kind in ("state", "message"):
             self._flush()
 

@@ -26,8 +26,8 @@ class Entry(NamedTuple):
     step: int
     sender: str
     request: Request
-    result: str  # of the answer it got
-    asked: bool = True  # False: refused before that
+    result: str  # result of the answer
+    asked: bool = True  # False: refused before it was asked
 
 
 class RequestLog:
@@ -90,7 +90,7 @@ class Replay:
         self.pilot = pilot
         self._entries = entries
         self._next = 0
-        self.otherwise: list[str] = []  # answers that differ from then
+        self.otherwise: list[str] = []  # answers that differ from the record
 
     def __call__(self, k: int) -> None:
         while self._next < len(self._entries) and self._entries[self._next].step <= k:

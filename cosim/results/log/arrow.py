@@ -87,7 +87,7 @@ class ParquetLog(Columnar):
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file: Any = None  # while it is kept open
+        self._file: Any = None  # the open file, or None
         with _parquet(self._path) as file:
             self.described = _columns_of_schema(file.schema_arrow)
             self.columns = tuple(file.schema_arrow.names)
@@ -98,7 +98,7 @@ class ParquetLog(Columnar):
 
     def __getitem__(self, name: str) -> Array:
         values, begin = np.empty(self._rows), 0
-        for block in self.blocks((name,)):  # a third of the memory of all at once
+        for block in self.blocks((name,)):  # by blocks: a third of the memory
             end = begin + block[name].size
             values[begin:end] = block[name]
             begin = end
@@ -157,7 +157,7 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     in it.  Raises FlightError if it cannot be written.
     """
     rows = _convert_stream(stream, parquet)
-    _return_memory()  # with nothing of the conversion left
+    _return_memory()  # frees what the conversion used
     return rows
 
 
@@ -194,7 +194,7 @@ def _return_memory() -> None:
 
     pa.default_memory_pool().release_unused()
     if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # function of glibc only
         if trim is not None:
             trim(0)
 
@@ -407,7 +407,7 @@ def _sort_columns(path: Path, table: pa.Table) -> Sorted:
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or kind in (pa.bool_(), pa.null()):
             chunks = column.cast(pa.float64(), safe=False).chunks
             values = np.concatenate([np.empty(0), *map(_with_nan, chunks)])
-            result.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a NaN that signals would warn
+            result.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a signalling NaN would warn
         else:
             result.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
     return result

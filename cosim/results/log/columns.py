@@ -243,7 +243,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
         *_torques(
             "disturbance_torque_{}",
             "added to torque_{}, unknown to the controller",
-            # Before and after the added delay; neither is ever -0, so that zeros change nothing.
+            # Before and after the added delay. Neither is ever -0, so that adding zeros changes nothing.
             "disturbance.torque_output.{n} + disturbance.torque_command.{n}",
             vehicle.accelerations,
         ),

@@ -27,7 +27,7 @@ class Digest:
 
     def update(self, table: Array) -> None:
         """Add the rows that follow, shape (columns, rows)."""
-        same = table.astype("<f8", order="C")  # a copy
+        same = table.astype("<f8", order="C")  # copies if needed
         same[np.isnan(table)] = np.nan
         for (_, column), values in zip(self._columns, same, strict=True):
             column.update(values)
@@ -61,7 +61,7 @@ class DigestSink:
     def __init__(self, names: Sequence[str], whole: bool = False) -> None:
         self._names, self._whole = tuple(names), whole
         self._kept: list[Array] = []
-        logged = logged_vehicle_of(self._names)  # until the flight begins
+        logged = logged_vehicle_of(self._names)  # unknown until the flight begins
         self.begin(log_columns(logged._replace(servos=logged.servos or SERVOS)))
 
     def begin(self, columns: Sequence[Column]) -> None:

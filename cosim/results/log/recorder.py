@@ -87,7 +87,7 @@ class Recorder:
         self._blocks = _Blocks(sink, len(columns), run)
         rows = max(1, round(1.0 / step_s))
         self._rows = Rows(rows, MAX_FLUSH_INTERVAL_S, self._blocks.hand_on, run.width, run.nodes, run.reads)
-        self.observe: Observe = self._rows.add  # itself: it is called once a step
+        self.observe: Observe = self._rows.add  # the method itself, for speed
 
     @property
     def steps(self) -> int:
@@ -105,7 +105,7 @@ class _Blocks:
     def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
         self._columns, self._angles = columns, run.angles
-        self.handed_on = 0  # rows
+        self.handed_on = 0  # rows passed to the sink so far
 
     def hand_on(self, rows: Rows) -> None:
         count = len(rows)
@@ -141,7 +141,7 @@ class OneRow:
     """The row of the log for one sample, for programs that step a flight; ``columns``: as a :class:`Recorder`'s."""
 
     def __init__(self, columns: Sequence[Column] = COLUMNS) -> None:
-        self._recorder = Recorder(1.0, self, columns)  # of a row a second a block has one row
+        self._recorder = Recorder(1.0, self, columns)  # blocks of one row: one row per second
         self.names = tuple(column.name for column in columns)
 
     def begin(self, columns: Sequence[Column]) -> None:

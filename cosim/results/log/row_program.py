@@ -55,7 +55,7 @@ class Angle(NamedTuple):
     """A column that is made of four others, block by block."""
 
     column: int
-    of: int  # first of the four, behind the log's
+    of: int  # index of the first of the four
     law: Callable[[Array, Array, Array, Array], Array]
 
 
@@ -112,7 +112,7 @@ class _Compiler:
     """Places of a sample to nodes and reads."""
 
     def __init__(self) -> None:
-        self._nodes: dict[str, tuple[int, int, int]] = {}  # number, parent's, place in it
+        self._nodes: dict[str, tuple[int, int, int]] = {}  # node number, its parent's, index in it
         self._sizes: dict[str, int] = {}
         self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
         self._open("")

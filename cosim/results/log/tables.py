@@ -60,7 +60,7 @@ class Columnar(NamedColumns[Array]):
     """A log of named columns: ``log["roll_rad"]`` is one, and ``dict(log)`` has all of them."""
 
     columns: tuple[str, ...]
-    described: tuple[Column, ...]  # as far as that is known
+    described: tuple[Column, ...]  # columns with unit and frame, if known
 
     def __len__(self) -> int:
         raise NotImplementedError

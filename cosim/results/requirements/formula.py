@@ -409,10 +409,10 @@ def _least_ahead(margins: Array, rows: int) -> Array:
     """Return the least from each row to ``rows`` after it, unknown ones left out; NaN where all are unknown."""
     if rows >= margins.size - 1:
         return np.fmin.accumulate(margins[::-1])[::-1]
-    from scipy.ndimage import minimum_filter1d  # van Herk: independent of rows
+    from scipy.ndimage import minimum_filter1d  # van Herk: cost is independent of window
 
     size, is_unknown = rows + 1, np.isnan(margins)
-    ahead = {"mode": "constant", "origin": -(size // 2)}  # the rows from each one on
+    ahead = {"mode": "constant", "origin": -(size // 2)}  # the window starts at each row
     least: Array = minimum_filter1d(np.where(is_unknown, inf, margins), size, cval=inf, **ahead)
     if not np.any(is_unknown):
         return least

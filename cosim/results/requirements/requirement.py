@@ -79,10 +79,10 @@ class Requirement(Record):
 
     name: str
     formula: str
-    source: Source = "require"  # the table that states it
+    source: Source = "require"  # table of the file that states it
     scale: float | None = None  # divides the margin; None: tolerance
     reason: str = ""
-    need: bool = True  # False: kept without its signals
+    need: bool = True  # False: kept if signals are missing
 
     @property
     def parsed(self) -> ParsedFormula:
@@ -183,7 +183,7 @@ class RequirementResult(Record):
     decided_at_s: float | None = None
     decided_by: str = ""
     note: str = ""
-    scale: float  # divides the margin
+    scale: float  # by which the margin is divided
     reason: str = ""
     need: bool = True
 

@@ -58,7 +58,7 @@ DERIVED: dict[str, DerivedSignal] = {
     "altitude_error_m": DerivedSignal(
         ("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact"),
         "height asked for minus height; 0 where the vehicle stands and a lower one is asked for",
-        # The rows of contact first, of which a byte a row stays.
+        # The rows of contact are computed first, as they take one byte per row.
         lambda log: height_error(
             contact=find_contact_rows(log), setpoint=log["altitude_setpoint_m"], altitude=log["altitude_m"]
         ),
@@ -161,7 +161,7 @@ def event_times(scenario: Scenario) -> dict[str, list[float]]:
     for entry in (*scenario.command, *scenario.disturbance, *scenario.fault):
         kind = entry.kind.replace("_", " ")
         times.setdefault(f"{kind} begins", []).append(entry.start_s)
-        length: float | None = getattr(entry, "duration_s", None)  # None: to the end, or its file says so
+        length: float | None = getattr(entry, "duration_s", None)  # None: to the end, or stated in its file
         if length is not None:
             times.setdefault(f"{kind} ends", []).append(entry.start_s + length)
     return {name: sorted(values) for name, values in times.items()}

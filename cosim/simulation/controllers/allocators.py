@@ -22,7 +22,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.model_file import read_model
 
-_models: RecentCache[Any] = RecentCache(32)  # surfaces and wings of vehicle models
+_models: RecentCache[Any] = RecentCache(32)  # surfaces and wings of JSBSim models
 T = TypeVar("T")
 
 
@@ -62,7 +62,7 @@ def _by_effectiveness(
         curves = [StaticCurve(spec.name, *spec.rising_curve) for spec in stations]
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
-    # Where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over.
+    # Where a hinge carries engines, all keep its pace: with vanes ahead of slow banks the jetwing turned over.
     layout = vehicle.layout()
     lead_factor = 0.0 if layout.moves else 1.0
     effectors = [
@@ -75,7 +75,7 @@ def _by_effectiveness(
         )
         for hinge in vehicle.hinges
     ]
-    # What each surface does per unit and Pa, as the vehicle's own JSBSim model gives it.
+    # The vehicle's own JSBSim model tells what each surface does per unit of deflection and Pa.
     effects = query_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
     effectors += [
         Effector(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)

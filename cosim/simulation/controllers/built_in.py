@@ -139,7 +139,7 @@ def _wing(
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
     control = vehicle.control
-    attitude_lag = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s: attitude, and rates below it
+    attitude_lag = 1.0 / control.attitude.gain_1_s[1] + 1.0 / control.rate.pitch.p  # s, of attitude and rate loop
     return WingFlight(loops, allocator, settings, table, tilts, vehicle.mass_kg, scenario.step_s, attitude_lag)
 
 

@@ -27,16 +27,16 @@ class Requirements(Model):
     """The requirements that a design must meet."""
 
     max_sensitivity: float = 1.7
-    delay_tolerance: NotNegative = 0.3  # of the delay, at least one sample
+    delay_tolerance: NotNegative = 0.3  # of the delay; at least one sample
     gain_tolerance: NotNegative = 0.3
-    # Of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance.
+    # Relative error of one engine's gain and lag in the proof; None: 0.3, or a smaller gain tolerance.
     engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
-    # Of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet.
+    # Hz, of roll and pitch: a loop of 1 rad/s settles within 5 % in 3 s, one side of the roll doublet.
     min_bandwidth_hz: NotNegative = 0.16
     max_overshoot: float = 0.2  # of a step, with an oscillatory engine
-    # Of the room of the command: three standard deviations of noise take a quarter of it.
+    # Of the command's range: three standard deviations of noise take a quarter of it.
     noise_share: float = 0.0833
-    step_rad: float = 0.1745  # must not saturate: the roll doublet
+    step_rad: float = 0.1745  # roll doublet that must not saturate
 
     def delay_samples(self, transport: float) -> float:
         """Return the tolerance, in samples, of a transport delay of so many."""
@@ -48,25 +48,25 @@ class AxisRecord(Model):
 
     controller: str
     peak_sensitivity: float
-    gain_margin_db: float | None = None  # of more gain
-    gain_margin_down_db: float | None = None  # of less, below 0; or older
+    gain_margin_db: float | None = None  # margin for more gain
+    gain_margin_down_db: float | None = None  # margin for less gain; None: older file
     phase_margin_deg: float | None = None
     delay_margin_s: float | None = None
     bandwidth_hz: float
-    tolerated: float  # times the tolerances until instability
-    overshoot: float | None = None  # share of a step; None: older
-    settling_s: float | None = None  # of a step, within 5 %
-    candidates: dict[str, float] = Field(default_factory=dict)  # acceptable ones: minimised objective
+    tolerated: float  # stable up to this times the tolerances
+    overshoot: float | None = None  # of a step; None: older file
+    settling_s: float | None = None  # s to within 5 % of a step
+    candidates: dict[str, float] = Field(default_factory=dict)  # acceptable ones by minimised objective
 
 
 class LevelRecord(Model):
     """The results for the channels that engines answer, with a part of the fuel."""
 
-    fuel: float  # share of the tank
+    fuel: float  # fraction of the tank
     mass_kg: float
-    share: float  # of the engines' range, in hover
-    designed: bool  # else between two levels that are
-    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity, gains of a full tank
+    share: float  # hover thrust in the engines' range
+    designed: bool  # False: between two designed levels
+    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity with full-tank gains
     axes: dict[str, AxisRecord]
 
 
@@ -76,20 +76,20 @@ class FlownRecord(Model):
     By the keys of :data:`hexjet_design.proof.comparison.MEASURES`; what a flight does not tell is left out.
     """
 
-    flight: str  # hover, or a doublet
-    shipped_lost: str = ""  # when the shipped gains failed
-    shipped: dict[str, float] = Field(default_factory=dict)  # measures by name, shipped gains
-    designed: dict[str, float] = Field(default_factory=dict)  # the same, designed gains
+    flight: str  # "hover", or a doublet
+    shipped_lost: str = ""  # failure of the shipped gains, if any
+    shipped: dict[str, float] = Field(default_factory=dict)  # measures of flight with shipped gains
+    designed: dict[str, float] = Field(default_factory=dict)  # measures of flight with designed gains
 
 
 class ProofRecord(Model):
     """The flights that a design was proven in; a flight does not read it."""
 
-    flights: int  # that kept the requirements
-    failed: str | None = None  # reason of an earlier proof
-    lean_deg: float  # to which the doublets went
-    worse: list[str] = Field(default_factory=list)  # worse than with shipped gains
-    flown: list[FlownRecord] = Field(default_factory=list)  # with shipped and designed gains
+    flights: int  # flights that met the requirements
+    failed: str | None = None  # why an earlier proof failed
+    lean_deg: float  # amplitude of the doublets
+    worse: list[str] = Field(default_factory=list)  # measures worse than with shipped gains
+    flown: list[FlownRecord] = Field(default_factory=list)  # pairs of flights, shipped and designed
 
 
 class Purpose(Model):
@@ -97,27 +97,27 @@ class Purpose(Model):
 
     aircraft: str
     engine: str
-    # Of an aircraft and an engine that are files, from the controller file's folder; None in a file of 0.2.0 too.
+    # Paths of aircraft and engine from the controller file's folder; None: not files, or version 0.2.0.
     aircraft_path: str | None = None
     engine_path: str | None = None
-    family: str  # what the models are filed under
-    # Of a library engine's equations, of any other's archive; in older files always of the archive.
+    family: str  # engine family of the models
+    # Hash of a shipped engine's equations, else of the archive; older files always have the archive's.
     engine_sha256: str
-    engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
-    vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # of the aircraft, the same way
+    engine_parameters: dict[str, float] = Field(default_factory=dict)  # parameters not at the engine's own value
+    vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # vehicle keys not at the aircraft's value
     step_s: float
     substeps: int
     added_delay_samples: int = 0
-    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None: older
-    model: str  # where the model comes from
+    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None: older file
+    model: str  # origin of the model
     misfit: float | None = None  # of the engine's model; None: negligible
-    # (Hz, share): relative error bound of the engine model.
+    # (Hz, ratio): relative error bound of the engine model.
     unsure: list[tuple[float, float]] | None = None
     requirements: Requirements
-    tolerances: str | None = None  # source: the engine's uncertainty
+    tolerances: str | None = None  # origin: engine's uncertainty, or None
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)
-    proof: ProofRecord | None = None  # None: left out, or older
+    proof: ProofRecord | None = None  # None: left out, or an older file
 
     def find_engine(self, file: Path) -> str:
         """Return the engine of the design in a controller file, a name or an absolute path."""
@@ -141,7 +141,7 @@ class ControllerFile(Model):
     """The file as a whole."""
 
     controller: str
-    controller_parameters: dict[str, float] = Field(default_factory=dict)  # of the law at the limit
+    controller_parameters: dict[str, float] = Field(default_factory=dict)  # parameters of a law at the limit
     vehicle: dict[str, Any]
     design: Purpose
 
@@ -184,7 +184,8 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     original, _ = load_vehicle(aircraft, folder=folder)
     control = file.vehicle.get("control", {})
     if "schedule" not in control and original.control.schedule:
-        # From before there were schedules: its gains are for every thrust, and the aircraft's own factors not for them.
+        # In a file from before schedules the gains hold for every thrust, so the aircraft's schedule must not change
+        # them.
         without = merge(file.vehicle, {"control": {"schedule": False}})
         file = file.model_copy(update={"vehicle": without})
     if _older_than_banks(file, original):
@@ -238,7 +239,7 @@ def apply_controller(
     named, seen_from = (table.get("aircraft"), folder) if aircraft is None else (aircraft, Path())
     flown = None if named is None else aircraft_seen_from(named, seen_from)
     file = read_controller(path, flown)
-    for key in ("controller_parameters", "controller_sha256"):  # of the scenario's own controller
+    for key in ("controller_parameters", "controller_sha256"):  # these keys belong to the scenario's own
         table.pop(key, None)
     if flown is None:
         flown = file.design.find_aircraft(path)

@@ -101,7 +101,7 @@ class ExternalController:
         """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
         block = self.source.make()
         self._blocks.append(block)
-        if isinstance(block, ProcessBlock):  # a process has a time limit of its own
+        if isinstance(block, ProcessBlock):  # a process has its own time limit
             block.set_limit(self._scenario.controller_limit_s)
             block.prepare(belief)
             return block

@@ -184,13 +184,13 @@ class GuardedController(Guarded):
         self._mass, self._thrust_map, self._hover = vehicle.mass_kg, belief.thrust_map, belief.hover
         self._tilt_limit = vehicle.servo.range_rad if vehicle.servo else 0.0
         ranges: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
-        self._ranges = ranges  # of hinges and surfaces, if any
+        self._ranges = ranges  # ranges of hinges and surfaces, if any
         self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if ranges else _TILTS
         self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
         self._all_jets = frozenset(range(jets))
         self._flying = True
-        # What the next update is told of the step before.
+        # What the previous step applied, for the next update.
         self._throttle, self._tilt = self._idle, self._rest
         self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
         self.signals = self._control_signals(self._idle)
@@ -263,7 +263,7 @@ class GuardedController(Guarded):
         """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
         throttle = self._guard.check_numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
-            # So little outside is the rounding of somebody's arithmetic.
+            # An excess of 1e-9 is rounding in the user's arithmetic.
             if not -1e-9 <= value <= 1.0 + 1e-9:
                 raise self._guard.make_error(f"{name} = {value:g}: must be from 0 to 1")
         return tuple([clip(value, 0.0, 1.0) for value in throttle])

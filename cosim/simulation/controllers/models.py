@@ -110,7 +110,7 @@ def make_predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) ->
                 f"vehicle.identified.{engine.family}.{axis}: the model's sample time {sample_time:g} s is not the "
                 f"scenario's step {scenario.step_s:g} s"
             )
-        # Jets that tilt give pitch and yaw by servo, which no predictor is for.
+        # Pitch and yaw of tilting jets act by servos, for which there is no predictor.
         predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.allocation == "rotors"
         predictors_by_axis.append(spec.predictor(model, vehicle.control.predictor) if predicted else NoPredictor())
     return predictors_by_axis

@@ -36,7 +36,7 @@ Command = Callable[[], Sequence[str]]
 
 def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
-    # Hides the errors of a program that is ended right after its description.
+    # Discards the error output of a program that is ended right after its description.
     with tempfile.TemporaryFile() as errors:
         host = _start_process(command, folder, label, errors)
         try:
@@ -51,7 +51,7 @@ def request_description(command: Command, folder: Path, label: str) -> dict[str,
 
 
 def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Host:
-    # Compiled copies that lie beside a program in Python are not read, nor are any left there.
+    # Python programs neither read nor write compiled files beside their source.
     environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": compiled_copies()}
     try:
         return Host.open(command(), environ, stderr=errors, cwd=folder)
@@ -79,7 +79,7 @@ def _description(host: Host, label: str) -> dict[str, Any]:
 class ProcessBlock:
     """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s for each answer."""
 
-    # Frames that are kept for the check that answers repeat: 200 s of steps of 4 ms.
+    # Frames recorded to check that answers repeat: 200 s at 4 ms.
     max_frames = 50_000
     shown: tuple[float, ...] = ()
 
@@ -218,7 +218,7 @@ def make_program_command(path: Path, arguments: str) -> Command:
             return [sys.executable, str(path), *words]
         if os.access(path, os.X_OK):
             return [str(path), *words]
-        # A copy in a run's folder may not be executable.
+        # A copy in a run's folder may lack the permission to execute.
         folder = Path(tempfile.mkdtemp(prefix="controller-", dir=scratch()))
         copied = folder / path.name
         shutil.copyfile(path, copied)

@@ -22,7 +22,7 @@ COLUMNS = (
     Column("autopilot_armed", "1", "", "the autopilot drives the engines: 1; they stand at what it gives disarmed: 0"),
     Column("autopilot_time_s", "s", "", "time since the autopilot was told of its first state, before the flight"),
 )
-Row = tuple[PerJet, tuple[float, float], tuple[float, ...]]  # throttles, tilts [rad], columns
+Row = tuple[PerJet, tuple[float, float], tuple[float, ...]]  # throttles, tilts [rad], own columns
 
 
 def format_header(jets: int, servo: bool) -> str:
@@ -59,7 +59,7 @@ def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     for number, text in enumerate(lines, 2):
         values = _numbers(text)
         if len(values) != len(names):
-            if number == len(lines) + 1:  # of a process that was killed
+            if number == len(lines) + 1:  # the last line of a killed process
                 break
             raise InputError(f"{where}: {path}, line {number}: must be {len(names)} finite numbers")
         tilt = (values[jets], values[jets + 1]) if servo else (0.0, 0.0)

@@ -74,12 +74,12 @@ class Source:
     make: Callable[[], Any]
     files: Mapping[str, Path]
     version: str = ""  # name and version of its package
-    predictor: str = BASELINE.name  # that feeds a custom loop
+    predictor: str = BASELINE.name  # predictor that feeds a custom loop
     parameters: Sequence[Parameter] = ()
     columns: Sequence[Column] = ()
-    is_copied: bool = True  # its files go into a run's folder
-    is_in_process: bool = True  # else its repeatability is checked
-    text: str = ""  # of a class without a file, if any
+    is_copied: bool = True  # its files are copied into a run's folder
+    is_in_process: bool = True  # False: answers are checked to repeat
+    text: str = ""  # source text of a class without a file
 
     @property
     def label(self) -> str:
@@ -209,7 +209,7 @@ def _constant(value: Any) -> Callable[[], Any]:
 def _is_default(value: Any, cls: type) -> bool:
     try:
         return pickle.dumps(vars(cls())) == pickle.dumps(vars(value))
-    except Exception:  # not comparable: counts as changed
+    except Exception:  # not comparable: treated as changed
         return False
 
 
@@ -237,7 +237,7 @@ def _source_text(cls: type) -> str:
         text = "".join(linecache.getlines(code.co_filename))
         try:
             tree = ast.parse(text)
-        except SyntaxError:  # a cell with notebook commands
+        except SyntaxError:  # a notebook cell with IPython commands
             continue
         for node in ast.walk(tree):
             if not isinstance(node, ast.ClassDef) or node.name != cls.__name__:
@@ -267,7 +267,7 @@ def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     return _sources.get((kind, name, str(path), tuple(file_hashes)), load)
 
 
-_files_by_path: dict[Path, list[Path]] = {}  # of each file when it was last read
+_files_by_path: dict[Path, list[Path]] = {}  # as they were when last read
 
 
 def _from_process(controller: str, path: Path, arguments: str) -> Source:
@@ -414,7 +414,7 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
     level, predictor = getattr(block, "level", None), BASELINE.name
     if not isinstance(level, str) or level not in LEVELS:
         raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
-    if level == "attitude":  # other levels check no predictor
+    if level == "attitude":  # other levels have no predictor to check
         predictor = getattr(block, "predictor", predictor)
         PREDICTORS.find(str(predictor), f"{where}: predictor = {predictor!r}: there is none of that name")
     try:
@@ -442,7 +442,7 @@ def check_method(block: Any, method: str, arguments: Sequence[str], where: str) 
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        return  # the method has no signature
+        return  # a method without a signature
     try:
         signature.bind(*([None] if isinstance(block, type) else []), *arguments)
     except TypeError as error:

@@ -60,10 +60,10 @@ class CommandScript:
                 collective.append(start)
         self.signals = [SIGNALS[signal] for signal in sorted({signal for signal, _ in self._waves})]
         self._rate_mode = any(signal.startswith("rate_") for signal in self.signals)
-        # The height is held until the first command of the collective begins.
+        # Height is held until the first collective command begins.
         self._collective_from = min(collective, default=None)
         yaw = radians(scenario.initial.attitude_deg[2])
-        # The speed ahead at the start, from there on the vehicle's own law flies to what is asked for.
+        # The vehicle's own law flies from the speed ahead at the start to the commanded speed.
         north, east, _ = scenario.initial.velocity_ned_m_s
         self._base = [0.0, 0.0, yaw, height, 0.0, 0.0, 0.0, 0.0, north * cos(yaw) + east * sin(yaw)]
         self._ahead = "ahead_m_s" in self.signals
@@ -168,7 +168,7 @@ def _interpolated(
     linear = interpolation == "linear"
 
     def wave(k: int) -> float:
-        # Half a billionth of a step of slack, so that a row on the grid counts from its own step on.
+        # A billionth of a step of tolerance for rounding, so that a row on the grid counts from its own step on.
         t = (k - start) * step + 1e-9 * step
         i = bisect_right(times, t) - 1
         if i < 0:
@@ -195,7 +195,7 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
     end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
     waves = (
         _scaled(position["roll"], tilt),
-        # Stick forward is positive and asks for nose down.
+        # Stick forward is positive and commands nose down.
         _scaled(position["pitch"], -tilt),
         _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end),
         _running_sum(position["throttle"], entry.climb_m_s * step, start, end),

@@ -27,8 +27,8 @@ class DisturbanceScript:
         self._forces: list[tuple[Waveform, Vector3]] = []
         self._moments: list[tuple[Waveform, Vector3]] = []
         self._winds: list[tuple[Waveform, Vector3]] = []
-        self._torques: list[tuple[int, Waveform]] = []  # at the actuators
-        self._outputs: list[tuple[int, Waveform]] = []  # at the controller
+        self._torques: list[tuple[int, Waveform]] = []  # added at the actuators
+        self._outputs: list[tuple[int, Waveform]] = []  # added to the controller's output
         self._seen: list[tuple[int, Waveform]] = []
         self._payloads: list[tuple[Waveform, Payload]] = []
         self._gusts: dict[int, tuple[Vector3, float, float, float]] = {}
@@ -50,7 +50,7 @@ class DisturbanceScript:
             elif isinstance(entry, WindDisturbance):
                 self._winds.append((on, entry.velocity_ned_m_s))
             elif isinstance(entry, PayloadDisturbance):
-                # From the true centre of gravity, where the airframe's body axes start.
+                # Relative to the actual centre of gravity, where the airframe's body axes begin.
                 x, y, z = map(sub, entry.offset_m, scenario.mismatch.centre_m)
                 self._payloads.append((on, (entry.mass_kg, x, y, z)))
             else:

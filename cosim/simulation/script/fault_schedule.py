@@ -42,9 +42,9 @@ class FaultSchedule:
         self._scenario = scenario
         self._engines, self._servos, self._sensors = engines, list(servos), sensors
         self._laws = list(laws)
-        self._servo_names = list(names)  # of the servos, as the log has columns
-        self._surfaces = self._servo_names[len(self._servo_names) - surfaces :]  # which are the last
-        self._jets = max(len(self._laws), JETS)  # as the log has columns
+        self._servo_names = list(names)  # servos in the order of the log's columns
+        self._surfaces = self._servo_names[len(self._servo_names) - surfaces :]  # surfaces come last among the servos
+        self._jets = max(len(self._laws), JETS)  # number of jets with columns in the log
         self._no_flags = (0.0,) * (self._jets + len(self._servo_names) + len(SENSORS))
         self.reset()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from cosim.base.frames import rotate
 from cosim.base.signals import Disturbance, State, Vector3
 
-Velocity = Callable[[float, float, float, float], Vector3]  # s; north, east, height [m]: m/s NED
+Velocity = Callable[[float, float, float, float], Vector3]  # (s, north, east, height [m]) -> m/s NED
 
 
 class FieldWind:
@@ -22,7 +22,7 @@ class FieldWind:
     ) -> None:
         self._velocity, self._reset, self._step = velocity, reset, step
         self._positions, self._height = tuple(positions), height
-        self.at_jets: list[Vector3] = []  # m/s NED, relative to the centre
+        self.at_jets: list[Vector3] = []  # m/s NED, relative to that at the centre
 
     def reset(self, wind: Vector3) -> Vector3:
         """Return the wind at the start, m/s, where the disturbances blow ``wind``."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
-Section = Mapping[str, Any]  # merged; a record replaces the section
+Section = Mapping[str, Any]  # merged, or a record that replaces it
 Entries = Sequence[Any]  # tables, or records of a scenario
 
 

@@ -115,7 +115,7 @@ class VelocityCommand(Model):
     start_s: Seconds = 0.0
     north_m_s: Amplitude = 0.0
     east_m_s: Amplitude = 0.0
-    # No faster than the autopilot climbs and sinks; ends above the ground.
+    # At most the autopilot's climb and sink rates; ends above the ground.
     climb_m_s: Amplitude | None = None
     yaw_deg: Heading | None = None  # from north, the short way round
 
@@ -141,7 +141,7 @@ class WaypointsCommand(Model):
     kind: Literal["waypoints"]
     start_s: Seconds = 0.0
     speed_m_s: Positive | None = None
-    radius_m: Positive = 1.5  # the autopilot's own, HJ_ACC_RADIUS
+    radius_m: Positive = 1.5  # the autopilot's default HJ_ACC_RADIUS
     hold_s: Seconds = 0.0
     waypoint: Annotated[list[Waypoint], Field(min_length=1)]
 
@@ -158,7 +158,7 @@ class TrackCommand(Model):
     start_s: Seconds = 0.0
 
 
-GuidedCommand = PlaceCommand | VelocityCommand | WaypointsCommand | TrackCommand  # the position law flies them
+GuidedCommand = PlaceCommand | VelocityCommand | WaypointsCommand | TrackCommand  # flown by the position law
 CommandEntry = Annotated[
     StepCommand | DoubletCommand | RampCommand | SweepCommand | TableCommand | SticksCommand | GuidedCommand,
     Field(discriminator="kind"),

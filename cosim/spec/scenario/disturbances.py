@@ -44,7 +44,7 @@ class TorqueCommandDisturbance(Model):
     from_hz: Positive = 0.3
     to_hz: Positive = 4.0
     at: Literal["actuators", "controller"] = "actuators"
-    seen: bool = False  # by the predictor
+    seen: bool = False  # whether the predictor is told of it
 
     @model_validator(mode="after")
     def _seen_at_the_controller(self) -> Self:

@@ -34,7 +34,7 @@ Jets = Annotated[
 class TimedFault(Model):
     """A fault that acts from ``start_s`` on, for ``duration_s`` or to the end."""
 
-    amount: ClassVar[str] = ""  # key that a request in flight may state
+    amount: ClassVar[str] = ""  # key that a request in flight may give
 
     kind: str
     start_s: Seconds
@@ -122,8 +122,8 @@ class SensorBias(TimedFault):
     amount = "bias"
     kind: Literal["sensor_bias"]
     sensor: Sensor
-    bias: list[float] = [0.0, 0.0, 0.0]  # one number for the barometer, else three
-    velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, of the gnss alone
+    bias: list[float] = [0.0, 0.0, 0.0]  # barometer: one number; others: three
+    velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, for the GNSS alone
 
     @model_validator(mode="after")
     def _fits_the_sensor(self) -> Self:

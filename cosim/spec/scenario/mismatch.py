@@ -19,21 +19,21 @@ class Mismatch(Model):
     throttle follows the mass, the allocation the places of the jets, height control and tilts the engine's curve.
     """
 
-    mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
-    # Of all moments and products of inertia.
+    mass_factor: Factor = 1.0  # of the mass; inertia is unchanged
+    # Factor of all moments and products of inertia.
     inertia_factor: Annotated[Factor, Field(exclude_if=lambda factor: factor == 1.0)] = 1.0
-    centre_m: Vector = (0.0, 0.0, 0.0)  # body, from the nominal one
+    centre_m: Vector = (0.0, 0.0, 0.0)  # body, offset from the nominal centre
     thrust_factor: Factor = 1.0  # of all engines, at equal spool speed
-    thrust_factor_1: Factor = 1.0  # in addition, of one jet
+    thrust_factor_1: Factor = 1.0  # in addition, of jet 1
     thrust_factor_2: Factor = 1.0
     thrust_factor_3: Factor = 1.0
     thrust_factor_4: Factor = 1.0
     thrust_factor_5: Factor = 1.0
     thrust_factor_6: Factor = 1.0
-    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # added to every engine, control steps
-    # of every engine that is the scenario's, by the FMU's names
+    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # added to each engine, control steps
+    # Parameters of every engine that is the scenario's, by the FMU's names.
     engine_parameters: Annotated[dict[str, float], Field(exclude_if=not_)] = {}
-    # of one station's engine, over those of all
+    # Parameters of one station's engine, which override those of all.
     stations: Annotated[dict[StationNumber, dict[str, float]], Field(exclude_if=not_)] = {}
 
     @property

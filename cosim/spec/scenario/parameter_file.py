@@ -21,8 +21,8 @@ class ParameterFile(Model):
     """
 
     kind: Literal["design", "models"]
-    file: str  # from the folder of the scenario
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # of its content; another one does not fly
+    file: str  # path relative to the scenario
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # of its content, which must match to fly
 
     def seen_from(self, folder: Path) -> Self:
         """Return the same with a path that is valid anywhere."""

@@ -40,10 +40,10 @@ class FlownParameters(NamedTuple):
     """A parameter file as a flight uses it."""
 
     kind: Literal["design", "models"]
-    file: str  # from the folder of the scenario
+    file: str  # path relative to the scenario
     sha256: str
     content: bytes
-    controller: str  # that it was designed for, if stated
+    controller: str  # controller of the design, if stated
     changed: list[str]  # keys with another value in the flight
 
 
@@ -152,7 +152,7 @@ def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
             scenario.aircraft, merge(scenario.vehicle, stated), "vehicle", scenario.folder, scenario.sensor_profile,
             scenario.step_s,
         )  # fmt: skip
-    except InputError:  # of another aircraft
+    except InputError:  # for another aircraft
         return ["vehicle"]
     if again == flown:
         return []

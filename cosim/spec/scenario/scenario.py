@@ -43,16 +43,16 @@ class Scenario(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""
-    aircraft: str = "hexjet"  # or a folder with a vehicle.toml
+    aircraft: str = "hexjet"  # name, or folder with a vehicle.toml
     engine: str = "edf-as-flown"
     controller: str = "smith"
-    controller_parameters: dict[str, float] = {}  # of a controller of one's own
-    controller_sha256: str | None = None  # it flies only if it is this one still
-    # Time of the clock that each answer of a process or an FMU may take.
+    controller_parameters: dict[str, float] = {}  # parameters of a custom controller
+    controller_sha256: str | None = None  # hash that the controller must match
+    # Wall time that one answer of a process or an FMU may take, s.
     controller_limit_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 10.0
     duration_s: Duration
-    step_s: Step = STEP_S  # not stated: the aircraft's control_step
-    # JSBSim runs in a control step; or an error: "0.01 deg", "campaign".
+    step_s: Step = STEP_S  # default: the aircraft's step_s
+    # JSBSim runs in a control step; or an error instead, "0.01 deg", or "campaign".
     substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
@@ -63,31 +63,31 @@ class Scenario(Model):
     command: list[CommandEntry] = []
     disturbance: list[DisturbanceEntry] = []
     fault: list[FaultEntry] = []
-    # Engines are monitored, and failed ones planned around; None: where an engine is to fail.
+    # Whether engines are monitored and failed ones allocated around; None: only where an engine is to fail.
     monitor: bool | None = None
     engine_parameters: dict[str, float] = {}
-    engine_unchecked: bool = False  # fly foreign engines without a check
-    engine_isolated: bool | None = None  # own process; None: foreign engines
-    stations: dict[StationNumber, Station] = {}  # by the number of the jet
+    engine_unchecked: bool = False  # True: fly foreign engines unchecked
+    engine_isolated: bool | None = None  # own process; None: if it is foreign
+    stations: dict[StationNumber, Station] = {}  # engine of a station, by jet number
     requests: str | None = None  # file of requests to the autopilot
-    # Own ones beside the built-in ones: FILE.py:Name, package.module:Name or an entry point.
+    # The user's metrics, beside the built-in ones: FILE.py:Name, package.module:Name or an entry point.
     metrics: list[str] = []
-    observers: list[str] = []  # own ones, as metrics
-    # Own ones behind the built-in ones, as metrics; or a profile: "stated" (as none) or "measured".
+    observers: list[str] = []  # the user's observers, named as metrics
+    # The user's, which get the built-in ones' measurements; or a profile: "stated" (default) or "measured".
     sensors: str | None = None
-    # Own one over time and place, as metrics, or a table over time, FILE.csv; added to the environment.
+    # The user's wind over time and place, or a table over time, FILE.csv; added to the environment's.
     wind: str | None = None
-    own_sha256: dict[str, str] = {}  # required hashes of the four above
+    own_sha256: dict[str, str] = {}  # hashes of these four that must match
     parameter_files: list[ParameterFile] = []  # sources of vehicle; written by hexjet
-    changed: list[str] = []  # values over the file, key = value
+    changed: list[str] = []  # values that override the file
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = Field(default_factory=FlightLimits)
     expect: list[Expectation] = []
-    require: Annotated[list[RequireEntry], AfterValidator(unique_names), Field(exclude_if=not_)] = []  # what is kept
+    require: Annotated[list[RequireEntry], AfterValidator(unique_names), Field(exclude_if=not_)] = []  # to be met
 
     _folder: Path = PrivateAttr(default_factory=Path)
-    _origin: "Scenario | None" = PrivateAttr(default=None)  # the scenario of its file; None: this one
-    _step_error: str | None = PrivateAttr(default=None)  # tolerance that substeps states
+    _origin: "Scenario | None" = PrivateAttr(default=None)  # unshortened scenario; None: this one
+    _step_error: str | None = PrivateAttr(default=None)  # tolerance from which substeps follows
     _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
@@ -156,7 +156,7 @@ class Scenario(Model):
             As :func:`cosim.spec.vehicle.load_vehicle`.
         """
         cached, key = self._resolved, (self.aircraft, self.sensors, self.step_s)
-        # A copy of a scenario shares the cache, and may have another vehicle.
+        # A copy of a scenario shares the cache, but may have another vehicle.
         if cached is None or cached[0] != key or cached[1] is not self.vehicle:
             where, profile, origin = f"scenario {self.name}", self.sensor_profile, self._origin
             if origin is not None and origin.sensor_profile != profile:
@@ -365,7 +365,7 @@ class Scenario(Model):
         if step == self.step_s:
             return self
         changed = self.model_copy(update={"step_s": step})
-        changed.model_fields_set.discard("step_s")  # step_s depends on the aircraft
+        changed.model_fields_set.discard("step_s")  # step_s may follow from the aircraft
         return changed
 
     def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:

@@ -14,11 +14,11 @@ class Initial(Model):
 
     on_ground: bool = False
     engines: Literal["idle", "off"] = "idle"  # on the ground, before arming
-    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above the ground; not used on the ground
+    altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above ground; unused on the ground
     attitude_deg: Vector = (0.0, 0.0, 0.0)
     velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
-    fuel: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # of the tank, where the aircraft has one
+    fuel: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # fraction of the tank, if it has one
 
 
 class Environment(Model):
@@ -28,9 +28,9 @@ class Environment(Model):
     longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 113.59
     ground_m: Annotated[float, Field(ge=-400.0, le=5000.0)] = 0.0
     wind_ned_m_s: Vector = (0.0, 0.0, 0.0)
-    # Mean wind at 6 m, which sets the turbulence's strength below 300 m.
+    # Mean wind at 6 m, which sets the turbulence's intensity below 300 m.
     turbulence_wind_m_s: NotNegative = 0.0
-    # probability-of-exceedance index; 0 is none; below 300 m any other is the same: a switch
+    # Probability-of-exceedance index, 0 is none; below 300 m all others mean the same.
     turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0
 
 
@@ -59,14 +59,14 @@ Most = Annotated[bool | float | None, BeforeValidator(_most)]
 class FlightLimits(Model):
     """Upper limits on a flight's metrics; false: no limit, absent: the default of :mod:`cosim.results.limits`."""
 
-    height_error_m: Most = None  # largest, from the height asked for
-    place_error_m: Most = None  # largest, from the place asked for
-    drift_m: Most = None  # largest, from the start
-    speed_m_s: Most = None  # largest, over the ground
+    height_error_m: Most = None  # largest deviation from commanded height
+    place_error_m: Most = None  # largest distance from commanded place
+    drift_m: Most = None  # largest distance from the start
+    speed_m_s: Most = None  # largest speed over the ground
     saturated_percent: Most = None  # of the steps in the air
-    settling_s: Most = None  # of every axis, after a set-point step
-    oscillation_rad: Most = None  # of every axis, in the last second
-    alternating_percent: Most = None  # of steps in any second
+    settling_s: Most = None  # of each axis, after a set-point step
+    oscillation_rad: Most = None  # of each axis, in the last second
+    alternating_percent: Most = None  # of the steps in any second
     throttle_activity_1_s: Most = None  # none by default
     tilt_activity_rad_s: Most = None  # none by default
     fuel_burnt_kg: Most = None  # none by default
@@ -77,7 +77,7 @@ class Expectation(Model):
 
     controller: str
     engine: str
-    aircraft: str = ""  # default: the scenario's
+    aircraft: str = ""  # default: that of the scenario
     outcome: list[Outcome] = ["completed"]
     metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
 
@@ -86,10 +86,10 @@ class RequireEntry(Model):
     """A requirement on the flight: a formula over its signals, with a margin; see docs/metrics.md."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-    formula: str  # always(abs(roll_deg) < 30)
-    # Its margin over this is compared with those of others; None: its tolerance.
+    formula: str  # for example always(abs(roll_deg) < 30)
+    # Divides its margin, to compare it with other margins; None: its tolerance.
     scale: Positive | None = None
-    reason: str = ""  # where the limit is from
+    reason: str = ""  # origin of the limit
 
 
 def unique_names(entries: list[RequireEntry]) -> list[RequireEntry]:
@@ -104,8 +104,8 @@ def unique_names(entries: list[RequireEntry]) -> list[RequireEntry]:
 class Station(Model):
     """Replacement of the scenario's engine, or of its parameters, at one engine station."""
 
-    engine: str | None = None  # None: the scenario's
-    # Over the scenario's engine_parameters, if the engine is the scenario's.
+    engine: str | None = None  # None: that of the scenario
+    # Override the scenario's engine_parameters, if the engine is the scenario's.
     parameters: dict[str, float] = {}
 
     @model_validator(mode="after")

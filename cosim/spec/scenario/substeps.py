@@ -96,7 +96,7 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
     measured = measured_errors(aircraft)
     if measured is None:
         if not is_aircraft_path(aircraft):
-            load_vehicle(aircraft)  # says which there are
+            load_vehicle(aircraft)  # an unknown name lists the known ones
         raise InputError(
             f"{said}: errors are measured for shipped aircraft, and not for {aircraft}; state a number, and compare a "
             "flight with it with one with 16"

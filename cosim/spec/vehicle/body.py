@@ -14,9 +14,9 @@ class Panel(Model):
     A panel with a ``surface`` turns with it, right-handed about the edge from the first corner to the second.
     """
 
-    corners_m: Annotated[list[Vector], Field(min_length=3, max_length=12)]  # body, one after the other around it
-    surface: str | None = None  # that turns it
-    turn_rad: Annotated[float, Field(ge=-3.2, le=3.2)] = 0.0  # where the surface's property is 1
+    corners_m: Annotated[list[Vector], Field(min_length=3, max_length=12)]  # body, in order around the panel
+    surface: str | None = None  # control surface that turns it
+    turn_rad: Annotated[float, Field(ge=-3.2, le=3.2)] = 0.0  # angle at the surface's property 1
 
     @model_serializer(mode="wrap")
     def _without_a_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -35,13 +35,13 @@ class GroundEffect(Model):
     """Effects of the jets near the ground, each with a switch; see :mod:`cosim.vehicle.effects.ground_effect`."""
 
     suckdown: bool = False  # lift loss by Wyatt's correlation
-    # Angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius.
+    # Angular mean diameter of the shape above the jets: (1 / pi) times the integral of its radius.
     planform_m: Positive
     jet_m: Positive  # of one round jet with the total area
     planform_z_m: float = 0.0  # below the centre of gravity
-    hot_gas: bool = False  # warmer intakes
-    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, ascending
-    hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
+    hot_gas: bool = False  # True: intakes get warmer near the ground
+    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # height of the centre of gravity, rising
+    hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # rise at each height; the last is 0
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -62,10 +62,10 @@ class GroundEffect(Model):
 class Aero(Model):
     """Body drag, one drag area per axis, and linear damping of the rates."""
 
-    # Wing span of JSBSim's turbulence model: gusts of this size turn the vehicle.
+    # Wing span for JSBSim's turbulence model: gusts of this size turn the vehicle.
     span_m: Positive
     drag_area_m2: Axis3  # Cd times reference area along x, y, z
-    centre_m: Vector  # where the drag acts, body
+    centre_m: Vector  # centre of drag, body
     damping_n_m_s: Axis3  # moment per rate about x, y, z
 
 

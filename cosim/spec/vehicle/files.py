@@ -241,7 +241,7 @@ def _check_legs(legs: Mapping[str, Vector3]) -> str:
 def _surround_origin(points: list[tuple[float, float]]) -> bool:
     """Return whether the origin is inside the convex hull: no line through it has all points on one side."""
     for x, y in points:
-        # It is enough to try the lines through the origin and one of the points.
+        # Only lines through the origin and one of the points need to be tried.
         sides = [x * b - y * a for a, b in points]
         if min(sides) >= 0.0 or max(sides) <= 0.0:
             ahead = [x * a + y * b for (a, b), side in zip(points, sides, strict=True) if side == 0.0]

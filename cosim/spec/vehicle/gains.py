@@ -35,9 +35,9 @@ class RateControl(Model):
 class EngineLead(Model):
     """Poles of an engine, and where a lead on its command moves them; see :mod:`cosim.control.lead`."""
 
-    natural_rad_s: Positive  # two poles; without damping one lag
+    natural_rad_s: Positive  # two poles; with damping 0 a single lag
     damping: Positive | None = None
-    pole_rad_s: Positive  # each of them is moved to minus this
+    pole_rad_s: Positive  # each of the poles becomes minus this
 
 
 class Leads(Model):
@@ -52,11 +52,11 @@ class Leads(Model):
 class ScheduledGains(Model):
     """Factors on one command's nominal gains at a thrust level, and its lead there."""
 
-    angle: Positive = 1.0  # on attitude or position_1_s
-    p: Positive = 1.0  # of height: on velocity_1_s
-    i: Positive = 1.0  # of height: on integral_1_s2
+    angle: Positive = 1.0  # factor on attitude or position_1_s
+    p: Positive = 1.0  # height: factor on velocity_1_s
+    i: Positive = 1.0  # height: factor on integral_1_s2
     d: Positive = 1.0
-    natural_rad_s: Positive | None = None  # at this thrust, as in EngineLead
+    natural_rad_s: Positive | None = None  # as in EngineLead, at this thrust
     damping: Positive | None = None
     pole_rad_s: Positive | None = None
 
@@ -71,7 +71,7 @@ class ScheduledGains(Model):
 class ThrustLevel(Model):
     """One thrust level of a gain schedule."""
 
-    share: Annotated[float, Field(ge=0.0, le=1.0)]  # collective, of the engines' range
+    share: Annotated[float, Field(ge=0.0, le=1.0)]  # collective, in the engines' range
     roll: ScheduledGains = Field(default_factory=ScheduledGains)
     altitude: ScheduledGains = Field(default_factory=ScheduledGains)
 
@@ -79,8 +79,8 @@ class ThrustLevel(Model):
 class Schedule(Model):
     """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
 
-    filter_s: Positive  # lag of the collective
-    level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
+    filter_s: Positive  # lag of the collective in the schedule
+    level: Annotated[list[ThrustLevel], Field(min_length=2)]  # smallest share first
 
     @model_validator(mode="after")
     def _rising(self) -> Self:
@@ -104,10 +104,10 @@ class AltitudeGains(Model):
 class AllocationLimits(Model):
     throttle_min: Annotated[float, Field(ge=0.0, lt=1.0)]
     throttle_max: Annotated[float, Field(gt=0.0, le=1.0)]
-    # banks: of a vehicle with [servo]; rotors: of one whose jets all point straight up; effectiveness: of any.  None:
-    # by what the vehicle has
+    # "banks" for a vehicle with [servo]; "rotors" if all jets point straight up; "effectiveness" for any. None: chosen
+    # by the vehicle.
     method: Literal["banks", "rotors", "effectiveness"] | None = None
-    # effectiveness: keep the force along x and y at zero where that costs nothing else
+    # With effectiveness: keep the force along x and y at zero where that costs nothing else.
     horizontal: Annotated[bool, Field(exclude_if=not_)] = False
 
     @model_validator(mode="after")
@@ -124,7 +124,7 @@ class PredictorTuning(Model):
     observer_rad_s: Positive  # state: both observer poles at minus this
     model_observer_rad_s: Positive  # state-model: observer poles
     disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
-    # of predictors from elsewhere, by their names
+    # Parameters of predictors from plug-ins, by predictor name.
     own: dict[str, dict[str, float]] = Field(default_factory=dict, exclude_if=not_)
 
 
@@ -133,11 +133,11 @@ class PositionGains(Model):
 
     position_1_s: Positive
     velocity_1_s: Positive
-    catch_up_m_s: Positive  # most, for a position error
-    lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # most lean asked for
-    # White, of what the attitude does not explain: m/s^2 per root Hz.
+    catch_up_m_s: Positive  # limit of speed for a position error
+    lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # limit of commanded lean
+    # White acceleration that the attitude does not explain: m/s^2 per root Hz.
     acceleration_noise_m_s15: Positive
-    # Walk of the slow part of that (wind on the body): m/s^2 per root s.
+    # Random walk of its slow part, such as wind on the body: m/s^2 per root s.
     disturbance_walk_m_s25: Positive
 
 
@@ -161,33 +161,33 @@ class PilotSettings(Model):
 class MonitorSettings(Model):
     """Thresholds at which the engine monitor reports an engine as faulty."""
 
-    threshold: Positive  # of hover thrust, beyond healthy
-    confirm_s: Positive  # for so long without a break
-    stuck_s: Positive  # until it is called stuck
+    threshold: Positive  # of hover thrust, off the healthy range
+    confirm_s: Positive  # for this long without a break
+    stuck_s: Positive  # until the engine counts as stuck
     lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is within this factor
     delay_spread_s: NotNegative  # a healthy delay is within this
-    # With the first engine failed, shut off the one across the centre of gravity.
+    # Whether to shut off the engine across the centre of gravity when the first one has failed.
     shut_opposite: bool = False
-    # Then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
-    # the first rotor of four lost fly the direction of thrust on the others, spinning; where allocation is by
-    # effectiveness: with an engine lost turn by the hinges alone and carry by the throttles
+    # Whether to catch the vehicle afterwards. With tilting jets: fly roll and height by the catch law until the thrust
+    # is made up for. Where no jet tilts: with one of four rotors out, control the thrust direction while spinning. With
+    # allocation by effectiveness: with an engine out, turn by the hinges alone and carry by the throttles.
     catch: bool = False
 
 
 class WingControl(Model):
     """Settings of wing-borne forward flight; see :mod:`cosim.control.phases.wing`."""
 
-    tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
-    acceleration_m_s2: Positive  # of the speed set-point
-    braking_m_s2: Positive  # and falls
-    velocity_1_s: Positive  # acceleration over what the speed is off
-    integral_1_s2: NotNegative  # the same over its integral
-    integral_limit_m_s2: NotNegative  # most of that
-    alpha_rad: tuple[float, float]  # least and most demand
-    alpha_filter_s: NotNegative  # lag of that
-    open_m_s: Positive  # all of that corridor is used above it
-    aside_1_s: NotNegative  # bank over drift to the side
-    bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # most of that
+    tilts: Annotated[list[str], Field(min_length=1)]  # hinges that turn thrust forward
+    acceleration_m_s2: Positive  # of the speed set-point, rising
+    braking_m_s2: Positive  # of the speed set-point, falling
+    velocity_1_s: Positive  # acceleration per speed error
+    integral_1_s2: NotNegative  # acceleration per integrated speed error
+    integral_limit_m_s2: NotNegative  # limit of the integral part
+    alpha_rad: tuple[float, float]  # range of the demand
+    alpha_filter_s: NotNegative  # lag of the demand
+    open_m_s: Positive  # speed from which all of alpha is used
+    aside_1_s: NotNegative  # bank per drift to the side
+    bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # limit of the bank
 
     @model_validator(mode="after")
     def _has_a_corridor(self) -> Self:
@@ -204,12 +204,12 @@ class Control(Model):
     allocation: AllocationLimits
     predictor: PredictorTuning
     lead: Leads | None = None
-    # False: none, also where the aircraft states one.
+    # False: no schedule, even if the aircraft states one.
     schedule: Schedule | Literal[False] | None = None
     monitor: MonitorSettings | None = None
     position: PositionGains | None = None
     pilot: PilotSettings | None = None
-    wing: Annotated[WingControl | None, Field(exclude_if=not_)] = None  # None: no speed ahead can be commanded
+    wing: Annotated[WingControl | None, Field(exclude_if=not_)] = None  # None: no forward speed can be commanded
 
     @model_validator(mode="after")
     def _leads_at_every_level(self) -> Self:

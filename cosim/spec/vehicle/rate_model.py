@@ -25,13 +25,13 @@ class RateModel(Model):
     gain: float
     zeros: list[float]
     poles: list[Annotated[float, Field(gt=-1.0, le=1.0)]]
-    # real and imaginary part
+    # Real and imaginary part of each pair.
     zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
     pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
-    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # need not be whole
-    sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # so that poles in 1/s are numbers
+    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # may be fractional
+    sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # bounds keep poles in 1/s finite
     source: str
-    # EngineSpec.fingerprint, of an engine that is a file; "" in older models
+    # EngineSpec.fingerprint of an engine file; "" in older models.
     engine_sha256: Annotated[str, Field(exclude_if=not_)] = ""
 
     @model_validator(mode="after")

@@ -20,8 +20,8 @@ class GyroSensor(Model):
     noise_rad_s: NotNegative
     bias_rad_s: Vector
     latency_samples: Samples
-    bias_sigma_rad_s: NotNegative = 0.0  # deviation of a further bias, by seed
-    resolution_rad_s: NotNegative = 0.0  # step of values; 0: none
+    bias_sigma_rad_s: NotNegative = 0.0  # deviation of an added bias, by the seed
+    resolution_rad_s: NotNegative = 0.0  # quantization step; 0: none
 
 
 class AttitudeSensor(Model):
@@ -65,8 +65,8 @@ class ForceSensor(Model):
     noise_m_s2: NotNegative = 0.05
     bias_m_s2: Vector = (0.03, 0.03, 0.03)
     latency_samples: Samples = 0
-    bias_sigma_m_s2: NotNegative = 0.0  # deviation of a further bias, by seed
-    resolution_m_s2: NotNegative = 0.0  # step of values; 0: none
+    bias_sigma_m_s2: NotNegative = 0.0  # deviation of an added bias, by the seed
+    resolution_m_s2: NotNegative = 0.0  # quantization step; 0: none
 
 
 class Sensors(Model):

@@ -31,25 +31,25 @@ class Airflow(Model):
     kg_s: Positive
     at_thrust_n: Positive
     exponent: NotNegative
-    intake_m: float  # along the thrust, from the station
-    exhaust_m: float  # the same for the exhaust
+    intake_m: float  # from the station along the thrust
+    exhaust_m: float  # exhaust, from the station along thrust
 
 
 class Jet(Model):
     """One engine station: fixed to the body, on a tilting bank, or on hinges."""
 
     position_m: Vector  # body, from the centre of gravity
-    # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
+    # Direction of thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1].
     axis: Annotated[Direction | None, Field(exclude_if=not_)] = None
     servo: Side | None = None
-    # moment on the frame per thrust, against the thrust's direction: with thrust straight up positive turns the nose
-    # right
+    # Moment on the frame per thrust, about minus the thrust direction: with thrust straight up positive turns the nose
+    # right.
     reaction_m: float = 0.0
-    spin: Literal[-1, 0, 1] = 0  # about the thrust; 0: not modelled
-    engine: Annotated[str | None, Field(exclude_if=not_)] = None  # default: the scenario's
-    # of an engine of its own; None: that of the vehicle
+    spin: Literal[-1, 0, 1] = 0  # sense about the thrust; 0: not modelled
+    engine: Annotated[str | None, Field(exclude_if=not_)] = None  # default: that of the scenario
+    # Airflow of this jet's own engine; None: that of the vehicle.
     airflow: Annotated[Airflow | None, Field(exclude_if=not_)] = None
-    # of allocation by effectiveness: how dear its range is beside that of the others
+    # Cost of using its range, relative to the others, in allocation by effectiveness.
     effort: Annotated[Positive, Field(exclude_if=lambda effort: effort == 1.0)] = 1.0
 
 
@@ -59,8 +59,8 @@ class Servo(Model):
     lag_s: NotNegative
     rate_limit_rad_s: Positive
     range_rad: Annotated[float, Field(gt=0.0, le=3.2)]  # either way from straight up
-    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its axis; 0: ignored
-    # Mass of one bank times the distance of its centre from that axis, along the thrust.
+    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its axis; 0: neglected
+    # Mass of one bank times the distance of its centre of mass from that axis, along the thrust.
     bank_imbalance_kg_m: float = 0.0
 
 
@@ -71,19 +71,19 @@ class Hinge(Model):
     ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
     """
 
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # in logs and faults
-    position_m: Vector  # body: a point of its axis
-    axis: Direction  # body; positive is right-handed
-    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets on it, from 1
-    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust it turns
-    effect: float = 1.0  # turn of deflected thrust over its own
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # name in logs and faults
+    position_m: Vector  # body: a point on its axis
+    axis: Direction  # body; positive angles are right-handed
+    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets mounted on it, from 1
+    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust it deflects
+    effect: float = 1.0  # turn of the thrust per turn of the hinge
     lag_s: NotNegative
     rate_limit_rad_s: Positive
-    range_rad: Positive | tuple[float, float]  # either way from zero, or least and most
-    rest_rad: float = 0.0  # at the start, and without demand
+    range_rad: Positive | tuple[float, float]  # either way from zero, or both limits
+    rest_rad: float = 0.0  # angle at the start and without demand
     mass_kg: NotNegative = 0.0
-    centre_m: Vector | None = None  # body; None: on the axis
-    inertia_kg_m2: NotNegative = 0.0  # 0: turning it does not turn the body
+    centre_m: Vector | None = None  # centre of mass, body; None: on the axis
+    inertia_kg_m2: NotNegative = 0.0  # 0: its motion does not react on the body
     effort: Positive = 1.0
 
     @property
@@ -122,12 +122,12 @@ class Surface(Model):
     """A surface of the JSBSim model that is commanded: a property of it, set by a servo of its own."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
-    # Property of the JSBSim model: fcs/elevator-cmd-norm.
+    # Property of the JSBSim model, for example fcs/elevator-cmd-norm.
     property: Annotated[str, Field(pattern=r"^[A-Za-z0-9_./\[\]-]+$")]
     lag_s: NotNegative
-    rate_limit_1_s: Positive  # of the property's own unit
+    rate_limit_1_s: Positive  # in the unit of the property
     range: tuple[float, float] = (-1.0, 1.0)
-    # airspeed along x at which allocation has the model say what it does; chosen by us: of small jets in transition
+    # Airspeed along x at which allocation measures its effect in the model; default for small jets in transition.
     at_m_s: Positive = 20.0
     effort: Positive = 1.0
 
@@ -143,7 +143,7 @@ def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
     stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
     if any(jet.servo for jet in jets):
         banks = [tuple(n for n, jet in enumerate(jets) if jet.servo == side) for side in SERVOS]
-        # about -y: positive leans the thrust forward
+        # The axis is -y, so that positive angles lean the thrust forward.
         turns = [HingeAxis((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (), bank) for bank in banks]
     else:
         turns = [

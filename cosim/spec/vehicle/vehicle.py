@@ -22,15 +22,15 @@ from cosim.spec.vehicle.stations import Airflow, Hinge, Jet, Servo, Surface, lay
 
 # Control step where nobody states one: the paper's 250 Hz.
 STEP_S = 0.004
-Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, of control
+Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, control step
 
 
 class Limits(Model):
     """Limits whose violation ends a flight."""
 
     tilt_deg: Annotated[float, Field(gt=0.0, le=180.0)]  # from upright, in the air: diverged
-    rate_deg_s: Positive  # any axis: diverged
-    touchdown_m_s: Positive  # a leg touching faster: crashed
+    rate_deg_s: Positive  # about any axis: diverged
+    touchdown_m_s: Positive  # a leg touches faster: crashed
 
 
 def _named(name: str) -> str:
@@ -50,21 +50,21 @@ class Vehicle(Model):
 
     name: Annotated[str, AfterValidator(_named)]
     title: str
-    model: str | None = None  # JSBSim model file; None: built from this
-    engine: str | None = None  # flown where none is named
-    step_s: Step | None = None  # where a scenario states none
+    model: str | None = None  # JSBSim model; None: built from this file
+    engine: str | None = None  # default engine
+    step_s: Step | None = None  # control step if a scenario states none
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
-    # of inertia: integral of x y, x z and y z over the mass, body
+    # Products of inertia: integrals of x y, x z and y z over the mass, body.
     products_kg_m2: Annotated[Vector, Field(exclude_if=lambda products: not any(products))] = (0.0, 0.0, 0.0)
     jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
-    hinges: list[Hinge] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)  # from the body outwards
+    hinges: list[Hinge] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)  # innermost first
     surfaces: list[Surface] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)
-    panels: list[Panel] = Field(max_length=100, default_factory=list, exclude_if=not_)  # drawn; they carry no force
+    panels: list[Panel] = Field(max_length=100, default_factory=list, exclude_if=not_)  # drawn only, without forces
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
-    # Of every jet without its own; None: no intake drag but theirs.
+    # Of each jet without its own; None: no intake drag.
     airflow: Airflow | None = None
     ground_effect: GroundEffect | None = None  # None: no ground effect
     aero: Aero
@@ -224,7 +224,7 @@ class Vehicle(Model):
                 f"inertia_kg_m2 {list(self.inertia_kg_m2)}: no body has one moment above the sum of the others"
             )
         if any(self.products_kg_m2):
-            # the second moments of the mass, integral of x x^T, must be a positive definite matrix
+            # The second moments of the mass, the integral of x x^T, must be a positive definite matrix.
             (a, b, c), (xy, xz, yz) = self.inertia_kg_m2, self.products_kg_m2
             xx, yy, zz = (b + c - a) / 2.0, (a + c - b) / 2.0, (a + b - c) / 2.0
             minor = xx * yy - xy * xy

@@ -81,5 +81,5 @@ class Banks(Effect):
         """Return the force along x and z, N, at each of the bank's stations: their sum acts at its middle."""
         x, _, z = jet_axis(angle)
         mass_moment = -self._imbalance / jets
-        # e_a = (cos a, 0, sin a) with e = (sin a, 0, -cos a)
+        # With e = (sin a, 0, -cos a) the derivative is e_a = (cos a, 0, sin a).
         return mass_moment * (-z * acceleration - x * rate * rate), mass_moment * (x * acceleration - z * rate * rate)

@@ -34,9 +34,9 @@ class Load:
         self.layout = layout
         self.axes: list[Vector3] = []
         self.positions: list[Vector3] = []
-        self.output = NO_OUTPUT  # output of the engines at the step's end
-        self.tilt: PerServo = ()  # rad, at the step's end
-        self.state = _STILL  # airframe's, at the step's beginning
+        self.output = NO_OUTPUT  # engine outputs at the end of the step
+        self.tilt: PerServo = ()  # rad, at the end of the step
+        self.state = _STILL  # of the airframe at the step's beginning
         self.gusts: list[Vector3] = []  # at each jet, relative [m/s, NED]
         self.clear()
 
@@ -72,7 +72,7 @@ class Effect:
     Effects share the list in ``forces``: one that changes it puts a new list there.
     """
 
-    acts_at_rest = False  # whether it acts on a vehicle at rest too
+    acts_at_rest = False  # True: acts on a vehicle at rest as well
 
     def start(self, load: Load) -> None:
         """Begin a flight: at rest, the engines as ``load.output`` says."""

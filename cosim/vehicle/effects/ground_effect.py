@@ -32,7 +32,7 @@ class LiftLoss(Effect):
 
     def __init__(self, effect: GroundEffect, jets: Sequence[Jet]) -> None:
         self._planform, self._jet, self._below = effect.planform_m, effect.jet_m, effect.planform_z_m
-        # The loss is spread over the stations, whose mean position is this; its moment is compensated.
+        # The loss is distributed over the stations with this mean position, and its moment is compensated.
         self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 

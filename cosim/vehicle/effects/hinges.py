@@ -41,7 +41,7 @@ class _Part:
         along = (cx - px) * x + (cy - py) * y + (cz - pz) * z
         fx, fy, fz = self.foot = (px + along * x, py + along * y, pz + along * z)
         self.arm: Vector3 = (cx - fx, cy - fy, cz - fz)
-        self.outer: list[_Part] = []  # hinges from itself to the body
+        self.outer: list[_Part] = []  # hinges between this one and the body
         self.reset()
 
     def reset(self) -> None:
@@ -73,7 +73,7 @@ class HingeReactions(Effect):
         self._force_point: Vector3 = jets[0].position_m
         turns = layout_of(jets, hinges).turns
         self._parts = [_Part(hinge, number) for number, hinge in enumerate(hinges)]
-        # A hinge stands on those that carry one of its jets and are stated before it.
+        # A hinge is mounted on those before it that carry one of its jets.
         for part in self._parts:
             jets_moved = {*turns[part.number].carries, *turns[part.number].deflects}
             before = reversed(self._parts[: part.number])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import pow  # of floats, without an object
+from math import pow  # the pow of floats, without objects
 
 from cosim.base.frames import conjugate, cross, rotate
 from cosim.base.signals import Vector3
@@ -73,7 +73,7 @@ class IntakeDrag(Effect):
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
             couple_x, couple_y, couple_z = cross(e, push)
             moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
-            if moves:  # its station is where hinges are at zero
+            if moves:  # stated position is with hinges at zero
                 at_x, at_y, at_z = stream.station
                 both = (drag[0] + damping[0], drag[1] + damping[1], drag[2] + damping[2])
                 couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)

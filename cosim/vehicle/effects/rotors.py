@@ -36,7 +36,7 @@ class RotorDynamics(Effect):
         inertia = [jet.spin * engine.rotor_inertia for jet, engine in zip(jets, engines, strict=True)]
         self._layout = layout_of(jets, hinges)
         self._rest = tuple([hinge.rest_rad for hinge in hinges]) or (0.0, 0.0)
-        # Of each group of jets that turn together, its number and its rotors.
+        # For each group of jets that turn together: its number and its rotors.
         self._groups: list[tuple[int, list[tuple[int, float]]]] = []
         for group in range(max(self._layout.groups) + 1):
             turning = [

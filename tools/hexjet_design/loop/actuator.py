@@ -22,7 +22,7 @@ class Actuator:
 
     name: str
     dynamics: Dynamics
-    model: RateModel  # the same, held and sampled
+    model: RateModel  # the model with hold, sampled
 
     @classmethod
     def of(cls, name: str, dynamics: Dynamics) -> Actuator:

@@ -65,7 +65,7 @@ class LimitTuning:
     """The law with the least objective that keeps the requirements, or in words why there is none."""
 
     tuning: Tuning | None
-    objective: float  # infinite where there is none
+    objective: float  # infinite: not feasible
     why_not: str = ""
 
 
@@ -75,7 +75,7 @@ class _Search:
     def __init__(self, channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> None:
         self.channel, self.model, self.fixed, self.need = channel, model, fixed, need
         self.points = FrequencyGrid(channel, close=1500)
-        # a delay between two steps is the nearest whole one to the law
+        # A fractional delay is rounded for the law.
         self.believed = model.model_copy(update={"delay_samples": float(round(model.delay_samples))})
         self.delay = low_frequency_delay(model)
         self.corners = [FrequencyGrid(corner, close=100) for corner in _late_corners(channel, need)]
@@ -132,10 +132,10 @@ class _Search:
     def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
-        free_step = 100.0  # s: no bound, the lags alone say it
+        free_step = 100.0  # s: no bound in effect, the lags decide
         bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), free_step)
         wide = need.delay_samples(self.channel.transport_samples)
-        first_error = 0.3  # of the delay's tolerance, asked first
+        first_error = 0.3  # of the delay tolerance, tried first
         for _ in range(12):
             try:
                 low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
@@ -150,7 +150,7 @@ class _Search:
                 error = min(max(first_error * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
             peak = bounds.peak_sensitivity / (1.0 + min(missed.get("peak sensitivity", 0.0), 1.0))
             closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), free_step, error)
-            if closer == bounds:  # what is missed is the lag's
+            if closer == bounds:  # only the lag misses its requirement
                 return None
             bounds = closer
         return None

@@ -55,27 +55,27 @@ INSTANT = 1e-9
 class Channel:
     """One axis, or the height, of a vehicle with its actuators."""
 
-    name: str  # "roll", "pitch", "yaw", "altitude"
-    unit: str  # of the command
+    name: str  # "roll", "pitch", "yaw" or "altitude"
+    unit: str  # unit of the command
     actuator: Actuator
     gain: float  # rad/s^2 per unit of command; height: 1
     damping_1_s: float
     step: float
     substeps: int
-    # Range of the command at hover, either way; of a servo, what it can follow without its rate limit.
+    # Range of the command at hover, either way; of a servo, what it follows without reaching its rate limit.
     room: float
     rate_filter_s: float = 0.0
     rate_latency: int = 0
-    rate_hold: int = 1  # steps for which a measurement is kept
+    rate_hold: int = 1  # steps for which a measurement is held
     rate_noise: float = 0.0  # standard deviation of the measured rate
     angle_latency: int = 0
     angle_noise: float = 0.0
-    angle_from_gyro: bool = False  # an estimator's, from the measured rate
+    angle_from_gyro: bool = False  # True: the angle integrates the gyro
     added_delay: int = 0
-    # the moment, of the actuator's answers of this step and of those before: what tilts pushes back, what spins leads
+    # Weights of the actuator's responses in this and previous steps in the moment: tilts react, spinning leads.
     shape: tuple[float, ...] = STILL
-    hinged: tuple[AxisPart, ...] = ()  # parts of actuator and shape, of hinges
-    identified: RateModel | None = None  # command to rate, in place of the chain
+    hinged: tuple[AxisPart, ...] = ()  # actuator and weights per hinge
+    identified: RateModel | None = None  # command to rate, replaces the chain
 
     @property
     def gyro_pole(self) -> float:
@@ -100,7 +100,7 @@ class Channel:
         if self.identified is not None:
             return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
         acting = self.actuator.dynamics.lag_s - self.lead_s
-        if len(self.hinged) > 1:  # each by its share
+        if len(self.hinged) > 1:  # one part per hinge, by its share
             late = sum([part.fraction * part.servos[0].lag_s for part in self.hinged])
             acting = late / sum([part.fraction for part in self.hinged]) - self.lead_s
         return acting + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
@@ -128,7 +128,7 @@ class Channel:
         over it does.
         """
         turned = self._turned_s() if self.identified is None else self.slowness_s
-        # The delay at low frequency and the pace may be apart by this part of either; one lag alone has 0.64.
+        # The low-frequency delay is the pace if the two differ by less than this factor; a single lag has 0.64.
         min_ratio = 0.5
         return self.slowness_s if min_ratio < turned / max(self.slowness_s, INSTANT) < 1.0 / min_ratio else turned
 
@@ -157,9 +157,9 @@ class Channel:
     def _turned_s(self) -> float:
         """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
         dynamics = self.actuator.dynamics
-        slowest = 1e-5  # rad/s, a day: the search begins here
-        points = 400  # frequencies until then, 5 % apart
-        # At the last frequency, half a step of hold alone has turned the phase by 2 rad.
+        slowest = 1e-5  # rad/s, a day: start of the search
+        points = 400  # frequencies of the search, 5 % apart
+        # At the last frequency half a step of hold alone has turned the phase by 2 rad.
         omega = np.geomspace(slowest, 4.0 / self.step, points)
         late = (0.5 + self.transport_samples) * self.step + 0.5 * (self.rate_hold - 1) * self.step
         turned = late * omega + np.arctan(self.rate_filter_s * omega)
@@ -226,7 +226,7 @@ class Channel:
         """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
         return measurement_response(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
-    # ---- the same channel, changed
+    # ---- variants of a channel
 
     def with_delay(self, samples: float) -> Channel:
         """Return the channel with another delay of the actuator, samples (of all where it was identified whole)."""
@@ -314,7 +314,7 @@ def _by_effectiveness(
     if sum([part.fraction for part in hinged]) > engines.fraction:
         main, shape = make_hinge_actuator(hinged, step)
         others = (engines,)
-        # no step of the command may ask more of a hinge than its servo follows
+        # A step of the command must not exceed what the hinge's servo can follow.
         follows = [
             _servo_room(hinge) / abs(move)
             for part in hinged
@@ -347,7 +347,7 @@ def _with_others(
     ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A
     design that stands all that are as far off stands this one.  ``engine`` answers where another has no servos.
     """
-    # These are 4 % apart; more counts below them than there is.
+    # Frequencies 4 % apart; below the first one its misfit is assumed, which is more than there is.
     hertz = np.geomspace(1e-3, 0.49, 160) / step
     z = np.exp(2j * np.pi * hertz * step)
     main_response = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
@@ -360,7 +360,7 @@ def _with_others(
     off = np.abs(deviation)
     if float(off.max()) < CARRIED:
         return main
-    if main.dynamics.unsure:  # what its own model leaves comes on top
+    if main.dynamics.unsure:  # the error of its own model is added
         at, gap = np.array(main.dynamics.unsure).T
         off += np.interp(np.log(hertz), np.log(at), gap)
     unsure = tuple((float(f), float(gap_there)) for f, gap_there in zip(hertz, off, strict=True))
@@ -424,17 +424,17 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
-    # With a zero beside a pole of the engine, poles slower than this times the channel's pace are not led.
+    # With a zero near an engine's pole, poles slower than this times the channel's pace are not led.
     led_within = 3.0
     if channel.pace_s != channel.slowness_s:
-        # A zero beside a slow pole leaves nothing of it to be led.
+        # A zero near a slow pole cancels it, so that nothing is left to lead.
         poles = [pole for pole in poles if abs(pole) * channel.pace_s * led_within >= 1.0]
     if not poles:
         return None
     slowest, *others = poles
     w = abs(slowest)
-    # a slow lag beside two poles that swing stands alone
-    # A lead takes the second pole with it up to this times the slowest one.
+    # A slow lag beside an oscillatory pair stands alone. A lead takes a second pole with it up to this times the
+    # slowest one.
     second_within = 5.0
     if others and (slowest.imag or (not others[0].imag and abs(others[0]) < second_within * w)):
         natural, damping = combine_poles(slowest, others[0])

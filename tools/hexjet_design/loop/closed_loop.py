@@ -201,7 +201,7 @@ class ClosedLoop:
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """
         at_rest = float(self.load_response[0].real)
-        # What a load leaves at rest counts as none where it is less than this part of the largest response.
+        # A final value below this fraction of the largest response counts as zero.
         negligible = 1e-3
         return at_rest if abs(at_rest) > negligible * float(np.abs(self.load_response).max()) else 0.0
 
@@ -264,7 +264,7 @@ def _nearest(x: Array, y: Array, angle: Array) -> float:
     """
     dx, dy = np.diff(x), np.diff(y)
     joined = np.abs(np.diff(angle)) < pi
-    # where it can be least: at the ends, where one of the two is 0, and where they are equal
+    # Minima are at the ends, where one of the two is 0, or where both are equal.
     pairs = ((-x[:-1], dx), (-y[:-1], dy), (y[:-1] - x[:-1], dx - dy), (-(x[:-1] + y[:-1]), dx + dy))
     least = float(np.min(np.maximum(np.abs(x), np.abs(y))))
     for numerator, denominator in pairs:

@@ -39,7 +39,7 @@ def excesses(closed: ClosedLoop, need: Requirements, spare: float = 0.0, step_m:
     tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)
     largest = need.max_sensitivity * (1.0 - spare)
     return {
-        # far from robust against a misfit there is no sensitivity, and a search still needs a slope
+        # Far from robust to a misfit there is no sensitivity, but the search still needs a slope.
         "peak sensitivity": closed.peak_sensitivity / largest - 1.0
         if closed.points.unsure is None
         else 1.0 - max(0.0, closed.distance) * largest + log1p(max(0.0, closed.beyond_stability)),

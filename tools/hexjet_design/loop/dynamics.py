@@ -36,7 +36,7 @@ class Dynamics:
     delay_samples: float
     step: float
     misfit: float = 0.0  # rms of |ln(model / response)|
-    # (Hz, share): the engine may answer (1 + x) times this at that frequency, |x| up to the share; () where it follows
+    # (Hz, x): the engine may respond with (1 + d) times this at that frequency, |d| <= x; () where the model fits.
     unsure: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -122,9 +122,9 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
     ones; one that turns by more than half a circle in a step has its other half above the axis.
     """
     real, pairs = [p.real for p in poles if not p.imag], []
-    # A smaller imaginary part of a pole in z is none, and a smaller pole is over within its step.
+    # A smaller imaginary part counts as real, and a smaller pole in z as settled within the step.
     negligible = 1e-9
-    fastest = 25.0  # rad/s times the step: 1e-11 is left
+    fastest = 25.0  # rad/s times step: decays to 1e-11
     for pole in poles:
         z = complex(np.exp(pole * step))
         if pole.imag > 0.0 and abs(z.imag) > negligible * abs(z) and abs(z) > negligible:
@@ -180,7 +180,7 @@ def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
 
     The band in 80 parts, and at each end of a part the largest of the parts on both its sides.
     """
-    # Parts of a swept band are 5 % wide over two decades, as a mode with damping 0.02 is.
+    # Bands of a sweep, 5 % wide each over two decades, as a mode with damping 0.02 is.
     bands = 80
     ends = np.geomspace(hertz[0], hertz[-1], bands + 1)
     part = np.clip(np.searchsorted(ends, hertz, side="right") - 1, 0, bands - 1)
@@ -205,12 +205,12 @@ class _FormFit:
 
     def __init__(self, response: FrequencyResponse, form: Sequence[str]) -> None:
         weight = np.sqrt(counts(response))
-        # Above this part of the sampling rate, a sampled first lag is 3 % or more off what a hold leaves of it.
+        # Of the sampling rate: above it a sampled lag differs by 3 % or more from the continuous one with hold.
         max_hertz_samples = 0.1
         use = (weight > 0.0) & (response.hertz * response.step <= max_hertz_samples)
         use = use if use.any() else weight > 0.0
         hertz, self._value, self._weight = response.hertz[use], response.value[use], weight[use]
-        # a hold is half a step late and a little weak; what it does at frequencies of an engine is no more than that
+        # A hold is half a step late and slightly weak; at an engine's frequencies it has no other effect.
         self._s = 1j * (2.0 * np.pi * hertz)
         self._hold = (1.0 - np.exp(-self._s * response.step)) / (self._s * response.step)
         self._form, self._step, self._quick = form, response.step, 0.5 * response.step

@@ -80,7 +80,7 @@ class EngineSensitivity:
             if moved is not None:
                 width, low, high = moved
                 ratio = self._answer(high, hertz) / self._answer(low, hertz)
-                gain = 2.0 * (abs(ratio) - 1.0) / (abs(ratio) + 1.0)  # the difference over the mean
+                gain = 2.0 * (abs(ratio) - 1.0) / (abs(ratio) + 1.0)  # difference over mean
                 delay = -float(np.angle(ratio)) / (2.0 * pi * hertz)
                 derivatives[row] = np.array([gain, delay]) / width
         common = (derivatives.T * np.array(self.table.deviation)) @ np.array(self.table.factor)
@@ -144,7 +144,7 @@ class EngineTolerances:
     """Tolerances of a design that an engine's uncertainty gives, and the words for where they are from."""
 
     need: Requirements
-    words: str = ""  # empty where none is from there
+    words: str = ""  # empty: nothing comes from there
 
 
 def engine_tolerances(

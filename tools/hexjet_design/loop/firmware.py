@@ -48,7 +48,7 @@ YAW_P_HZ = 100.0  # yaw_lowpass_hz, of the proportional part
 # CUTOFF_CORRECTION_PT3: with it three equal lags together are 3 dB down at the cutoff.
 PT3 = 1.961459177
 
-# One loop: state, set-point, gyro, loop period [s], cutoff of the derivative [Hz] -> state, and P, I and D parts
+# One loop: state, set-point, gyro, loop period [s], derivative cutoff [Hz] -> new state, and P, I and D parts.
 Loop = Callable[[list[float], float, float, float, float], tuple[list[float], float, float, float]]
 
 
@@ -79,20 +79,20 @@ def _betaflight(levels: bool, yaw: bool) -> Loop:
 
 
 def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tuple[list[float], float, float, float]:
-    # The rate set-point is that of the attitude loop in the step before.
+    # The rate set-point is that of the attitude loop one step before.
     setpoint, last, slope, integral = s
     slope += share(hertz, period) * ((last - y) / period - slope)
     error = setpoint - y
-    return [r, y, slope, integral + period * error], error, integral, slope  # this error is integrated for the next
+    return [r, y, slope, integral + period * error], error, integral, slope  # the next step integrates this error
 
 
 def _ardupilot(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
-    # The rate loop comes first in a loop of its tasks, and the attitude loop behind it.
+    # A loop runs the rate controller first, the attitude controller after it.
     setpoint, last, slope, integral = s
     error = setpoint - y
-    slope += share(hertz, period) * ((error - last) / period - slope)  # of the error, set-point and all
+    slope += share(hertz, period) * ((error - last) / period - slope)  # derivative of the error, with set-point
     integral += period * error
     return [r, error, slope, integral], error, integral, slope
 
@@ -103,7 +103,7 @@ _STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
 def find_law(name: str, axis: str) -> Loop:
     """Return an autopilot's rate loop on an axis as a function of one pass."""
     if name == "betaflight":
-        # Heading is held with the sticks, by whoever holds them.
+        # Heading is held by the sticks, whoever moves them.
         return _betaflight(axis != "yaw", axis == "yaw")
     return _px4 if name == "px4" else _ardupilot
 
@@ -164,7 +164,7 @@ def _loop_parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> C
     """Return the response of P, I and D part to set-point and gyro, at points of the unit circle: 3 x 2 x points."""
     z = np.frombuffer(at, np.complex128)
     a, b, c, d = matrices(name, axis, step, hertz or 1.0)
-    # few states each: those that a part does not read are left out, so the equations stay small
+    # Few states each: states that a part does not use are omitted, to keep the equations small.
     response = np.empty((3, 2, len(z)), np.complex128)
     needed = (2,) if hertz else (0, 1)
     for part in needed:
@@ -186,7 +186,7 @@ def _reached(a: Array, c: Array) -> list[int]:
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
     """Return the law's A and B over a step of the flight, and C and D of the first loop's P, I and D part."""
     size, loop = _STATES[name], find_law(name, axis)
-    loop_s = 125e-6  # of its SITL, by a step of its gyro
+    loop_s = 125e-6  # SITL steps its gyro at this period
     count = max(1, round(step / loop_s)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)

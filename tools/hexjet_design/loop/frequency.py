@@ -19,14 +19,14 @@ class LoopMargins:
     None where there is no such thing in the frequencies that were looked at.
     """
 
-    gain_db: float | None  # least factor up
-    gain_down_db: float | None  # least factor down
-    phase_deg: float | None  # least lag, up to half a turn
-    phase_lead_deg: float | None  # least lead, below half a turn
-    delay_s: float | None  # least further delay
-    delay_less_s: float | None  # least delay taken away, of what there is
+    gain_db: float | None  # smallest destabilising increase
+    gain_down_db: float | None  # smallest destabilising reduction
+    phase_deg: float | None  # smallest lag, up to 180 deg
+    phase_lead_deg: float | None  # smallest lead, below 180 deg
+    delay_s: float | None  # smallest destabilising extra delay
+    delay_less_s: float | None  # smallest destabilising loss of delay
     peak_sensitivity: float | None
-    crossover_hz: float | None  # the highest frequency with gain 1
+    crossover_hz: float | None  # highest frequency with gain 1
 
 
 def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> LoopMargins:

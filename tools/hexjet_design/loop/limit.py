@@ -64,8 +64,8 @@ class Bounds(NamedTuple):
 
     peak_sensitivity: float
     noise: float  # standard deviation of the command
-    step_error: float  # after a unit step, rad s per rad
-    delay_error: float = 0.0  # samples either way; 0: not held
+    step_error: float  # integrated |error| after a unit step
+    delay_error: float = 0.0  # samples, either way; 0: not required
 
 
 @dataclass(frozen=True)
@@ -77,19 +77,19 @@ class Limit:
     step_error: float
     noise: float
     peak_sensitivity: float
-    complementary: Array  # t, sample by sample from its first
-    setpoint: Array  # y, the same
-    window_s: float  # over which errors are integrated
+    complementary: Array  # impulse response of T, per sample
+    setpoint: Array  # response to the set-point, per sample
+    window_s: float  # s over which errors are integrated
 
 
 @dataclass(frozen=True)
 class AxisLimit:
     """A closed loop beside the best that any linear controller does within what the loop keeps."""
 
-    load_error: float  # of the loop
+    load_error: float  # of the designed loop
     least: Limit
-    tolerant: Limit | None  # with the loop's tolerance of the delay
-    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound; empty: not asked for
+    tolerant: Limit | None  # limit with the loop's delay tolerance
+    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound; empty: not requested
 
     @property
     def times(self) -> float:
@@ -299,7 +299,7 @@ class Cone(NamedTuple):
     """Rows ``b - A x`` of a programme that lie in a cone: ``zero``, ``nonnegative`` or ``second-order``."""
 
     kind: str
-    matrix: Any  # sparse
+    matrix: Any  # a sparse matrix
     offset: Array
 
 
@@ -395,7 +395,7 @@ class Programme:
     def _errors(self) -> list[Cone]:
         plant, identity = self.plant, -sparse.identity(len(self.times), format="csr")
         free, load = plant.angle_of_load(np.ones(1)), plant.angle_of_load(self.of_t, plant.late + plant.rate_late)
-        # This is what a load does before any control can answer.
+        # The response to a load before any control can act.
         scale = abs(float(free[2 * plant.late + 1]))
         load, free = load[self.times] / scale, free[self.times] / scale
         step = plant.angle_of_setpoint(self.of_y)[self.times]
@@ -495,6 +495,6 @@ def _splines(samples: int, late: int) -> Array:
     while knots[-1] < samples:
         apart = min(apart * GROWTH, FARTHEST * distance)
         knots.append(min(float(samples), knots[-1] + apart))
-    degree = 3  # of the splines
+    degree = 3  # degree of the splines
     clamped = np.r_[[0.0] * degree, knots, [knots[-1]] * degree]
     return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, degree).toarray())

@@ -93,7 +93,7 @@ def reduce_limit(
         Where the solver is not installed, or no such poles keep the bounds.
     """
     need_solver()
-    identified = replace(channel, identified=model, added_delay=0)  # the model has it
+    identified = replace(channel, identified=model, added_delay=0)  # the model includes the added delay
     delay, step = identified.slowness_s, channel.step
     plant = Plant(identified, round(window_s(identified) / step))
     longest = plant.length - len(plant.kept) + 1
@@ -121,11 +121,11 @@ def reduce_limit(
         try:
             return solve(at(x), COARSE).loop.load_error
         except InputError:
-            # Poles that keep no bounds have a load error of a million delays.
+            # An infeasible choice of poles costs as much as a million delays of load error.
             return 1e6 * delay
 
     x = np.log(np.array(start, np.float64)).ravel()
-    size = 0.12  # of the simplex, in logarithms
+    size = 0.12  # initial size of the simplex, logarithmic
     if rounds:
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x

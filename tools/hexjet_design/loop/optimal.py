@@ -89,8 +89,8 @@ class ModelForm:
     kept: Array
     numerator: Array
     denominator: Array
-    slow_pole: float | None  # that ``1 - T_i`` is 0 at
-    fast_poles: tuple[complex, ...]  # that stay in the controller
+    slow_pole: float | None  # where ``1 - T_i`` has a zero
+    fast_poles: tuple[complex, ...]  # poles that the controller keeps
 
     @classmethod
     def of(cls, model: RateModel, target: Target) -> ModelForm:
@@ -99,7 +99,7 @@ class ModelForm:
         kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
         inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
         slow = max(model.poles, default=0.0)
-        # A pole of the rate is answered as rest is if it is nearer to 1 than this part of the slowest pole of ``t``.
+        # A pole of the rate is an integrator if closer to 1 than this fraction of the slowest pole of ``t``.
         nearness = 0.5
         is_slow = 1.0 - slow < nearness * (1.0 - target.slowest(model.sample_time_s))
         fast = list(poles)
@@ -139,14 +139,14 @@ class ModelForm:
 class Target:
     """The responses that a loop is given: the lag of ``y``, and of ``t`` poles and weights."""
 
-    lag_s: float  # each of three, s
+    lag_s: float  # s, each of three equal lags
     pairs: tuple[tuple[float, float], ...]  # natural frequency [rad/s] and damping
-    weights: tuple[float, ...]  # of orthonormal functions, two a pair
+    weights: tuple[float, ...]  # weights of orthonormal functions
 
     @classmethod
     def of(cls, values: Mapping[str, float], delay: float) -> Target:
         """Return the target of a law's parameters, which are in units of the delay at low frequency [s]."""
-        pair_count = 4  # of poles of the answer to a load
+        pair_count = 4  # pole pairs of the response to a load
         pairs = tuple((values[f"speed_{k}"] / delay, values[f"damping_{k}"]) for k in range(1, pair_count + 1))
         weights = tuple(values[f"weight_{k}"] / sqrt(delay) for k in range(1, 2 * pair_count + 1))
         return cls(values["response"] * delay, pairs, weights)
@@ -191,8 +191,8 @@ class PredictorBases:
     """What a predictor of a target takes from the poles alone: a search of weights computes it once."""
 
     form: ModelForm
-    of_target: Array  # functions that ``t`` is a sum of
-    of_predictor: Array  # of the predictor's answers, by columns
+    of_target: Array  # basis functions of ``t``
+    of_predictor: Array  # predictor responses, one per column
     transition: Array
 
     @classmethod
@@ -224,7 +224,7 @@ def make_predictor(
     def extended(response: Array) -> Array:
         return np.concatenate([response, pad])[:length]
 
-    # y = kept top / bottom, of which what is kept goes out again
+    # y = kept top / bottom, but ``kept`` cancels in what follows.
     pole = target.lag(step)
     bottom, top = polynomial([pole] * LAGS), (1.0 - pole) ** LAGS
     of_rate = extended(np.convolve(bottom / top, t)) - extended(np.array([0.5, 0.5]))

@@ -29,9 +29,9 @@ SETPOINT, LOAD = 0, 1  # the inputs
 class Steps(NamedTuple):
     """The answers to unit steps, sample by sample from the instant of the step on."""
 
-    angle: Array  # of the set-point, rad per rad
-    command: Array  # of the set-point, its unit per rad
-    load: Array  # angle, rad per unit of the command
+    angle: Array  # response to set-point, rad per rad
+    command: Array  # response to set-point, command per rad
+    load: Array  # angle per unit load, rad
 
 
 class Space:
@@ -50,12 +50,12 @@ class Space:
         self._predictor = space
         self._slot(
             "sent", max(space.history_length, self._late + (1 if self._between else 0), 1)
-        )  # the last command first
+        )  # newest command last
         self._slot("plant", len(self._plant.A))
         if self._between:
             self._slot("loaded", 1)
         if channel.identified is None:
-            self._slot("force", len(channel.rate_dynamics[0]) - 1)  # of the steps before
+            self._slot("force", len(channel.rate_dynamics[0]) - 1)  # forces of previous steps
             self._slot("rate", 1)
             self._slot("gyro", max(1, channel.rate_latency + channel.rate_hold))
         else:
@@ -154,7 +154,7 @@ class Space:
         self._keep("rate", rate)
         self._shift("angle", x["angle"][0] + 0.5 * T * (before + rate))
 
-    # ---- in time
+    # ---- time responses
 
     def steps(self, samples: int) -> Steps:
         """Return the answers to a unit step of the set-point and of the load over so many samples.
@@ -162,7 +162,7 @@ class Space:
         ``C A^(i + j m) B`` by doubling: powers up to ``m`` on the left, those of ``A^m`` on the right.
         """
         n = self._size
-        # the inputs are states that stay what they are
+        # The inputs are appended as constant states.
         power = np.block([[self.A, self.B], [np.zeros((2, n)), np.eye(2)]])
         rows, columns = np.vstack([np.append(self.angle, [0.0, 0.0]), self.command]), np.eye(n + 2)[:, n:]
         count = wide = 1
@@ -176,7 +176,7 @@ class Space:
             wide *= 2
         states = (rows.reshape(count * 2, n + 2) @ columns).reshape(count, 2, wide, 2)
         angle, command = states[:, 0], states[:, 1]
-        # a load at the plant's input comes as late as a command; the transition has it act at once, with fewer states
+        # Here a load acts at once, which needs fewer states; the delay that it shares with commands is added after.
         load = np.concatenate([np.zeros(self._late), angle[..., LOAD].T.ravel()])
         return Steps(
             angle[..., SETPOINT].T.ravel()[:samples], command[..., SETPOINT].T.ravel()[:samples], load[:samples]

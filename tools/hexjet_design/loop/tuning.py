@@ -42,11 +42,11 @@ class Tuning:
     angle_gain: float  # 1/s
     gains: RateGains
     predictor: PredictorTuning
-    model: RateModel  # what the predictor believes
+    model: RateModel  # model in the predictor
     lead: EngineLead | None = None
     firmware: Firmware | None = None  # whose loop has these gains; None: ours
     law: Mapping[str, float] | None = None  # parameters of the law at the limit
-    matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # of the law's predictor
+    matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # matrices of the law's predictor
 
     @classmethod
     def of_law(

@@ -28,8 +28,8 @@ class AxisMargins:
     computed: Computed | None
     notes: tuple[str, ...]
     uncertainty: LoopUncertainty | None = None  # at the crossover; None: not stated
-    over_engine: EngineRange | None = None  # margins over it; None: as above
-    transport_s: float | None = None  # from command to rate; None: not known
+    over_engine: EngineRange | None = None  # margins over it; None: not stated
+    transport_s: float | None = None  # s, command to rate; None: unknown
 
     @property
     def is_complete(self) -> bool:

@@ -34,7 +34,7 @@ class Computed:
     margins: LoopMargins
     hertz: Array
     loop: Complex
-    limit: AxisLimit | str | None = None  # or why there is none; None: not asked
+    limit: AxisLimit | str | None = None  # limit; or why none; None: not requested
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Plants:
 
     channels: Mapping[str, Channel]
     spec: EngineSpec
-    thrust_fraction: float  # of the engines' range, in hover
+    thrust_fraction: float  # in the engines' range, at hover
 
 
 def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:

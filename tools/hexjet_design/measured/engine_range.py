@@ -28,7 +28,7 @@ class EngineRange:
 
     ranges: Mapping[str, tuple[float, float]]
     draws: int
-    unstable: int  # of them
+    unstable: int  # number of unstable ones
 
     def to_dict(self) -> dict[str, Any]:
         """Return ranges and counts for JSON; null where there is no such margin."""

@@ -45,7 +45,7 @@ class Response:
     sensitivity: Complex
     spread: Array
     coherence: Array
-    used: NDArray[np.bool_]  # lines of the margins, above the noise
+    used: NDArray[np.bool_]  # lines used for margins, above the noise
     margins: Mapping[str, Bounded]
 
 
@@ -61,10 +61,10 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     scatter = np.sum(np.abs(sensitivity - mean) ** 2, axis=0) / (periods - 1)
     spread = np.sqrt(scatter / periods)
     loop = 1.0 / mean - 1.0
-    # Lines at which the standard deviation of S is larger say nothing about margins.
+    # Lines whose S has a larger standard deviation are not used for margins.
     max_relative_spread = 0.1
     used = spread <= max_relative_spread * np.abs(mean)
-    min_lines = 10  # lines, of which no margins are made
+    min_lines = 10  # with fewer lines there are no margins
     if int(used.sum()) < min_lines:
         raise FlightError(
             f"only {int(used.sum())} of {len(hertz)} lines stand out of the noise: more amplitude or periods"

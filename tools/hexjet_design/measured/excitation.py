@@ -46,7 +46,7 @@ class Multisine:
     period: int
     step: float
     bins: Array
-    wave: Array  # peak 1
+    wave: Array  # scaled to peak 1
 
     @property
     def hertz(self) -> Array:
@@ -71,14 +71,14 @@ def multisine(
         )
     count = ceil(lines_per_decade * np.log10(last / first)) + 1
     bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
-    # Power of 1 / f by which lines grow from ten times the lowest down, where they would be hidden otherwise.
+    # Exponent of 1 / f by which power grows towards the lowest decade, where noise would hide the lines.
     exponent = 0.5
     size = np.maximum(1.0, 10.0 * first / bins) ** exponent
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
     cosines, sines = np.cos(turn) * size, np.sin(turn) * size
     phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (draws, len(bins)))
     if 2 * last == period:
-        # At half the sampling rate a sine has two phases.
+        # At half the sampling rate a sine can only have phase 0 or pi.
         phases[:, -1] = np.pi * np.round(phases[:, -1] / (2.0 * np.pi))
     waves = cosines @ np.cos(phases.T) - sines @ np.sin(phases.T)
     peaks = np.abs(waves).max(axis=0)
@@ -117,7 +117,7 @@ class Tap:
         if not any(fractions):
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
         spans = [spec.curve.thrust[-1] - spec.curve.thrust[0] for spec in stations]
-        newtons = [_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]  # a throttle
+        newtons = [_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]
         self.unit = "rad/s^2"
         self._weights = [effect * newton for effect, newton in zip(effects, newtons, strict=False)]
         self._adds = [fraction / newton for fraction, newton in zip(fractions, newtons, strict=False)]
@@ -188,9 +188,9 @@ class Record:
 
     sine: Multisine
     amplitude: float
-    before: Array  # (periods, steps)
+    before: Array  # array of (periods, steps)
     behind: Array
-    clipped: bool  # an actuator or allocation at its end
+    clipped: bool  # True: something saturated
 
     def sensitivity(self) -> Complex:
         """Return ``S = behind / added`` of each period and line, (periods, lines).
@@ -259,7 +259,7 @@ def _tap_loop(simulation: Simulation, axis: str, sine: Multisine, amplitude: flo
     tapped = TappedController(simulation.controller, tap, lambda k: wave[k % period])
     fuel = simulation.vehicle.fuel
     if fuel is not None:
-        # The tank is as full as it is at the start: with no step nothing is burnt.
+        # The tank has its fuel at the start; with a step of 0 nothing is burnt.
         simulation.propulsion.tank = Tank(fuel.mass_kg, 0.0, simulation.scenario.initial.fuel)
     simulation.controller = tapped
     simulation.reset()

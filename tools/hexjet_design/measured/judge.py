@@ -21,7 +21,7 @@ from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
-    # A session begins without the mathematics of designs: most are never asked for it.
+    # A session starts without importing the mathematics of designs, which most never need.
     from hexjet_design.loop.closed_loop import FrequencyGrid
     from hexjet_design.loop.tuning import Tuning
     from hexjet_design.measured.computed import Plants
@@ -37,8 +37,8 @@ class _Loop(NamedTuple):
     """Stability and margins of one loop."""
 
     stable: bool
-    bound_ratio: float  # least margin over its bound
-    text: str  # margins that are less, or why unstable
+    bound_ratio: float  # smallest ratio of a margin to its bound
+    text: str  # margins below bounds, or why unstable
 
 
 # What flew on a predictor that cannot be computed is taken as good.
@@ -51,7 +51,7 @@ class LoopJudge:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._vehicle, _ = scenario.resolved_vehicle()
-        self._built_in = scenario.controller in PREDICTORS  # else we have the height alone
+        self._built_in = scenario.controller in PREDICTORS  # False: only the height loop is ours
         self._plants: Plants | str | None = None
         self._points: dict[str, FrequencyGrid] = {}
         self._lock = Lock()
@@ -101,7 +101,7 @@ class LoopJudge:
         vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
         models = dict(plants.spec.models_in(vehicle.identified))
         if "roll" in models:
-            # What the controller adds itself is in the parameter, and comes on top again.
+            # The parameter contains the controller's added delay, which the channel adds again.
             samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
             models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
             vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})
@@ -133,7 +133,7 @@ class LoopJudge:
         closed = ClosedLoop(self._points[axis], tuning)
         if closed.unstable_poles:
             return _Loop(False, 0.0, "the loop is unstable")
-        if not tuning.angle_gain:  # its pole stays at 1
+        if not tuning.angle_gain:  # without it the pole stays at 1
             return _Loop(False, 0.0, "a gain of 0: nothing brings it back")
         loop = margins(closed)
         up, down, phase = loop.gain_db, loop.gain_down_db, loop.phase_deg

@@ -56,13 +56,13 @@ class Judged(NamedTuple):
     """One margin beside its limit."""
 
     axis: str
-    margin: str  # of JUDGED
-    value: float | None  # measured; None: none in the band
-    worst: float | None  # judged: worse end of its 95 % bounds
-    limit: float | None  # None: nothing is known to ask for
-    known_limit: float | None  # with a well-known engine; None: the same
-    band: str | None  # of BANDS; None without a limit
-    source: str  # of the limit, or why there is none
+    margin: str  # one of JUDGED
+    value: float | None  # measured; None: not in the band
+    worst: float | None  # worse end of its 95 % interval
+    limit: float | None  # None: no requirement is known
+    known_limit: float | None  # for a well-known engine; None: the same
+    band: str | None  # one of BANDS; None: no limit
+    source: str  # origin of the limit, or why none
 
     @property
     def severity(self) -> tuple[int, float]:

@@ -45,9 +45,9 @@ class MeasuredMargins:
     scenario: Scenario
     source: Source | None
     axes: Mapping[str, AxisMargins]
-    uncomputed: str  # why nothing was computed, or empty
-    uncertainty_source: str | None = None  # of the engine's; None: it states none
-    engine_ranges: tuple[ParameterRange, ...] = ()  # of its uncertain parameters
+    uncomputed: str  # why nothing was computed; or empty
+    uncertainty_source: str | None = None  # engine's file; None: states none
+    engine_ranges: tuple[ParameterRange, ...] = ()  # of the engine's uncertain parameters
 
     @property
     def judged(self) -> list[Judged]:
@@ -198,8 +198,8 @@ class _MarginRequest:
     to_hz: float | None
     period_s: float | None
     periods: int
-    transport_s: float | None  # from command to rate; None: not known
-    sensitivity: EngineSensitivity | None  # of the axis's engine, where stated
+    transport_s: float | None  # s, command to rate; None: unknown
+    sensitivity: EngineSensitivity | None  # to the axis's engine, if stated
     say: Say
 
     def measure(self, computed: Computed | None) -> AxisMargins:
@@ -268,9 +268,9 @@ def _stays_up(response: Response) -> bool:
     """Return whether the loop's gain does not fall towards the band's end, so that a margin may lie above it."""
     hertz, size = response.hertz[response.used], abs(response.loop[response.used])
     octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
-    # A |L| that falls less than to this in the band's last octave is measured up to half the control rate.
+    # If |L| falls to no less than this in the band's last octave, measure up to half the control rate.
     min_fall = 0.7
-    min_gain = 0.01  # |L| at the band's end: 40 dB of gain
+    min_gain = 0.01  # |L| at the band's end: 40 dB gain margin
     return bool(size[-1] > min_gain and size[-1] > min_fall * octave)
 
 
@@ -280,7 +280,7 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
     if hidden:
         lines = f"{hidden} of {len(response.used)} lines"
         notes.append(f"{lines} are hidden in noise and left out; settings sensor_noise=false flies without it")
-    # A number may change by this beside its bounds at half the amplitude.
+    # Relative change between full and half amplitude that is accepted besides the intervals.
     max_change = 0.05
     for name, difference in relative_differences(half.margins, response.margins).items():
         if name not in JUDGED:

@@ -20,9 +20,9 @@ class Measure:
 
     label: str
     unit: str
-    digits: int  # behind the point
-    factor: float  # worse: by more than this factor ...
-    min_difference: float  # ... and by more than this, its unit
+    digits: int  # decimal places
+    factor: float  # worse by more than this factor and ...
+    min_difference: float  # ... by more than this, in its unit
 
     def is_worse(self, before: float, after: float) -> bool:
         """Return whether a flight with ``after`` is worse than one with ``before``."""

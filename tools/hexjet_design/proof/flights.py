@@ -32,15 +32,15 @@ class FlightBounds(NamedTuple):
     """What the flights of a proof try and allow."""
 
     still_deg: float = 1.0  # in hover, and after a doublet
-    gust_deg: float = 25.0  # of roll and pitch
-    height_m: float = 2.0  # off the height, at most
-    large_kg: float = 20.0  # from here on a full-scale gust
+    gust_deg: float = 25.0  # of roll and pitch, in a gust
+    height_m: float = 2.0  # largest height error
+    large_kg: float = 20.0  # heavier vehicles get a full-scale gust
     hover_s: float = 20.0
-    # Of gain and lag, by which one engine is off, in steps that jolt nobody; less where the gain's tolerance is less.
+    # Relative error of gain and lag of one engine; smaller if the gain tolerance is.
     engine_spread: float = 0.3
     onset_steps: int = 6
-    allowed_step: float = 0.05  # of requirements after a failure
-    stations_with_factor: int = 6  # with a thrust factor of their own
+    allowed_step: float = 0.05  # step of requirements after a failure
+    stations_with_factor: int = 6  # stations with an own thrust factor
 
 
 BOUNDS = FlightBounds()
@@ -65,7 +65,7 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
             say(f"flight: {name}, gain {gain:.2f}, {steps} steps later")
             flights.append(fly_corner(design, name, table, gain, steps))
         if any(flight.fault for flight in flights[-len(tables) :]):
-            return flights  # one corner that fails is enough
+            return flights  # one failed corner is enough
     spread = spread_of(need)
     for factor in (1.0 - spread, 1.0 + spread) if spread else ():
         say(f"flight: one engine with {factor:.2f} of its thrust")
@@ -194,7 +194,7 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
         "duration_s": table["duration_s"] + 2.0 * width,
         "command": [{**command, "start_s": command["start_s"] + 2.0 * width}],
         "fault": faults,
-        "monitor": False,  # nothing has failed
+        "monitor": False,  # no engine has failed
         "mismatch": {f"thrust_factor_{jet}": factor} if factor > 1.0 else {},
     }
     run = _fly_designed(design, "odd-engine", table, changes)
@@ -237,7 +237,7 @@ def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMe
     try:
         return measure_flight(fly(scenario, report=False))
     except InputError as error:
-        # These gains or models do not go with this engine.
+        # Gains or models do not fit this engine.
         return FlownMeasures(f"cannot fly: {error}", False, {})
 
 
@@ -250,7 +250,7 @@ def _scenario(
         "aircraft": scenario.aircraft,
         "engine": scenario.engine,
         "engine_parameters": dict(scenario.engine_parameters),
-        "engine_unchecked": True,  # it was measured already
+        "engine_unchecked": True,  # its response was measured before
         "step_s": scenario.step_s,
         "substeps": scenario.substeps,
         "added_delay_samples": scenario.added_delay_samples,

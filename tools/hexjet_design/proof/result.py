@@ -17,10 +17,10 @@ class ProofFlight:
     """
 
     scenario: str
-    gain: float  # times that of roll, pitch and yaw
-    later: int  # control steps
-    fault: str  # not as promised; empty: as promised
-    engine: str = ""  # which was off; empty: all are the same
+    gain: float  # factor on gains of roll, pitch and yaw
+    later: int  # added delay in control steps
+    fault: str  # deviation from the promise; or empty
+    engine: str = ""  # engine that was off; empty: all alike
     flown: FlownMeasures | None = None
 
     @property
@@ -41,15 +41,15 @@ class Proof:
     """The checks of a design against the engine and in flight; ``reason`` says why they failed, or is empty."""
 
     reason: str
-    measured_hz: float  # up to where the engine was measured
-    stability_fraction: float  # max |T (r - 1)|: stable below 1
-    sensitivity: float  # the greatest of the measured loops
-    above: float  # greatest loop gain beyond measured_hz
+    measured_hz: float  # highest frequency measured
+    stability_fraction: float  # max |T (r - 1)|; below 1 is stable
+    sensitivity: float  # largest of the measured loops
+    above: float  # largest loop gain above measured_hz
     flights: Sequence[ProofFlight]
-    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share) of misfit, where it fails
-    compared: Sequence[FlownPair] = ()  # with the gains that ship, if flown
-    lean_deg: float = 0.0  # of the doublets; 0: nothing was flown
-    allowing: Mapping[str, float] = field(default_factory=dict)  # requirement that would have been kept
+    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, misfit) where it fails
+    compared: Sequence[FlownPair] = ()  # with shipped gains, if flown
+    lean_deg: float = 0.0  # of the doublets; 0: none flown
+    allowing: Mapping[str, float] = field(default_factory=dict)  # requirements that would have been met
 
     def lines(self) -> list[str]:
         """Describe the proof by flights and the one by measured response, in a sentence each."""

@@ -72,7 +72,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
     Raises InputError if a flight cannot be set up at all.
     """
     proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
-    # A predictor is told nothing by a model that is off by half the response or 29 deg.
+    # A model off by half the response or 29 deg is of no use to a predictor.
     max_misfit = 0.50
     if design.identification is not None:
         dynamics = design.engine_dynamics
@@ -89,7 +89,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
     flights = fly_all(design, say)
     bad = [flight for flight in flights if flight.fault]
     reason = ""
-    less_noise = 0.125  # of the noise, where it moves a hover
+    less_noise = 0.125  # of the noise, if it moves a hover
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
         hint = LESS_NOISE.format(less_noise * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
@@ -105,7 +105,7 @@ def _is_moved_by_noise(flight: ProofFlight) -> bool:
     return flight.is_as_designed and flight.scenario == HOVER and "swings" in flight.fault
 
 
-# ---- the loop, with what was measured in place of the model
+# ---- the loop with the measured response instead of the model
 
 
 def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
@@ -122,12 +122,12 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     identification = design.identification
     assert identification is not None
     swept = identification.response
-    # Loop gain where nothing was measured is at most this: the engine may answer twice as much as its model.
+    # Largest loop gain where nothing was measured, because the engine may respond with twice the model's gain.
     max_unmeasured_gain = 0.5
-    # A lead may hold the gain up far behind the crossover.
+    # A lead may keep the gain up far above the crossover.
     reach = max(_crossover(closed, max_unmeasured_gain) for closed in wide.values())
-    past_crossover = 3.0  # times the crossover: measured up to it
-    max_hz_steps = 0.4  # over the step: highest that is swept
+    past_crossover = 3.0  # in crossovers: measured up to it
+    max_hz_steps = 0.4  # Hz times step: highest frequency swept
     end = min(max(past_crossover * crossing, 1.1 * reach, float(swept.hertz[-1])), max_hz_steps / step)
     low = min(float(swept.hertz[-1]), crossing) / 4.0
     size = identification.sweep.amplitude
@@ -143,7 +143,7 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     hertz: Array = np.asarray(np.fft.rfftfreq(len(record.output), step), np.float64)
     use = (hertz >= low) & (hertz <= end)
     hertz = hertz[use]
-    # from rest to rest: the transforms leak nothing, and every bin is a point, so that no narrow mode is averaged away
+    # At rest before and after: no leakage, and each bin is used, so that no narrow mode is averaged away.
     value = (np.fft.rfft(record.output)[use]) / (np.fft.rfft(record.injected)[use])
     good = np.abs(swept.value) > 0.0
     gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / dynamics.hold_response(swept.hertz[good]))))))
@@ -161,7 +161,7 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
             above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
     reason = ""
     unsure = bounds(hertz, np.asarray(np.abs(ratio - 1.0)))
-    max_share = 0.8  # of |T (r - 1)|; stability allows 1
+    max_share = 0.8  # of |T (r - 1)|; below 1 is stable
     if largest > max_share:
         reason = (
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "

@@ -44,7 +44,7 @@ def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vec
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
     curve: int | None = None
-    # It inverts a throttle: by the reference's curve, or the first station's.
+    # Its allocation inverts a throttle by one curve: the reference's, or that of the first station.
     if not thrust["identity"]:
         curve = thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"]
     values = make_common_values(form, labels) | {

@@ -30,9 +30,9 @@ class ExportedController:
 
     folder: Path
     files: list[str]
-    steps: int  # of the flight in the test vectors
-    measured: Measurements | None  # None: no C compiler here
-    without_fmus: str | None  # why there are none
+    steps: int  # steps of the flight in the test vectors
+    measured: Measurements | None  # None: no C compiler was found
+    without_fmus: str | None  # why there are no FMUs, or None
 
 
 class ControllerExport(Result):
@@ -143,7 +143,7 @@ def export_controller(
         raise InputError("loops: not with an autopilot, whose adapters have the allocation")
     if flown.requests is not None:
         raise InputError(f"scenario {flown.name}: is flown by an autopilot's requests; choose one with commands")
-    labels = Labels(name, f"{flown.aircraft_name} with {flown.controller}", licence, ())  # before the flight
+    labels = Labels(name, f"{flown.aircraft_name} with {flown.controller}", licence, ())  # checks the name
     with build(flown) as simulation:
         form = make_form(simulation, loops)
         origin = _origin(flown, source, simulation.engine.name, simulation.engine.sha256)
@@ -255,7 +255,7 @@ def list_figures(measurements: Measurements | None, loops: bool = False) -> list
     return lines
 
 
-# ---- the same C behind the FMI adapter of the engines
+# ---- the same C in the FMI adapter of the engines
 
 
 def _build_fmus(
@@ -265,7 +265,7 @@ def _build_fmus(
     n, jets = labels.name, form["jets"]
     if form["loops"]:
         return [], "the loops alone are C for a mixer of yours"
-    # A vehicle without servos has no tilts.
+    # Without servos there are no tilts.
     tilts = form["allocation"]["kind"] in ("tilt", "effectiveness")
     outputs = [each for each in list_outputs(jets, form["servos"]) if tilts or not each[0].name.startswith("tilt_")]
     with temporary("export-") as build_folder:

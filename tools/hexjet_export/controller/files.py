@@ -35,10 +35,10 @@ NO_LICENCE = "not stated (choose a licence)"
 class Labels:
     """Name, title and licence of the files as the user chose them, and the origin of their numbers."""
 
-    name: str  # a C identifier, also of files
+    name: str  # C identifier, used in file names too
     title: str
     licence: str | None  # SPDX expression or a name
-    origin: tuple[str, ...]  # lines on where the numbers come from
+    origin: tuple[str, ...]  # lines on the origin of the numbers
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _RESERVED:

@@ -27,13 +27,13 @@ _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
 class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
-    compiler: str  # first line of its version
-    same: bool  # bit for bit, in double
+    compiler: str  # first line of its --version
+    same: bool  # same bits in double precision
     float_throttle: float
-    float_tilt: float  # rad
+    float_tilt: float  # rad, largest error in single precision
     float_passes: bool  # within half a step of a 12-bit command
-    stack: int | None  # bytes of reset or step
-    cycles: tuple[int, int] | None  # worst step of the flight, mean
+    stack: int | None  # bytes, of reset or step
+    cycles: tuple[int, int] | None  # worst step and mean
     code: int | None  # bytes of machine code and constants
     state: int | None  # bytes of the struct
 

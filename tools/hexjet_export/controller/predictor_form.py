@@ -108,7 +108,7 @@ def _modal(predictor: ModalPredictor) -> Form:
         "shares": predictor.shares,
         "gain": predictor.gain,
         "ahead": predictor.state_weights,
-    }  # complex where the model has pairs
+    }  # complex where the model has pole pairs
     paired = any(complex(x).imag != 0.0 for vector in vectors.values() for x in vector)
     values: dict[str, Any] = {}
     for name, vector in vectors.items():

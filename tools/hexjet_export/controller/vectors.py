@@ -88,7 +88,7 @@ class RecordedFlight:
     """A recorded flight: the start, then one row a step, inputs before outputs."""
 
     on_ground: bool = False
-    burnt: float = 0.0  # kg
+    burnt: float = 0.0  # kg burnt
     start: PerJet = ()  # throttles before the first step
     rows: list[tuple[float, ...]] = field(default_factory=list)
 

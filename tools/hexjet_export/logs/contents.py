@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 from cosim.logs import Column, Verdict, list_events, read_pilot_record
 
 Block = dict[str, Array]
-Line = dict[str, Any]  # of the autopilot's record
+Line = dict[str, Any]  # line of the autopilot's record
 Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
 
 INFO, ERROR = 6, 3  # severities as in syslog
@@ -49,7 +49,7 @@ def log_lines(run: Run, lines: Sequence[Line]) -> list[LogLine]:
     worth = "" if summary.verdict in (None, Verdict.NOT_COMPLETED) else f"; {summary.verdict}"
     texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
-    order = {"pilot": 0, "outcome": 1, "limit": 1}  # in one step
+    order = {"pilot": 0, "outcome": 1, "limit": 1}  # order within one step
     return sorted(texts, key=lambda line: (line.k, order.get(line.kind, 2)))
 
 
@@ -87,7 +87,7 @@ def list_numbers(scenario: Scenario | None) -> dict[str, float]:
         return {}
     table = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
     vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
-    family = Path(scenario.engine).name.removesuffix("-fmi2")  # models are filed under it
+    family = Path(scenario.engine).name.removesuffix("-fmi2")  # engine family of the models
     vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
     return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", table)])
 

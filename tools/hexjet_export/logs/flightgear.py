@@ -52,7 +52,7 @@ class FlightGear:
         if sample.time * RATE_1_S + 1e-9 < self._sent:
             return
         self._sent += 1
-        with suppress(OSError):  # nobody there, or nobody reads
+        with suppress(OSError):  # nobody listens there
             self._socket.sendto(pack_state(sample, self._map), self._to)
 
     def close(self) -> None:
@@ -83,8 +83,8 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
     roll, pitch, yaw = state.euler
     p, q, r = state.rate
     turn = q * sin(roll) + r * cos(roll)
-    feet, knot = 1.0 / 0.3048, 1852.0 / 3600.0  # in a metre; m/s
-    level = max(-1.5, min(1.5, pitch))  # finite Euler rates
+    feet, knot = 1.0 / 0.3048, 1852.0 / 3600.0  # feet per metre; m/s per knot
+    level = max(-1.5, min(1.5, pitch))  # keeps Euler rates finite
     (north, east, down), wind, to_body = state.velocity, state.wind, conjugate(state.attitude)
     air = rotate(to_body, (north - wind[0], east - wind[1], down - wind[2]))
     u, v, w = rotate(to_body, state.velocity)
@@ -106,8 +106,8 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
         min(len(sample.engines.thrust), ENGINES),
         *(RUNNING if force > 0.0 else OFF for force in thrust),
         *(rate * 30.0 / pi for rate in turning),  # rpm
-        *nothing,  # fuel flow
-        *nothing,  # fuel pressure
+        *nothing,  # fuel flow: not reported
+        *nothing,  # fuel pressure: not reported
         *(max(kelvin * 1.8 - 459.67, 0.0) for kelvin in heat),  # degrees Fahrenheit
         *(nothing * 5),
         *(0, *([0.0] * TANKS)),

@@ -137,7 +137,7 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
         schema = writer.register_schema(f"{_PACKAGE}.{message.name}", "protobuf", files.SerializeToString())
         meanings = {column.name: describe_column(column) for column in of}
         channel = writer.register_channel(topic, "protobuf", schema, meanings)
-        # Wire type 1 of Protocol Buffers has eight bytes.
+        # Wire type 1 of Protocol Buffers is a fixed 64-bit number.
         tags = tuple(_varint(number << 3 | 1) for number in range(1, len(of) + 1))
         layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
         channels.append(Channel(channel, tuple(column.name for column in of), np.dtype(layout), tags))

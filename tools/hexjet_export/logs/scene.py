@@ -57,7 +57,7 @@ class Scene:
         kinds: dict[str, Any] = {"/tf": FrameTransforms, "/pose": PoseInFrame}
         self._vehicle = None if scenario is None else scenario.resolved_vehicle()[0]
         self._layout = None if self._vehicle is None else self._vehicle.layout()
-        self._angles: list[str] = []  # columns of what turns the jets
+        self._angles: list[str] = []  # columns of angles that turn the jets
         if scenario is not None and self._vehicle is not None and self._layout is not None:
             servos = self._vehicle.actuators[: len(self._layout.turns)]
             self._angles = [f"tilt_{name}_rad" for name in servos]
@@ -127,7 +127,7 @@ class Scene:
         entity = _entity(update, "wind", "ned", time)
         entity.frame_locked = False
         entity.metadata.add(key="speed_m_s", value=repr(hypot(*wind)))
-        # An arrow of 1 m for 5 m/s, chosen by us.
+        # An arrow of 1 m stands for 5 m/s.
         _arrow(entity, _position(block, row), direction_quaternion(*wind), 0.2 * hypot(*wind), 0.04 * size, _WIND)
         return update
 
@@ -136,7 +136,7 @@ def draw_vehicle(vehicle: Vehicle, time: int) -> SceneUpdate:
     """Draw hull, legs and jets: positions from ``vehicle.toml``, thicknesses as fractions of its size."""
     update, size = SceneUpdate(), vehicle_reach(vehicle)
     body = _entity(update, "body", "body", time)
-    # From the points that the hull touches with, or else the stations, to the centre of gravity.
+    # From the contacts of the hull, or else the stations, to the centre of gravity.
     positions = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
     positions = [*(positions or [jet.position_m for jet in vehicle.jets]), (0.0, 0.0, 0.0)]
     low, high = np.min(positions, axis=0), np.max(positions, axis=0)
@@ -185,7 +185,7 @@ def _upwards_to(axis: Vector3) -> Quaternion:
     w = sqrt(max(0.0, 0.5 * (1.0 - z)))
     if w < 1e-9:
         return (0.0, 1.0, 0.0, 0.0)  # straight down: half a turn about x
-    # The cross product of -z and the axis, over 2 w.
+    # The cross product of -z and the axis, divided by 2 w.
     return (w, 0.5 * y / w, -0.5 * x / w, 0.0)
 
 

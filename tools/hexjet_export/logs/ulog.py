@@ -103,7 +103,7 @@ class _Topic(NamedTuple):
     kind: np.dtype[np.void]
 
 
-_Timed = tuple[int, bytes]  # a message and its step
+_Timed = tuple[int, bytes]  # step and message
 
 
 def _of(lines: Sequence[Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
@@ -172,7 +172,7 @@ def _log_message(severity: int, time: float, text: str) -> bytes:
 
 def _fill(message: NDArray[np.void], number: int, fields: Iterable[Field], block: Block) -> None:
     """Write one data message a row."""
-    message["size"] = message.dtype.itemsize - 3  # without its header: size and type
+    message["size"] = message.dtype.itemsize - 3  # size without the header: size and type
     message["type"] = ord("D")
     message["id"] = number
     message["timestamp"] = np.rint(1e6 * block["time_s"])

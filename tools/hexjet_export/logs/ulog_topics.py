@@ -73,7 +73,7 @@ def _thrust_body(block: Block) -> Array:
 def _motors(block: Block) -> Array:
     """Return the throttles of as many motors as the message has, NaN of those that do not exist."""
     control = np.full((len(block["time_s"]), MOTORS), np.nan)
-    for jet in range(min(jets_in(block), MOTORS)):  # throttles of all are in hexjet_throttle
+    for jet in range(min(jets_in(block), MOTORS)):  # all throttles are in hexjet_throttle
         control[:, jet] = block[f"throttle_{jet + 1}"]
     return control
 
@@ -185,7 +185,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             column("float", "setpoint_m", "altitude_setpoint_m"),
         ],
         "hexjet_thrust": [_columns("float", "newton", *of_jets("thrust_{}_N"))],
-        "hexjet_engine": [  # NaN where an engine does not say
+        "hexjet_engine": [  # NaN where an engine does not report it
             _columns("float", "spool_speed_rad_s", *of_jets("spool_speed_{}_rad_s")),
             _columns("float", "exhaust_temperature_k", *of_jets("exhaust_temperature_{}_K")),
             _columns("float", "fuel_flow_kg_s", *of_jets("fuel_flow_{}_kg_s")),
@@ -216,7 +216,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             column("float", "mass_kg", "mass_kg"),
             _optional("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
         ],
-        "hexjet_fault": [  # 1: acts; and health of jets, 1: healthy
+        "hexjet_fault": [  # fault 1: active; health 1: healthy
             _optional("float", "jet", *of_jets("fault_jet_{}"), length=jets),
             _optional("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
             _optional("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),

@@ -132,7 +132,7 @@ def export_vehicle(
         raise InputError(
             f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"
         )
-    labels = Labels(name, f"{flown.aircraft_name}: scenario {flown.name}", None, ())  # this checks the name
+    labels = Labels(name, f"{flown.aircraft_name}: scenario {flown.name}", None, ())  # checks the name
     targets = _list_targets(Path(name if out is None else out), name, kind)
     contents = VehicleContents("engines" not in outside and kind == "fmu", "controller" not in outside)
     if kind == "ssp" and not contents.controller:

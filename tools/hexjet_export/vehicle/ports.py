@@ -93,7 +93,7 @@ class ExportedFlight:
         self._groups = tuple(self._list_outputs())
         self.outputs = tuple(quantity for group in self._groups for quantity in group.quantities)
         self.input_values: dict[str, float] = {quantity.name: quantity.start for quantity in self.inputs}
-        # The blocks that those outside replace are built and measured all the same, so that the inputs are the same.
+        # Blocks that outside ones replace are still built and measured, so that the inputs are the same.
         if contents.engines:
             simulation.propulsion.engines.bank = _ObservedEngines(bank, self)
         else:
@@ -269,7 +269,7 @@ class ExportedFlight:
         yield OutputGroup(velocity, lambda: now.measured.velocity)
         height = Quantity("measured_altitude", "m", "Measured height above the ground")
         yield OutputGroup([height], lambda: (now.measured.altitude,))
-        if all(isfinite(value) for value in now.measured.specific_force):  # there is an accelerometer
+        if all(isfinite(value) for value in now.measured.specific_force):  # the vehicle has an accelerometer
             force = _list("measured_specific_force_{}", XYZ, "m/s2", "Measured specific force, body: {}")
             yield OutputGroup(force, lambda: now.measured.specific_force)
 

@@ -32,7 +32,7 @@ class _Socket:
     def __init__(self) -> None:
         self._file = os.dup(0)
         nothing = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)  # not inherited by other processes
+        os.dup2(nothing, 0)  # not inherited by child processes
         os.close(nothing)
 
     def receive(self, frame: struct.Struct) -> tuple[float, ...]:
@@ -85,7 +85,7 @@ class _Server:
                 "fly it all the same"
             )
         self._contents = VehicleContents(manifest["engines_inside"], manifest["controller_inside"])
-        trust(folder)  # code of the FMU, run by the importer
+        trust(folder)  # the importer decided to run this code
         self._scenario = Scenario.read(folder / FLIGHT / "scenario.toml")
         self._flight = self._build_flight(self._scenario.seed)
         inputs = [variable.name for variable in self._flight.inputs]
@@ -118,7 +118,7 @@ class _Server:
         self._answer_due = True
         self._flight.input_values.update(zip(self._inputs, input_values, strict=True))
         self._steps_left = round(count)
-        if not request:  # 0.0 starts, 1.0 steps
+        if not request:  # 0.0: start, 1.0: step
             self._requested_seed, self._steps_left = round(seed), 0
             raise _RestartError
 

@@ -112,7 +112,7 @@ def _pair(
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
         curves = [_curve(result, quantity, NAMES[c], COLOURS[c]) for c, result in present.items()]
         if present and quantity == "angle":
-            longest = max(present.values(), key=lambda result: len(result.time))  # a lost flight ends early
+            longest = max(present.values(), key=lambda result: len(result.time))  # a failed flight ends early
             curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
         drawn.append((title, curves))
     return [Panel(title, "time [s]", _unit(quantity), curves, y_range=(-limit, limit)) for title, curves in drawn]
@@ -169,7 +169,7 @@ def identification(reproduction: Reproduction) -> Figure:
             measured = reproduction.identified.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, part))
-                if part == "phase":  # on the printed model's turn
+                if part == "phase":  # on the same turn as the printed model
                     points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
                 curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
             row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))
@@ -342,7 +342,7 @@ def turbojet(reproduction: Reproduction) -> Figure:
     layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
     layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
     layout["xaxis"] = {"tickangle": 0}
-    layout["margin"]["b"] = 64  # two lines
+    layout["margin"]["b"] = 64  # two lines of text
     data = []
     for engine, colour in (("edf-as-flown", ORANGE), ("turbojet", BLUE)):
         of_engine = [reach for reach in reaches if reach.engine == engine]
@@ -422,7 +422,7 @@ def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
 
 
 def _layout(height: int) -> Figure:
-    # Above the panels' headings.
+    # Above the headings of the panels.
     legend = {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"}
     return layout(height, 60, 12, 66, 44, hovermode="x unified", legend=legend)
 

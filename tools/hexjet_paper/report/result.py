@@ -23,20 +23,20 @@ class Offset:
     controller: str
     time: list[float]  # s after the load came on board
     roll: list[float]  # rad
-    late: float  # rad, mean over the last second
+    late: float  # rad, mean of the last second
 
 
-Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and what was flown
+Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and flown
 
 
 @dataclass(frozen=True)
 class Manual:
     """The Hex-Jet's manual flight."""
 
-    numbers: dict[str, float]  # by the printed numbers' keys
+    numbers: dict[str, float]  # by key of the printed numbers
     time: list[float]  # s
     angle: Tracked  # rad
-    rate: Tracked  # rad/s, as the gyro gives them
+    rate: Tracked  # rad/s, as the gyro measures them
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Identified:
     """What the identification found: numbers by the printed ones' keys, and the responses they were fitted to."""
 
     numbers: dict[str, float]
-    responses: dict[str, Response]  # turbojet, edf, roll
+    responses: dict[str, Response]  # by "turbojet", "edf" or "roll"
     deviation: tuple[float, float]  # dB, deg: worst, from the printed G(z)
     band: tuple[float, float]  # Hz
 

@@ -27,7 +27,7 @@ class Factor(NamedTuple):
     assessment: str
     name: str
     evidence: str
-    level: None = None  # 0 to 4: to be filled in, with the rest
+    level: None = None  # 0 to 4, filled in by a person
     reason: str = ""
     judged_by: str = ""
 
@@ -38,19 +38,19 @@ class Evidence:
 
     aircraft: str
     engine: str
-    is_shipped: bool  # aircraft and engine are the package's
-    version: str  # of the package that flew
-    own_code: Sequence[str]  # files of the user's that flew
-    uncertainty_source: str | None  # None: no table; empty: none stated
+    is_shipped: bool  # aircraft and engine are shipped ones
+    version: str  # version of the package that flew
+    own_code: Sequence[str]  # files of the user that flew
+    uncertainty_source: str | None  # None: no table; empty: no source stated
     is_engine_drawn: bool
-    varied: int  # keys that were drawn
-    not_varied: Sequence[str]  # kinds of numbers of which none varied
-    ranked: int  # drawn keys whose effect could be judged
-    searched: bool  # for the worst case, over all keys
-    warnings: Sequence[str]  # of the use: model far off, no proof
-    replayed: int  # flights of the proof flown again
+    varied: int  # number of drawn keys
+    not_varied: Sequence[str]  # kinds of numbers that no key varied
+    ranked: int  # drawn keys whose effect was estimated
+    searched: bool  # True: the worst case was searched for
+    warnings: Sequence[str]  # use outside the design, or no proof
+    replayed: int  # flights of the proof that were repeated
     replayed_same: int
-    comparisons: Sequence[Mapping[str, Any]] = ()  # replay.json of recorded flights
+    comparisons: Sequence[Mapping[str, Any]] = ()  # contents of replay.json files
 
 
 def read_comparison(path: Path) -> dict[str, Any]:

@@ -72,10 +72,10 @@ Say = Callable[[str], None]
 class Request:
     """What a proof is to have beside its flights."""
 
-    limit: bool = True  # distance of the controller to the best
+    limit: bool = True  # whether to compute performance limits
     search: int = 0  # flights for each search; 0: none
     rare: int = 0  # flights for rare failures; 0: none
-    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # replay.json of recorded flights
+    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # contents of replay.json files
 
 
 def fly_study(
@@ -175,7 +175,7 @@ def _conclude(
 
 def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> Iterator[WorstFlight]:
     """Fly those with the smallest margins again, and the failed one that is nearest to the middle of the draws."""
-    shutil.rmtree(out / WORST, ignore_errors=True)  # a stopped proof may have left some
+    shutil.rmtree(out / WORST, ignore_errors=True)  # left by an interrupted proof
     rows = [campaign.row(int(number)) for number in table.flight]
     margins = np.array([row_margin(row, campaign.study) for row in rows])
     failed = np.flatnonzero(~table.success)
@@ -190,7 +190,7 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
         try:
             again = fly_again(campaign, number, out / run)
             is_same, same = again.same, again.sameness
-        except (FlightError, InputError):  # it failed so the first time too
+        except (FlightError, InputError):  # it failed in the same way the first time
             run, is_same, same = "", row["outcome"] == "failed", "failed again"
         values = {name: row[name] for name in campaign.study.drawn}
         reason = str(row["reason"])

@@ -72,6 +72,6 @@ def _proven(
         for index in indices
         if isinstance(value := column[index], (int, float)) and isfinite(value)
     ]
-    broken = len(indices) - sum(margin >= 0.0 for margin, _ in margins)  # one that was not tested is not kept
+    broken = len(indices) - sum(margin >= 0.0 for margin, _ in margins)  # one not evaluated counts as missed
     least, flight = min(margins, default=(None, None))
     return ProvenRequirement(label, says, broken, len(indices), least, unit, flight)

@@ -21,11 +21,11 @@ class ProvenRequirement:
 
     label: str  # R1, R2, ...
     says: str
-    broken: int  # flights that did not keep it
+    broken: int  # flights that missed it
     told: int
-    margin: float | None  # smallest, in unit; below 0: broken
+    margin: float | None  # smallest, in unit; below 0: missed
     unit: str
-    flight: int | None  # which had it
+    flight: int | None  # flight with the smallest margin
 
 
 @dataclass(frozen=True)
@@ -33,14 +33,14 @@ class WorstFlight:
     """A flight of the campaign that was flown again, recorded in full."""
 
     flight: int
-    why: str  # it was chosen
+    why: str  # why this flight is shown
     outcome: str
     reason: str
-    margin: float  # of the row: below 0 where it failed
-    values: Mapping[str, Any]  # of the drawn keys
-    run: str  # its folder; empty: it could not fly
-    is_same: bool  # as it was in the campaign
-    again: str  # in words
+    margin: float  # of the row; below 0: failed
+    values: Mapping[str, Any]  # values of the drawn keys
+    run: str  # folder of the run; empty: not flown
+    is_same: bool  # True: same result as in the campaign
+    again: str  # sentence on the repetition
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Part:
     """A part of a proof that another method does, as its result; or why it was not done."""
 
     result: Mapping[str, Any] | None
-    says: str  # what it came to, or why not done
+    says: str  # result in words, or why not done
 
 
 @dataclass(frozen=True)
@@ -56,18 +56,18 @@ class Proof:
     """All of a proof.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
 
     folder: Path
-    study: Mapping[str, Any]  # its name, scenario, vehicle, seed
+    study: Mapping[str, Any]  # name, scenario, vehicle and seed
     claim: ClaimResult
     requirements: Sequence[ProvenRequirement]
     uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
-    over: str  # what the probability is over, in words
+    over: str  # population of the probability, in words
     worst: Sequence[WorstFlight]
-    likely: Part  # the most likely failure, searched for
-    worst_case: Part  # the worst case, searched for
-    rare: Part  # failure probability, by levels
-    limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
-    axis: str  # whose limit the sentence states
-    not_varied: Sequence[str]  # kinds of numbers, fixed in every flight
+    likely: Part  # search for the most likely failure
+    worst_case: Part  # search for the worst case
+    rare: Part  # failure probability by subset simulation
+    limits: Mapping[str, AxisLimit | str]  # limit by axis; or why there is none
+    axis: str  # axis whose limit the sentence states
+    not_varied: Sequence[str]  # kinds of numbers that were never varied
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions

@@ -37,7 +37,7 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     table = _study_table(name)
     stated = table.get("until")
     if not claim and stated is None:
-        _open(name, **options)  # reports an unknown name first
+        _open(name, **options)  # an unknown name is reported first
         raise InputError(f"{name}: states no claim (until); claim says what is to be shown, such as 99.9%@95%")
     where = "claim" if claim else f"{name}: until ="
     claim = str(claim or stated)
@@ -45,9 +45,9 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     study = _open(name, until=claim, design="random", runs=runs, **options)
     if not any(
         options.get(key) for key in ("settings", "controllers", "success", "vary")
-    ):  # what flies is what the title says
+    ):  # the title must state what flies
         said = {key: table[key] for key in ("title", "description") if key in table}
-        if "title" in said and stated is not None and claim != str(stated):  # the file's words are of its own claim
+        if "title" in said and stated is not None and claim != str(stated):  # the file's title is on its own claim
             said = {"title": f"{table['name']}: {claim} in place of the {stated} that its file states"}
         study = study.changed(**said)
     return _checked(study)

@@ -210,7 +210,7 @@ def _bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     """Return an upper bound: the probability of a margin that every repeat has reached, which no failure exceeds."""
     if any(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats if not repeat.levels[-1].below):
         return _counted_bound(simulations)
-    # each upper end alone is of a confidence that leaves their sum that of the whole
+    # Upper bounds are added, so each has a smaller error probability, of which the sum is that of the whole.
     confidence = 1.0 - 2.0 * (1.0 - CONFIDENCE) / len(simulations)
     bounds = [_reached_by_all(repeats, confidence) for repeats in simulations]
     reached = ", ".join(f"{margin:.3g}" for margin, _ in bounds)

@@ -44,7 +44,7 @@ def resolve_rare(
     """
     plan = Plan(Budget(target, budget), not same_seed)
     plan.budget.check()
-    # the points are not those of a study's design; as many runs as any claim of its file may need
+    # The points do not come from the study's design, and a claim in its file may need up to MAX_TESTED runs.
     study = open_study(name, **options | {"design": "random", "runs": MAX_TESTED})
     study = study.changed(until=None, runs=budget)
     only_controller(study, ASKED)

@@ -28,7 +28,7 @@ class Group:
 
     columns: tuple[int, ...]
     spreads: tuple[float, ...]
-    others: tuple[tuple[int, ...], ...] = ()  # the columns of each other group
+    others: tuple[tuple[int, ...], ...] = ()  # columns of every other group
 
     def judge(self, margins: Array) -> tuple[Array, Array]:
         """Return of each flight (a row of margins) the margin of this group, and which part of a failure it counts."""

@@ -83,7 +83,7 @@ def search_nearest(
         requested.update(asked)
         yield from prober.fly(asked)
         rows = [prober.rows[key] for key in asked]
-        # what cannot be flown is no failure that a search finds
+        # A flight that cannot be flown is not a failure that a search may find.
         return np.array([np.nan if row["outcome"] == "failed" else row_margin(row, study) for row in rows])
 
     steps = descend(Ball(LIKELY_WITHIN), space.dimension, budget, study.seed, nearest=True)

@@ -128,7 +128,7 @@ def _levels(result: RareResult) -> Figure:
 def _curve(repeat: Repeat) -> tuple[list[float], list[float]]:
     """Return margins, falling, and the probability of less than each, level by level."""
     margins: list[float] = []
-    points = 40  # of a curve, at even parts of a level
+    points = 40  # points of a curve per level
     for level in repeat.levels:
         inside = np.unique(level.margins[level.margins >= level.threshold])[::-1]
         margins += inside[:: max(1, inside.size // points)].tolist()

@@ -13,7 +13,7 @@ from hexjet_prove.rare.groups import Group, group_requirements
 from hexjet_prove.rare.subset import Candidates, Repeat, first_level, subset_simulation
 from hexjet_prove.search.line_search import run_together
 
-Place = tuple[int, int]  # a repeat, and a group (first level: 0)
+Place = tuple[int, int]  # repeat and group (first level: 0)
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ class RareResult:
         for failure in self.failures:
             name = str(self.rows[failure.number].get("decided_by") or "")
             parts[name] = parts.get(name, 0.0) + failure.weight
-        parts.pop("", None)  # of flights that could not be flown
+        parts.pop("", None)  # "": flights that could not be flown
         return dict(sorted(parts.items(), key=lambda part: (-part[1], part[0])))
 
     @property
@@ -229,7 +229,7 @@ def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
     space = NormalSpace(study)
     flyer = _Flyer(study, space, controller)
     seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
-    # The draws of a study have the streams 0 and 1 of its seed.
+    # Streams 0 and 1 of a study's seed are those of its draws.
     streams = np.random.SeedSequence(study.seed, spawn_key=(2,)).spawn(plan.budget.repeats)
     randoms = [np.random.default_rng(stream) for stream in streams]
     simulations = yield from answer_by(simulate_groups(space.dimension, plan.budget, randoms, seed), flyer.margins)
@@ -250,7 +250,7 @@ class _Flyer:
         self.requirements, self._margins_of = requirement_margins(study)
         self.rows: list[Row] = []
         self._points: list[Array] = []
-        self._numbers: dict[Place, list[int]] = {}  # of each simulation's own rows
+        self._numbers: dict[Place, list[int]] = {}  # row numbers of each simulation
 
     def margins(self, asked: Mapping[Place, Candidates]) -> Asking[dict[Place, Array]]:
         """Return the margins of candidates, a column a requirement.  Raises FlightError if flights cannot be flown."""

@@ -58,7 +58,7 @@ class Level:
     """
 
     margins: Array
-    numbers: Index  # each state's flight, within the repeat
+    numbers: Index  # flight of each state in the repeat
     threshold: float
     below: float
     shares: Array
@@ -152,10 +152,10 @@ def subset_simulation(
     count, dimension = first.points.shape
     states = _States(first.points, first.seeds, *group.judge(flown), np.arange(count))
     levels: list[Level] = []
-    judgements: list[Array] = [np.zeros((0, 2))]  # whether new seed, whether accepted
-    flights, scale = count, 0.6  # of the spread (Papaioannou et al.)
-    target_accepted = 0.44  # part of steps (Papaioannou et al.)
-    redraw_probability = 0.5  # probability, for a candidate
+    judgements: list[Array] = [np.zeros((0, 2))]  # columns: new seed, accepted
+    flights, scale = count, 0.6  # relative spread (Papaioannou et al.)
+    target_accepted = 0.44  # acceptance rate (Papaioannou et al.)
+    redraw_probability = 0.5  # of a candidate, to draw a new seed
     while True:
         failed = states.margins < 0.0
         least = round(LEVEL_FRACTION * failed.size)
@@ -242,7 +242,7 @@ class _LinearModel:
         self._norm = sqrt(float(self._slopes @ self._slopes) + self._residual**2)
         weights = np.exp(self.log_weight(points))
         chosen = weights[below]
-        # how much of what the model would draw is below the threshold, times how evenly it covers what is
+        # Fraction of the model's weight that is below the threshold, times how evenly it covers the points there.
         agreement = float(np.sum(chosen)) ** 3 / max(
             float(np.sum(weights)) * below.size * float(chosen @ chosen), 1e-300
         )

@@ -28,7 +28,7 @@ class Scan:
 
     positions: tuple[float, ...]
     breaks: tuple[bool, ...]
-    change: tuple[float, float] | None  # last as the start is, first that is not
+    change: tuple[float, float] | None  # last as at the start, first that is not
 
     @property
     def start_breaks(self) -> bool:

@@ -32,7 +32,7 @@ from cosim.base.errors import InputError
 from hexjet_prove.search.line_search import scan_outward
 
 R = TypeVar("R")
-Steps = Generator[Array, Array, R]  # yields rows of points, gets margins
+Steps = Generator[Array, Array, R]  # yields rows of points, is sent margins
 
 DISTANCE_RESOLUTION = 0.01  # standard deviations, of a failure
 
@@ -145,7 +145,7 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
     """
     descent = _Descent(region, dimension, budget, nearest)
     starts = begun = 0
-    # The corners of a box are evaluated first, if they are no more than the budget over this.
+    # The corners of a box are evaluated first if they need no more than this part (1/4) of the budget.
     budget_over_corners = 4
     try:
         yield from descent.margins(np.zeros((1, dimension)))
@@ -175,17 +175,17 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
 def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
     """Run one descent until it has converged, or goes where an earlier one has ended."""
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
-    # A generation with less spread than this part of the region has converged, if it is the best.
+    # A generation whose spread is below this fraction of the region has converged, if it is the best so far.
     narrow_if_best = 0.02
-    narrow_otherwise = 0.08  # the same for any other
-    max_stalled = 12  # generations that were no better
-    min_improvement = 0.001  # of a generation's largest difference
+    narrow_otherwise = 0.08  # the same for all other generations
+    max_stalled = 12  # generations without improvement
+    min_improvement = 0.001  # of a generation's range of margins
     while descent.region.size > 0.0 and not optimiser.should_stop():
         size = descent.region.size
         points = descent.region.project(np.array([optimiser.ask() for _ in range(optimiser.population_size)]))
         found = yield from descent.margins(points)
         known = found[~np.isnan(found)]
-        margins = np.where(np.isnan(found), np.max(known, initial=0.0) + 1.0, found)  # ranked behind those that exist
+        margins = np.where(np.isnan(found), np.max(known, initial=0.0) + 1.0, found)  # missing margins rank last
         optimiser.tell(list(zip(points, margins.tolist(), strict=True)))
         yield from descent.shrink()
         least = int(np.argmin(margins))
@@ -246,7 +246,7 @@ class _Descent:
 
     def is_known(self, point: Array, margin: float) -> bool:
         """Return whether an earlier descent has ended near a point, with a margin that is no larger."""
-        # A descent that comes so near to the end of an earlier one (of the region's size) ends there too.
+        # A descent that comes this close (of the region's size) to the end of an earlier one is ended.
         max_distance = 0.8
         near = max_distance * self.region.size
         return any(low <= margin and float(np.linalg.norm(point - end)) < near for end, low in self.ends)
@@ -263,12 +263,12 @@ class _Descent:
         def between(a: float, b: float) -> float | None:
             return None if (b - a) * reach <= DISTANCE_RESOLUTION * (1.0 + 1e-9) else 0.5 * (a + b)
 
-        count = 4  # evaluated at a time, towards a failure
+        count = 4  # points per step towards a failure
         way = scan_outward([step / count for step in range(count + 1)], between)
         try:
             asked = next(way)
             while True:
-                places = np.array([place for place in asked if place < 1.0])  # the end was evaluated already
+                places = np.array([place for place in asked if place < 1.0])  # the end point is known already
                 margins = (yield from self.margins(places[:, None] * end)) if len(places) else ()
                 asked = way.send(
                     [*(bool(margin < 0.0) for margin in margins), *(True for place in asked if place >= 1.0)]

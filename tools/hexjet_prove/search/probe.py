@@ -17,7 +17,7 @@ from cosim.studies import EngineDraw, Flight, Row, Study, Value
 
 A = TypeVar("A")
 R = TypeVar("R")
-Asking = Generator[list[Flight], Iterator[Row], R]  # a sampler, or a part of one
+Asking = Generator[list[Flight], Iterator[Row], R]  # generator of flights, is sent rows
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class PointResult:
     broken: int
     flights: int
     breaks: bool
-    worst: Row  # of the first seed that broke, or first
+    worst: Row  # first seed that broke, or the first
 
 
 def count_needed(fraction: float, flights: int) -> int:

@@ -48,7 +48,7 @@ class Case:
     seed: int
     outcome: str
     reason: str  # in words
-    same: bool  # as it was before, see ``again``
+    same: bool  # True: same result again, see ``again``
     again: str  # what is the same
 
 
@@ -89,7 +89,7 @@ class Answered(Generic[A]):
 
 def fly_cases(campaign: Campaign, chosen: Iterable[tuple[str, int, bool, float | None]]) -> tuple[Case, ...]:
     """Fly flights once more, recorded in full in ``cases/``: of each the name, the number, and two fields of a case."""
-    shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # a stopped search may have left some
+    shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # left by an interrupted search
     return tuple(_fly_case(campaign, *case) for case in chosen)
 
 
@@ -99,7 +99,7 @@ def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance
     outcome, reason, same, what = "failed", str(row["reason"]), True, ""
     try:
         again = fly_again(campaign, number, campaign.folder / CASES / name)
-    except FlightError:  # it failed so the first time too
+    except FlightError:  # it failed in the same way the first time
         same = row["outcome"] == "failed"
     except InputError as error:
         reason, same = str(error), False

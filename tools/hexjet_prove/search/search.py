@@ -48,8 +48,8 @@ class Plan:
     spans: tuple[Span, ...]
     over: SecondKey | None = None
     seeds: tuple[int, ...] = (1,)
-    share: float = 0.0  # of a point's flights; 0: any breaks it
-    draws_engine: bool = False  # in all flights of a point but the first
+    share: float = 0.0  # of a point's flights; 0: one is enough
+    draws_engine: bool = False  # True: engines drawn in further flights
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
         """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
@@ -81,18 +81,18 @@ class Edge:
     key: str
     unit: str
     side: Side
-    level: Value | None  # of the second key
+    level: Value | None  # value of the second key
     start: Value
     start_breaks: bool
-    holds: Value | None  # last before breaks, or first further out
-    breaks: Value | None  # first that breaks; None: none does
+    holds: Value | None  # last value before breaks, or None
+    breaks: Value | None  # first value that breaks; None: none
     end: Value
-    deviation: float | None  # of breaks, over the way to the end
+    deviation: float | None  # of breaks, over the range searched
     bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, whether it breaks
     flown: int
     broken: int  # flights that broke at the breaking point
     outcome: str
-    reason: str  # reason of the first of them
+    reason: str  # reason of the first that broke
 
     @property
     def comes_back(self) -> bool:
@@ -185,7 +185,7 @@ def describe_flight(study: Study, row: Row) -> str:
     return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
 
 
-# ---- one key
+# ---- searches of one key
 
 
 @dataclass(frozen=True)

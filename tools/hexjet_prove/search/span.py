@@ -53,7 +53,7 @@ class Span:
 
     def value_at(self, deviation: float) -> Value:
         """Return the value at a deviation, rounded and limited to one that the key accepts."""
-        # twelve digits: 0.3 and not 0.30000000000000004; the ends are themselves
+        # Twelve digits, so 0.3 and not 0.30000000000000004; the ends stay exact.
         return self.key.fit(min(max(float(f"{self.number_at(deviation):.12g}"), self.low), self.high))
 
     def number_at(self, deviation: float) -> float:

@@ -42,8 +42,8 @@ class WorstPlan:
     likely: bool = False
     within: float | None = WORST_WITHIN
     seeds: tuple[int, ...] = (1,)
-    budget: int = 1000  # flights of the search, a controller
-    seed: int = 1  # of the search itself
+    budget: int = 1000  # flights per controller
+    seed: int = 1  # seed of the search itself
 
     def table(self) -> dict[str, Any]:
         """Return the plan as a table of TOML."""
@@ -76,7 +76,7 @@ class KeyEffect:
     middle: Value | None  # at the middle of its distribution
     place: float  # standard deviations, or half ranges
     share: float
-    without: float | None  # None: there is no such flight
+    without: float | None  # None: no such flight was made
     alone: float | None
 
 
@@ -90,20 +90,20 @@ class WorstCase:
 
     controller: str
     margin: float
-    middle_margin: float | None  # in the middle of everything, if flown
+    middle_margin: float | None  # all keys at the middle, if flown
     distance: float | None
     values: Mapping[str, Value]
-    seed: int  # the point's with the smallest margin
+    seed: int  # seed with the smallest margin there
     flight: int  # its number in the folder
     outcome: str
     reason: str
     effects: tuple[KeyEffect, ...]
-    flights: int  # of the search
-    since: int  # of them, after the last that was better
-    starts: int  # descents that were begun
-    flat: float  # share with the most common margin
-    impossible: int = 0  # points that are no vehicle or scenario
-    impossible_reason: str = ""  # of the first of them
+    flights: int  # flights of the search
+    since: int  # flights since the last improvement
+    starts: int  # descents started
+    flat: float  # fraction with the most common margin
+    impossible: int = 0  # points that no vehicle or scenario has
+    impossible_reason: str = ""  # reason of the first of these
 
     @property
     def fails(self) -> bool:
@@ -134,7 +134,7 @@ class WorstSearch:
             f"{', and the smallest margin counts' if many else ''}: they are not searched"
         ]
         lines += [self.study.engine_note] if self.study.engine_note else []
-        # Where more than this part of the flights has one margin, the result says that it learnt little.
+        # If more than this fraction of the flights has the same margin, the result says that the search learnt little.
         max_flat = 0.5
         for case in self.cases:
             if case.impossible:
@@ -252,7 +252,7 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
     study, before = prober.study, prober.flights
     margins = PlaceMargins(plan, prober, space, controller)
     region = Box() if plan.within is None else Ball(plan.within)
-    budget = max(1, plan.budget // len(plan.seeds))  # points
+    budget = max(1, plan.budget // len(plan.seeds))  # number of points
     steps = descend(region, space.dimension, budget, plan.seed, plan.likely)
     found = yield from answer_by(steps, margins.evaluate)
     flights, flat = prober.flights - before, max(margins.counts.values(), default=0) / max(margins.counts.total(), 1)

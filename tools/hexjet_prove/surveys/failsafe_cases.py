@@ -26,9 +26,9 @@ class Case(NamedTuple):
     name: str
     first_requests: tuple[Request, ...]
     failing_requests: tuple[Request, ...]
-    holds: bool = False  # ends in HOLD, not on the ground
-    moving: bool = False  # without a position: it begins moving too
-    waits: bool = False  # until the fuel is low, with no request
+    holds: bool = False  # True: ends in HOLD, not on the ground
+    moving: bool = False  # position is lost, also while moving
+    waits: bool = False  # waits for low fuel, without a request
 
 
 def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:

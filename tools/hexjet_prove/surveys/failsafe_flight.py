@@ -60,12 +60,12 @@ class FailsafeAutopilot(Model):
     """
 
     name: Literal["failsafes"]
-    trip_m_s: float | None = None  # tips over legs that catch; None: never
+    trip_m_s: float | None = None  # m/s at which legs tip; None: never
     failsafe: str = ""  # what fails; empty: nothing
-    height_m: float = 0.0  # above the ground, when it fails
-    speed_m_s: float = 0.0  # ahead; 0: it holds
-    number: int = 0  # in its cell; 0: it begins in the air
-    hover_s: float = 0.0  # from the take-off until something fails
+    height_m: float = 0.0  # above the ground, at the failure
+    speed_m_s: float = 0.0  # forward; 0: it hovers
+    number: int = 0  # in its cell; 0: begins in the air
+    hover_s: float = 0.0  # from take-off to the failure
     endurance_s: float | None = None  # of a battery that is to run down
 
     @property
@@ -117,7 +117,7 @@ class FailsafeFlight:
         self._ending: Ending | None = None
         self._touchdown = self._sideways = self._touched = nan
         self._acted = ""
-        self.refused = ""  # why there is no take-off
+        self.refused = ""  # why it did not take off
 
     def fly_case(self) -> tuple[dict[str, float], Verdict]:
         """Fly until something fails, and on to the end; return what was measured, and what became of it."""
@@ -132,7 +132,7 @@ class FailsafeFlight:
             self.ask(case.first_requests)
             self.settle()
         if table.speed_m_s:
-            # whatever it was on its way to; further than it comes, so that it does not brake
+            # Whatever it was flying to, it gets a target out of reach, so that it does not brake.
             self.ask((Goto(1000.0, speed=table.speed_m_s),))
             self.fly(MOVING_S)
         if case.waits:
@@ -173,7 +173,7 @@ class FailsafeFlight:
         """Fly until the vehicle holds."""
         simulation, slow = self.simulation, 0
         dt = simulation.dt
-        min_settled_s = 5.0  # holding before anything fails, at least
+        min_settled_s = 5.0  # s of hover before the failure, at least
         while simulation.k * dt < MAX_SETTLING_S:
             self._step()
             north, east, down = simulation.state.velocity
@@ -184,7 +184,7 @@ class FailsafeFlight:
     def take_off(self) -> bool:
         """Climb from standing, once home is known, and hold; return False where there is too little fuel for it."""
         height = self.table.height_m
-        self.fly(1.1)  # home is known then
+        self.fly(1.1)  # home is known after this
         self.ask((Arm(),))
         if self.case.waits:
             self.refused = self.pilot.energy.describe_climb_shortage(self.pilot.status.altitude + height)
@@ -204,7 +204,7 @@ class FailsafeFlight:
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((MAX_HOLD_S if case.holds else MAX_FLIGHT_S + PER_METRE_S * table.height_m) / dt)
-        disarmed_s = 1.0  # flights of a cell but the first
+        disarmed_s = 1.0  # s, flights of a cell but the first
         watched, disarmed, thrust = LATER_S if table.number <= 1 else disarmed_s, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k

@@ -65,23 +65,23 @@ class Row:
     failsafe: str
     height_m: float
     wind_m_s: float
-    speed_m_s: float  # ahead, as it failed; 0: it held
+    speed_m_s: float  # forward, at the failure; 0: it hovered
     verdict: Verdict
-    touchdown_m_s: float  # sinking in the step before a touch
-    sideways_m_s: float  # over the ground in such a step
+    touchdown_m_s: float  # sink rate in the step before touchdown
+    sideways_m_s: float  # ground speed just before touchdown
     thrust_n: float  # of all engines, 10 s after disarming
-    after_s: float  # from the failure to the first touch
-    drift_m: float  # from where it failed to where it ended
-    reason: str  # of a crash, or of the autopilot's act
-    # of what is to hold, at the end, from the place and the height that it was to hold
+    after_s: float  # s from the failure to touchdown
+    drift_m: float  # m from the failure to the end
+    reason: str  # of a crash, or of the failsafe
+    # Distance at the end from the place, and from the height, that a holding vehicle was to keep.
     off_m: float
     height_off_m: float
-    log_sha256: str  # of every sample of the flight
-    number: int = 0  # in its cell; 0: it began in the air
-    hover_s: float = nan  # from the take-off until it failed
+    log_sha256: str  # hash of all samples of the flight
+    number: int = 0  # in its cell; 0: began in the air
+    hover_s: float = nan  # from take-off to the failure
     margin_m_s: float = nan  # of touchdown; below 0: too fast
-    margin_m: float = nan  # of holding; below 0: it does not
-    flight: int = 0  # its number in the campaign
+    margin_m: float = nan  # of holding; below 0: it did not
+    flight: int = 0  # number of the flight in the campaign
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Conditions:
 
     heights: Sequence[float] = ()
     winds: Sequence[float] = WINDS_M_S
-    speed: float = 5.0  # above cruise, below a full lean's drag
+    speed: float = 5.0  # m/s, above cruise, below a full lean's
     flights: int = 3
     airborne: bool = False
     seed: int = 0
@@ -141,7 +141,7 @@ class PlannedFlight(NamedTuple):
 
     case: Case
     start: Start
-    number: int  # in its cell; 0: it begins in the air
+    number: int  # in its cell; 0: begins in the air
 
     @property
     def name(self) -> str:
@@ -161,7 +161,7 @@ class FailsafePlan(NamedTuple):
     controller: str
     trip_m_s: float
     study: Study
-    flights: dict[str, PlannedFlight]  # by the names of their cases
+    flights: dict[str, PlannedFlight]  # by name of the case
     airborne: bool
     engine_note: str
 
@@ -221,7 +221,7 @@ class FailsafeSurvey:
     def __init__(self, plan: FailsafePlan, campaign: Campaign) -> None:
         self.aircraft, self.engine = aircraft_name(plan.subject.aircraft), plan.subject.engine
         self.controller, self.engine_note = plan.controller, plan.engine_note
-        # A leg that touches faster counts as a crash; what touches faster sideways than it tips has slid.
+        # A leg that touches faster counts as a crash; a sideways speed above the tipping speed counts as a slide.
         self.limit_m_s, self.trip_m_s = plan.subject.vehicle.limits.touchdown_m_s, plan.trip_m_s
         self.rows = [_row(plan.flights[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
 
@@ -277,7 +277,7 @@ def draw_flight(
     initial: dict[str, Any] = {"on_ground": True}
     table = {"hover_s": hover}
     if case.waits:
-        # of the tank at the end of the hover: what the way down takes with its margin, or the least in per cent
+        # Of the tank at the end of the hover: fuel for the descent with its margin, or the per-cent threshold.
         seconds = (1.0 + energy.margin) * energy.descent_time(start.height)
         reserve = energy.floor
         if vehicle.fuel is None:

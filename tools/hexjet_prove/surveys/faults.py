@@ -71,13 +71,13 @@ class Row:
     start: str
     controller: str
     verdict: Verdict
-    lean_deg: float  # largest, from upright, from the fault on
-    lost_m: float  # height lost from the fault on
-    detected_s: float | None  # from the fault to the first verdict
+    lean_deg: float  # largest lean after the fault
+    lost_m: float  # height lost after the fault
+    detected_s: float | None  # s from the fault to its detection
     reason: str
-    controller_sha256: str | None = None  # of one from outside
-    margin_deg: float | None = None  # held by; below 0: the less, the earlier
-    flight: int = 0  # its number in the campaign
+    controller_sha256: str | None = None  # of a user's controller
+    margin_deg: float | None = None  # to "held"; below 0: worst if early
+    flight: int = 0  # number of the flight in the campaign
 
 
 class FaultMetrics:
@@ -159,7 +159,7 @@ class FaultPlan(NamedTuple):
 
     subject: Subject
     study: Study
-    cases: dict[str, tuple[Case, str]]  # by name in the study, with their starts
+    cases: dict[str, tuple[Case, str]]  # case and start by name in the study
     engine_note: str  # whether an uncertain engine is drawn
 
 
@@ -208,7 +208,7 @@ class FaultSurvey:
         self.aircraft, self.engine, self.engine_note = plan.subject.vehicle.name, plan.subject.engine, plan.engine_note
         self.rows = [_row(*plan.cases[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
         self.custom_controllers = list(_custom_controllers(plan.study))
-        # Where a design is not flown as what it was made for.
+        # If a design flies with other inputs than it was made for.
         self.warnings = design_warnings(plan.study)
 
     @property

@@ -100,7 +100,7 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
     if not roll.size:
         return nan, nan, None
     upright = np.cos(roll) * np.cos(pitch)
-    # A column is NaN where a vehicle has no such jet.
+    # A column is NaN if the vehicle has no such jet.
     health = np.nanmin([log[f"health_{jet}"] for jet in range(1, jets_in(log.columns) + 1)], 0)
     ill = np.flatnonzero(health < 1.0)
     lean = degrees(float(np.arccos(np.clip(upright.min(), -1.0, 1.0))))
@@ -109,6 +109,6 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
 
 def held_formula(duration_s: float) -> str:
     """Return what a vehicle keeps that is held: every axis level to 5 deg over the last second."""
-    max_error_deg = 5.0  # held: within it on all axes for 1 s
+    max_error_deg = 5.0  # held: all axes within it for 1 s
     level = " and ".join(f"abs({axis}_error_deg) <= {max_error_deg:g}" for axis in AXES)
     return f"after({duration_s - 1.0:.9g} s, always({level}))"

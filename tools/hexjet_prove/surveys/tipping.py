@@ -64,9 +64,9 @@ def tip_speed(aircraft: str, engine: str, above_m: float = 0.005) -> float:
         sensor_noise=False,
         vehicle={"contacts": contacts},
     )
-    fastest_m_s = 8.0  # no faster is tried
+    fastest_m_s = 8.0  # no faster speed is tried
     slowest = fastest_m_s
-    resolution_m_s = 0.02  # the speed is found to this
+    resolution_m_s = 0.02  # resolution of the speed found
     for heading in HEADINGS_DEG:
         if not _tips(scenario, slowest, heading):
             continue

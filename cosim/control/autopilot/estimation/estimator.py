@@ -103,8 +103,8 @@ class Estimator:
         angle_noise = max(attitude.noise_rad, _MIN_NOISE[0])
         self._angle_noise = angle_noise**2
         self._rate_noise = max(gyro.noise_rad_s, _MIN_NOISE[1]) ** 2
-        # Of two integrators behind white noise: the filter's bandwidth squared is walk over measurement noise.  Thirty
-        # times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait.
+        # Two integrators behind white noise: the bandwidth squared is walk over measurement noise. A rate loop is some
+        # four times as fast as the attitude gain; thirty times that gain delays it by a tenth of its time.
         self._rate_walk = (30.0 * gain) ** 2 * sqrt(self._angle_noise * step)
         self._angle = Kalman(step, 0, (0.0, angle_noise, _GYRO_BIAS_AT_START))
         self._period, self._latency = gnss.period_samples, gnss.latency_samples
@@ -119,7 +119,7 @@ class Estimator:
 
     def reset(self, measured: Measured | None) -> None:
         """Start as if the vehicle had been at rest as ``measured``; None: as the first measurement says."""
-        # What the loops fly with.
+        # Measurement that the loops fly with.
         self.measured = measured
         self.euler: Vector3 = ZERO3 if measured is None else to_euler(measured.attitude)
         self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0) if measured is None else measured.attitude
@@ -137,7 +137,7 @@ class Estimator:
         else:
             self.vertical.reset(measured.altitude, -measured.velocity[2])
             self._position.reset((measured.position[0], measured.position[1]))
-        # Its bias changes too little within the receiver's latency to count.
+        # The gyro's bias changes too little within the receiver's latency to matter.
         self.vertical.turn = 0.0
         self.fix = self._position.fix
         self._last_force: Vector3 | None = None
@@ -147,7 +147,7 @@ class Estimator:
         self._refusal_s = self._agreement_s = self._fix_refusal_s = 0.0
         self._is_implausible = self._is_handed_over = False
         self._offset, self._epochs = 0.0, 0
-        # m/s^2: the specific force upwards, as last felt
+        # m/s^2: upward specific force as last measured.
         self._lift = GRAVITY
 
     def update(
@@ -230,7 +230,7 @@ class Estimator:
     @property
     def has_position(self) -> bool:
         """Whether GNSS fixes arrive."""
-        # The lean alone is off by half a metre after a second, for a degree that it is wrong.
+        # Dead reckoning by the lean alone drifts half a metre in the first second for each degree of error.
         return self._position.silent <= 1.0
 
     @property
@@ -249,7 +249,7 @@ class Estimator:
         """How reliable the estimates are."""
         (position_deviation, speed), (height, climb) = self._position.deviation, self.vertical.deviation
         lean, has_position = sqrt(self._angle.vv), self.has_position
-        # m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH.
+        # m/s, one standard deviation: a less certain speed is not reported as valid, as PX4's COM_VEL_FS_EVH does.
         sure = 1.0
         return EstimateQuality(
             has_position,
@@ -292,13 +292,13 @@ class Estimator:
         if has_rate:
             raw = _scale(_sum(rate, self._last_rate, self._filter_gain - 1.0), 1.0 / self._filter_gain)
         if has_rate is self._gyro_has_failed:
-            # Where the gyro works again the bias was minus the rate, where it stops it becomes that.
+            # Without a gyro the bias is minus the rate: convert it when it stops, start from 0 when it works again.
             self.gyro_bias = ZERO3 if has_rate else _sum(self.gyro_bias, self._raw_rate, -1.0)
             angle.uu = _GYRO_BIAS_UNKNOWN**2
             if not has_rate:
                 angle.vu = 0.0
         self._gyro_has_failed = not has_rate
-        # The mean of the rates at both ends, less the bias, as half an angle.
+        # Mean of the rates at both ends of the step, less the bias.
         mean = _scale(_sum(self._raw_rate, raw), 0.5) if has_rate else ZERO3
         x, y, z = _scale(_sum(mean, self.gyro_bias, -1.0), 0.5 * dt)
         self._last_rate, self._raw_rate = rate, raw
@@ -368,7 +368,7 @@ class Estimator:
             self._height_age = 0.0
         elif new_force:
             self._height_age += dt
-        # Where nothing moves, no sensor can be said to have stopped.
+        # Without motion constant readings do not show that a sensor has failed.
         return new_height or not new_force
 
     def _predict_height(
@@ -384,7 +384,7 @@ class Estimator:
             acceleration = self._lift - GRAVITY + vertical.u.real
             noise = dt * (max(self._force_noise, contact_noise**2) if has_contact else self._force_noise)
         else:
-            # Constant over a second, not white from step to step.
+            # An unmeasured acceleration is constant over about a second, not white from step to step.
             self._lift, acceleration, noise = GRAVITY, 0.0, unsensed**2
         vertical.move(acceleration)
         vertical.spread(dt, 1.0, noise, BIAS_WALK**2 * dt)
@@ -427,7 +427,7 @@ class Estimator:
             self._fix_refusal_s += between
             if self._fix_refusal_s < _SILENT_S or self.has_height:
                 return
-            # No other sensor is left: use it again, with the deviation of one reading.
+            # No other height sensor is left: use this one again, as uncertain as one reading.
             vertical.pv = vertical.vu = 0.0
             vertical.vv += error * error
         self._fix_refusal_s = 0.0
@@ -439,7 +439,7 @@ class Estimator:
             self._is_handed_over = False
         elif self._epochs:
             if not self._is_handed_over:
-                # The receiver's height has the uncertainty of its comparison with the barometer.
+                # The receiver's height is as uncertain as its comparison with the barometer.
                 vertical.pp += self._position_noise / self._epochs
                 self._is_handed_over = True
             self._correct_height(0, apart - self._offset, self._position_noise, latency)

@@ -65,7 +65,7 @@ class Kalman:
         """
         s, half = T * turn, 0.5 * T * T * turn
         vp, up, uv = self.pv.conjugate(), self.pu.conjugate(), self.vu.conjugate()
-        # F P, and then times F*
+        # F P; multiplying by the transpose of F follows.
         pp = self.pp + T * vp + half * up
         pv = self.pv + T * self.vv + half * uv
         pu = self.pu + T * self.vu + half * self.uu
@@ -79,7 +79,7 @@ class Kalman:
 
     def take_reading(self, which: int, noise: float) -> tuple[complex, complex, complex]:
         """Reduce the covariance by a reading of ``p`` (0) or ``v`` (1) with a variance; return the gains."""
-        # The row of the covariance, E[y conj(x)] of the reading's y.
+        # Row of the covariance for the reading's y: E[y conj(x)].
         row: tuple[complex, complex, complex]
         row = (self.pp, self.pv, self.pu) if which == 0 else (self.pv.conjugate(), self.vv, self.vu)
         total = row[which].real + noise

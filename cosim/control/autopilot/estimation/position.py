@@ -63,10 +63,10 @@ class PositionEstimator:
         self._gains, self._deviations = settling_gains(gains, gnss, step)
         position_noise, velocity_noise, force_noise = trusted_noise(sensors)
         self._position_noise, self._velocity_noise = position_noise**2, velocity_noise**2
-        # White from step to step: its spectral density is the variance times the step.
+        # White from step to step: the spectral density is the variance times the step.
         self._force_noise = step * (force_noise**2 + (GRAVITY * sensors.attitude.noise_rad) ** 2)
         self._lean = Kalman(step, self._latency, (0.0, 0.0, 0.0))
-        # m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together.
+        # m/s^2: 10 mg of accelerometer bias and 1 degree of attitude error together.
         bias_at_start = 0.2
         self.reckoning = Kalman(step, self._latency, (position_noise, velocity_noise, bias_at_start))
         self.reset((0.0, 0.0))
@@ -75,7 +75,7 @@ class PositionEstimator:
         """Start at rest at ``position``, with the deviation of one epoch of the receiver."""
         self._epoch = 0
         self._last: tuple[float, ...] = ()
-        # s without a new fix
+        # s since the last new fix
         self.silent = 0.0
         self._lean.reset(complex(*position), 0j)
         self.reckoning.reset(complex(*position), 0j)
@@ -112,7 +112,7 @@ class PositionEstimator:
             self._reckon(measured, acceleration)
         self._lean.move(acceleration, still)
         if k > self._latency and (k - self._latency) % self._period == 0:
-            # A receiver that has nothing new repeats itself to the last bit.
+            # A receiver without a new fix repeats the last one to the last bit.
             fix = (*measured.position, *measured.velocity[:2])
             fresh = fix != self._last or (still and not self._noisy)
             self.silent = 0.0 if fresh else self.silent + self._period * self._step

@@ -28,7 +28,7 @@ def settling_gains(
     T = sensor.period_samples * step
     F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
     qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2
-    # Integrals of the two white noises over the time between epochs.
+    # Integrals of the two white noises over the time between fixes.
     Q = qa * np.array([[T**3 / 3, T**2 / 2, 0.0], [T**2 / 2, T, 0.0], [0.0, 0.0, 0.0]])
     Q += qb * np.array([[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]])
     H = np.eye(2, 3)

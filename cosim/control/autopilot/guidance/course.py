@@ -25,15 +25,15 @@ class Landmarks:
     """Home, rally points, and the ground where the vehicle last took off."""
 
     def __init__(self) -> None:
-        self.rally: tuple[RallyPoint, ...] = ()  # they stay from flight to flight
+        self.rally: tuple[RallyPoint, ...] = ()  # rally points, kept across flights
         self.reset(0.0)
 
     def reset(self, ground: float) -> None:
         """Start without a home, standing at the height ``ground`` [m]."""
         self.home: Home | None = None
-        self.home_is_set = False  # whether a request has set home
-        self.ground = ground  # its height at the last take-off
-        self.take_off_position: Pair | None = None  # of the last take-off
+        self.home_is_set = False  # True: a request has set home
+        self.ground = ground  # ground height at the last take-off
+        self.take_off_position: Pair | None = None  # where the last take-off began
 
     @property
     def home_altitude(self) -> float:
@@ -68,7 +68,7 @@ class Course:
 
     def reset(self) -> None:
         """Stop where the vehicle is."""
-        self.cruise: float | None = None  # m/s; None: the parameter's
+        self.cruise: float | None = None  # m/s; None: as the parameter says
         self.descending = self.landing = self._is_pushed = False
         self.aim(None, None, None)
         self.guide.reset()
@@ -112,7 +112,7 @@ class Course:
         landmarks = self.landmarks
         home = landmarks.home or Home(*position, landmarks.home_altitude)
         target = landmarks.nearest(home, position)
-        # m from home: no climb and no flight is needed to land there.
+        # m: within this distance of home it lands without climbing or flying there.
         if hypot(target[0] - position[0], target[1] - position[1]) < 2.0:
             return target, altitude, True
         height = home.altitude + self.parameters["RTL_RETURN_ALT"]
@@ -134,7 +134,7 @@ class Course:
         """Return the height set-point [m] on the way to ``altitude`` [m]."""
         parameters = self.parameters
         height_setpoint = self.guide.to_height(altitude, parameters["HJ_CLIMB_AUTO"], parameters["HJ_DESC_AUTO"])
-        # The set-point may reach the ground, or a height below it, before the vehicle does.
+        # The set-point may be at or below the ground before the vehicle is there.
         self.descending = altitude < max(height_setpoint, self.landmarks.ground + LANDING_HEIGHT_M)
         return height_setpoint
 

@@ -71,11 +71,11 @@ class CollectiveFloor:
     limit of their acceleration have none left between them to keep the vehicle level with.
     """
 
-    # Fraction of the excess thrust planned for catching a fall; the rest is for lean and error.
+    # Fraction of the excess thrust planned for stopping a fall; the rest is for lean and errors.
     catch_fraction = 0.5
-    # m/s^2, what the floor may learn of a weight that it is wrong about.
+    # m/s^2, largest correction that the integral may learn for a wrong weight.
     max_trim = 0.4 * GRAVITY
-    # s: the climb rate is a GNSS receiver's, 0.1 s late, and 0.05 s old on average.
+    # s: the receiver's climb rate is 0.1 s late and on average 0.05 s old.
     sensed_s = 0.15
 
     def __init__(

@@ -28,9 +28,9 @@ class Envelope:
     longest.
     """
 
-    # m/s: the loop of height answers it with some 1/50 of the weight, 1/100 of the throttle.
+    # m/s: the altitude loop answers it with 1/50 of the weight, 1/100 of throttle.
     max_rest_climb = 0.25
-    # Of the throttle: so near a pilot finds hover by hand, and so little of a step tilts nothing.
+    # Of the throttle: a pilot finds hover so closely by hand, and a step of this size tips nothing.
     near_hover = 0.1
 
     def __init__(

@@ -21,17 +21,17 @@ class GroundSpeed:
     The wind is estimated while the vehicle flies or hovers steadily, and taken to blow against it on every way.
     """
 
-    # s, averaging time of the wind: gusts are shorter, and the estimated push is seconds late.
+    # s, averaging time of the wind: longer than gusts, and longer than the seconds by which the estimate is late.
     mean_s = 10.0
-    # Steady is a speed that changes by less than this fraction of HJ_ACC_HOR, and is off by less than so many m/s.
+    # A speed is steady if it changes by less than this fraction of HJ_ACC_HOR and is off by less than this many m/s.
     max_acceleration, max_error_m_s = 0.2, 1.0
-    # m/s: it does not get home at all, so that the way takes longer than any tank lasts.
+    # m/s, least ground speed: slower than this the way home takes longer than any tank lasts.
     least_speed = 0.1
 
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
         self._course, self._vehicle, self._parameters = course, vehicle, course.parameters
         self._catch_up, self._weight_step = catch_up, step / self.mean_s
-        # In hover every jet is taken to bear as much: what the air swallowed by them takes is a part of the drag.
+        # In hover each jet is assumed to carry the same weight; the intake drag of its air is part of the drag.
         self._thrust = [vehicle.mass_kg * GRAVITY / len(vehicle.jets)] * len(vehicle.jets)
         self.reset()
 
@@ -84,7 +84,7 @@ class GroundSpeed:
         ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.
         """
         p, greatest = self._parameters, self.max_speed
-        # Distance over v^2 / a that speeding up to v and braking take.
+        # Distance, in units of v^2 / a, that speeding up to v and braking from it take.
         ramps = 0.5 + 0.5 / BRAKE_FRACTION
         a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, greatest)
         top = min(speed, sqrt(distance * a / ramps))

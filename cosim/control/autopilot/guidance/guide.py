@@ -21,7 +21,7 @@ class Guide:
     not step the command of anything but the acceleration.
     """
 
-    # m, by which the height set-point may lead the vehicle beyond what its climb rate needs.
+    # m, lead of the height set-point over the vehicle beyond what its climb rate needs.
     max_lead = 1.0
 
     def __init__(
@@ -148,10 +148,10 @@ class Guide:
 
     def _take_up_height(self) -> None:
         if self._height_step not in (self._k, self._k - 1):
-            # The loop itself asks for no more than these: it stops a fall, not the set-point.
+            # The loop's own limits are these: they stop a fall, whatever the set-point.
             up, down = self._parameters["HJ_SPEED_UP"], self._parameters["HJ_SPEED_DN"]
             self._climb = min(max(-self._measured.velocity[2], -down), up)
-            # At this height the law asks for the present climb rate.
+            # At this height set-point the law commands the present climb rate.
             self.altitude = self._measured.altitude + self._climb / self._gain()
             self._height.start((self.altitude, 0.0), (self._climb, 0.0))
         self._height_step = self._k

@@ -87,7 +87,7 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     limits, inertia = control.allocation, vehicle.inertia_kg_m2
     weight = vehicle.mass_kg * GRAVITY
     room = min(hover - limits.throttle_min, limits.throttle_max - hover)
-    per_jet = weight / len(jets) / (hover + idle)  # N per throttle, of one jet
+    per_jet = weight / len(jets) / (hover + idle)  # N per unit of throttle, of one jet
     authority = []
     for axis, name in enumerate(AXES):
         servo = vehicle.servo
@@ -168,7 +168,7 @@ class Shaper:
             self._begin(now)
         self._rates = False
         roll, pitch = self._lean.towards((set_point[0], set_point[1]), self._limits.rate).position
-        # The heading is unwrapped: it goes the short way from the leading point, beyond half a turn too.
+        # The heading is unwrapped and goes the short way from the point that leads it, also beyond half a turn.
         point = self._yaw.point[0]
         yaw, _ = self._yaw.towards((point + wrap(set_point[2] - point), 0.0), self._limits.yaw_rate).position
         return (roll, pitch, wrap(yaw))

@@ -39,7 +39,7 @@ class Tracker:
 
         ``longest_s``: a set-point that answers later than this is of no use to a pilot.
         """
-        self._a = acceleration * self._step  # m/s a step
+        self._a = acceleration * self._step  # m/s per step
         self._b = BRAKE_FRACTION * self._a
         self._count = max(1, ceil(min(acceleration / jerk, longest_s) / self._step))
 
@@ -47,7 +47,7 @@ class Tracker:
         """Start the set-point from this position, at this velocity and without acceleration."""
         dt = self._step
         lead = 0.5 * dt * (self._count - 1)
-        # As if the point had always flown like this: then the mean of its past is where the set-point is.
+        # The point starts as if it had always moved like this, so that the mean of its past is the set-point.
         self._p = [position[0] + lead * velocity[0], position[1] + lead * velocity[1]]
         self._v = [velocity[0], velocity[1]]
         n = self._count
@@ -69,7 +69,7 @@ class Tracker:
         distance = hypot(n, e)
         if distance == 0.0:
             return self._move(0.0, 0.0)
-        # The speed from which whole steps of braking end at the target.
+        # The speed from which braking in whole steps ends at the target.
         unit = self._b * self._step
         braking = self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5)
         scale = min(min(speed, braking), distance / self._step) / distance
@@ -94,7 +94,7 @@ class Tracker:
         n, e = (n / distance, e / distance) if distance > 0.0 else (1.0, 0.0)
         speed = min(speed, sqrt(0.5 * self._a / self._step * radius))
         radius_error = radius - distance
-        # Inwards or outwards no faster than a quarter of the acceleration brakes, the rest along the circle.
+        # Towards the circle only as fast as a quarter of the acceleration can brake; the rest goes along the circle.
         across = copysign(
             min(speed, sqrt(0.5 * self._a / self._step * abs(radius_error)), abs(radius_error) / self._step),
             radius_error,
@@ -107,7 +107,7 @@ class Tracker:
         """The position at which the set-point would come to rest if it were stopped now."""
         vn, ve = self._v
         speed = hypot(vn, ve)
-        # at_velocity stops with the full acceleration
+        # at_velocity stops with full acceleration, hence the scale
         scale = 0.5 * speed / self._a * self._step
         return (self._p[0] + vn * scale, self._p[1] + ve * scale)
 

@@ -24,8 +24,8 @@ class Circle:
     def reset(self) -> None:
         """Forget the last circle."""
         self.orbit: Orbit | None = None
-        self._turned = 0.0  # rad round the centre, on the circle
-        self._bearing: float | None = None  # rad, a step ago; None: not circling
+        self._turned = 0.0  # rad flown around the centre
+        self._bearing: float | None = None  # rad, in the last step; None: before it
 
     def check_request(self, request: Orbit) -> tuple[Pair, float]:
         """Return centre and height of an orbit.  Raises InputError where it may not be flown."""

@@ -20,7 +20,7 @@ class TakeOff:
     ``hover``: the collective at which it hovers; ``idle``: that of the engines at idle.
     """
 
-    # s after spooling up without leaving the ground, when the take-off is given up.
+    # s after spooling up without leaving the ground, when the take-off is abandoned.
     give_up_s = 10.0
 
     def __init__(self, course: Course, hover: float, idle: float, step: float) -> None:
@@ -32,7 +32,7 @@ class TakeOff:
 
     def reset(self) -> None:
         """Forget the last take-off."""
-        self.height: float | None = None  # above home
+        self.height: float | None = None  # m above home
 
     def check_height(self, height: float | None, watch: FailsafeMonitor) -> float:
         """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if it may not."""
@@ -90,9 +90,9 @@ class Landing:
     :class:`Touchdown` evaluates the legs' contact; this class checks it against the height.
     """
 
-    # m: above the ground by three deviations more than this is in the air, whatever the legs say.
+    # m above the ground: three standard deviations higher than this is in the air, whatever the legs report.
     clear_m = 1.0
-    # s of contact that neither height nor weight confirms: the switch is broken; and from contact to idle.
+    # s of leg contact that neither height nor weight confirms: the switch is broken; s from contact to idle.
     max_doubt_s, settle_s = 1.0, 0.7
 
     def __init__(self, course: Course, touchdown: Touchdown, hover: float, idle: float, step: float) -> None:
@@ -106,13 +106,13 @@ class Landing:
     def reset(self) -> None:
         """Forget the last flight."""
         self.touchdown.reset()
-        self._doubt_s = 0.0  # s of an impossible contact
+        self._doubt_s = 0.0  # s of contact that cannot be real
         self.abort()
 
     def abort(self) -> None:
         """End the landing: another manoeuvre is flown."""
-        self.collective: float | None = None  # while reduced after touchdown
-        self.disarms = False  # whether to disarm as soon as it stands
+        self.collective: float | None = None  # collective while reduced on touchdown
+        self.disarms = False  # whether to disarm once it stands
 
     def update(self, report: Report, sure: bool) -> None:
         """Update the contact by one step; ``sure``: it is off the ground, and not about to touch it."""

@@ -24,7 +24,7 @@ class Mission:
     def restart(self, index: int) -> None:
         """Go on from item ``index`` with every jump still to be made."""
         self.current = index
-        self.since = -1  # step at which its waiting began
+        self.since = -1  # step at which the item began to wait
         self._jumps: dict[int, int] = {}
 
     @property
@@ -64,7 +64,7 @@ class Mission:
                 self._jumps[self.current] = count + 1
                 self.current = item.target
             else:
-                # A jump that is reached again after its last repetition counts from 0.
+                # A jump that is reached again after its last repetition starts counting anew.
                 self._jumps[self.current] = 0
                 self.current += 1
         self.current = len(self.items)

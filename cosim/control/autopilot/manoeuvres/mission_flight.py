@@ -29,12 +29,12 @@ class MissionFlight:
 
     def reset(self) -> None:
         """Forget the last flight and keep the mission."""
-        self._climb_to: float | None = None  # m, before it leaves the take-off
+        self._climb_to: float | None = None  # m, altitude before leaving the take-off
         self.abort()
 
     def abort(self) -> None:
         """End the present item."""
-        self._is_in_position = False  # where the item climbs or lands
+        self._is_in_position = False  # at the place to climb or land
 
     def load(self, request: MissionUpload, watch: FailsafeMonitor) -> str:
         """Take another mission and return a warning of items at the ground; empty: there are none.
@@ -184,7 +184,7 @@ class MissionFlight:
         """Return the command of the next step of the circle, and go on to the next item where it is complete."""
         command = self._circle.fly()
         if self._circle.complete:
-            # An item without a position is flown from here, not from the circle's centre.
+            # An item without a position starts from here, not from the circle's centre.
             self._course.aim(None, self._course.height, None)
             self.advance(flying=True)
         return command

@@ -24,9 +24,9 @@ class RemoteControl:
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """
 
-    # Throttle on the ground: below the first it is off, above the second it asks to leave the ground.
+    # Throttle stick on the ground: below the first value it is off, above the second it requests a take-off.
     off_throttle, up_throttle = 0.05, 0.6
-    # m/s: slower commands count as level.
+    # m/s: smaller commands count as level.
     least_climb = 0.1
 
     def __init__(self, course: Course, limits: AllocationLimits, hover: float, step: float) -> None:

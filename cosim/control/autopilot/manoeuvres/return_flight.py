@@ -28,7 +28,7 @@ class ReturnFlight:
         """Return the command of the next step home; the first step chooses the destination."""
         course, estimates = self._course, self._estimates
         if self._to is None or course.height is None:
-            # The speed that was set for another way is not that of the return, for which fuel is planned.
+            # Do not return at a speed that was set for another leg: fuel is planned for the cruise speed.
             course.cruise = None
             self._to, course.height, near = course.plan_return(estimates.fix.position, course.stop_height)
             self._phase = _CRUISE if near else _CLIMB

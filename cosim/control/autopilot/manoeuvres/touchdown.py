@@ -20,22 +20,21 @@ class Touchdown:
     Times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s); all are chosen by us.
     """
 
-    # s of contact that count as a touch, without contact that end it, and of a touch that is felt without a switch.
+    # s of contact that are a touchdown, without contact that end it, and of one felt without a switch.
     touch_s, bounce_s, felt_s = 0.2, 0.1, 1.0
-    # s since the last contact: with nearly its weight in thrust it hops for so long at landing speed.
+    # s since the last contact that still count as contact: with almost its weight in thrust it hops so long.
     bouncing_s = 1.0
-    # s without thrust until the vehicle stands; and without motion while nothing is asked for, by when it would sink
-    # 2 m/s at a tenth less than its weight.
+    # s without thrust until it stands; s without motion or commands, in which it would sink 2 m/s at 0.9 of its weight.
     stand_s, rest_s = 0.5, 2.0
-    # m/s: faster than any landing, so a switch that reports contact here is broken; and as good as still.
+    # m/s: faster than any landing, so the switch is broken; m/s that count as standing.
     falling, still = 1.0, 0.2
-    # Of hover thrust: less than the vehicle could descend with for long.
+    # Of hover thrust: less cannot be a descent for long.
     light = 0.6
-    # Of the weight on the legs, for so many s: three times what lift and thrust are off from each other in a descent.
+    # Of the weight on the legs, for so many s: three times the error of lift and thrust in a descent.
     load, load_s = 0.15, 0.2
-    # Of the weight, felt for as long with the legs reporting contact: they report what is not so.
+    # Fraction of the weight as measured while the legs report contact: below it their report is wrong.
     free_fall = 0.7
-    # s over which the hover thrust is estimated.
+    # s over which the hover thrust is averaged.
     hover_s = 5.0
 
     def __init__(self, hover: float, step: float, idle: float = 0.0, spool: float = 0.0) -> None:
@@ -50,7 +49,7 @@ class Touchdown:
         self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
         self._load_s = self._hanging_s = self._resting_s = 0.0
         self._since_contact = self.bouncing_s  # s since the legs last reported contact
-        self._thrust = 1.0  # thrust over weight, at most
+        self._thrust = 1.0  # upper bound of thrust over weight
         self._hover = 1.0  # estimated over nominal hover thrust
         self.switch_failed = False
 

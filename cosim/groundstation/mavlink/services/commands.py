@@ -251,7 +251,7 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     unit, kind = _whole(command.params[0]), _whole(command.params[1])
     which = 0 if command.params[2] is None else _whole(command.params[2])
     if kind == _OK:
-        return _do(rq.ClearFaults())  # a single one cannot be named
+        return _do(rq.ClearFaults())  # MAVLink cannot name a single fault
     faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
@@ -291,7 +291,7 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
     if messages is None and number in BY_ID:
         messages = BY_ID[number].make_messages(context.state)
         if not messages:
-            # The value is not known yet; its client asks for it again.
+            # The value is not known yet, and the client will ask again.
             return _refuse("", CommandResult.TEMPORARILY_REJECTED)
     if messages is None:
         return Plan(result=CommandResult.UNSUPPORTED)

@@ -47,7 +47,7 @@ class MemoryFile:
         return self._data[offset : offset + length]
 
 
-# Of a path ("log/run.ulg") that a client names, at least the files there and below it that exist now, by whole paths.
+# Of a path that a client names ("log/run.ulg"): existing files at and below it, by whole path.
 Files = Callable[[str], Mapping[str, File]]
 
 
@@ -155,7 +155,7 @@ class FileService(Service):
         file = None if path is None else self._files(path).get(path)
         if file is None:
             return _nak(request, NOT_FOUND)
-        if file.size >= 1 << 32:  # too large for fields of 32 bits
+        if file.size >= 1 << 32:  # size does not fit in 32 bits
             return _nak(request, FAIL)
         if code == CRC:
             return _ack(request, struct.pack("<I", _checksum(file)))

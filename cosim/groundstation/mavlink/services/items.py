@@ -149,7 +149,7 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         ItemKind.ALTITUDE: Item(global_frame, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
         ItemKind.SPEED: Item(mission_frame, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
         ItemKind.DELAY: delay,
-        ItemKind.LEFT_OUT: delay,  # a pause of length 0
+        ItemKind.LEFT_OUT: delay,  # a delay of length 0
         ItemKind.JUMP: Item(mission_frame, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
         ItemKind.RETURN: Item(mission_frame, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
     }[item.kind]

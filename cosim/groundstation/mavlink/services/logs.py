@@ -93,7 +93,7 @@ class LogStore:
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
         self._conversion: tuple[Host, LogEntry, float] | None = None
-        self._converted_count = 0  # logs, including failures
+        self._converted_count = 0  # logs converted so far, failures included
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
@@ -107,7 +107,7 @@ class LogStore:
             self._is_outdated = False
 
             def run_search() -> None:
-                # A folder that cannot be read leaves the list as it is.
+                # If a folder cannot be read, the list stays as it is.
                 with suppress(OSError):
                     self._found_runs = self._runs()
 
@@ -198,7 +198,7 @@ class LogService(Service):
     def __init__(self, store: LogStore, rate: float = 2500.0) -> None:
         self.rate = rate
         self._store = store
-        self._lists: dict[Client, tuple[int, int]] = {}  # entries still to be sent
+        self._lists: dict[Client, tuple[int, int]] = {}  # entries still to be sent, per client
         self._downloads: OrderedDict[Client, _Download] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
@@ -235,7 +235,7 @@ class LogService(Service):
                 if download.at >= download.end:
                     break
             if download.at >= download.end:
-                if download.is_past_end:  # an empty part says so
+                if download.is_past_end:  # an empty part marks the end
                     out.append((client.peer, _data(download.number, download.at, b"")))
                 del self._downloads[client]
         return out
@@ -281,7 +281,7 @@ class _Download:
     def __init__(self, number: int, file: File, at: int, end: int, is_past_end: bool, limit: RateLimit) -> None:
         self.number, self.at, self.end, self.is_past_end, self.limit = number, at, end, is_past_end, limit
         self._file = file
-        self._buffer, self._buffer_at = b"", at  # read from the disk in larger parts
+        self._buffer, self._buffer_at = b"", at  # read from disk in larger parts
 
     def next(self) -> Message:
         """Return the next LOG_DATA."""

@@ -37,8 +37,8 @@ class MavCommand(NamedTuple):
     """A command of either message, whichever time it is sent; None: missing.  Latitude and longitude are in degrees."""
 
     number: int
-    params: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
-    frame: int | None  # MAV_FRAME; None: COMMAND_LONG
+    params: tuple[float | None, ...]  # param1 to param7
+    frame: int | None  # MAV_FRAME; None: from a COMMAND_LONG
 
     @property
     def position(self) -> tuple[float, float] | None:
@@ -53,7 +53,7 @@ class Plan(NamedTuple):
     requests: tuple[Request, ...] = ()
     result: CommandResult = CommandResult.ACCEPTED
     text: str = ""
-    messages: tuple[Message, ...] = ()  # messages after the acknowledgement
+    messages: tuple[Message, ...] = ()  # messages sent after the acknowledgement
 
 
 class Context(NamedTuple):
@@ -62,7 +62,7 @@ class Context(NamedTuple):
     vehicle: VehicleConstants
     state: TelemetryState
     peer: Peer
-    # Finds a message that is not telemetry by its id; None where there is none.
+    # Returns a message by id that is not telemetry; None: there is none.
     find_message: Callable[[int], Sequence[Message] | None]
     shutdown_requests: tuple[Any, ...] = ()  # requests for a reboot and for a shutdown
 
@@ -73,7 +73,7 @@ def parse_command(message: Message, unset: int = 0x7FFFFFFF) -> MavCommand:
     if message.msgname == "COMMAND_LONG":
         values = [*first, message.param5, message.param6, message.param7]
         return MavCommand(message.command, tuple(map(_finite_or_none, values)), None)
-    # x and y are 1e-4 m where the frame is local; handlers of positions refuse such frames
+    # In local frames x and y are in 1e-4 m; handlers of positions refuse such frames.
     position = [None if value == unset else value * 1e-7 for value in (message.x, message.y)]
     return MavCommand(
         message.command, (*map(_finite_or_none, first), *position, _finite_or_none(message.z)), message.frame

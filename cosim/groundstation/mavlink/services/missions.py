@@ -63,12 +63,12 @@ _CLEARING: dict[int, rq.Request] = {MISSION: rq.MissionClear(), FENCE: rq.FenceU
 class _Upload:
     client: Client
     count: int
-    last_request: float  # when the present item was last requested
-    last_progress: float  # when an item last came
+    last_request: float  # when the current item was requested last
+    last_progress: float  # when the last item arrived
     mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
     mission: list[rq.MissionItem] = field(default_factory=list)
-    waiting: bool = False  # whether the pilot's answer is pending
+    waiting: bool = False  # True: the pilot's answer is pending
 
 
 class MissionService(Service):
@@ -107,8 +107,8 @@ class MissionService(Service):
         self._upload: _Upload | None = None
         # The last upload: its client, number of items, type and result.
         self._last_upload: tuple[Client, int, int, int] | None = None
-        self._mission: tuple[rq.MissionItem, ...] = ()  # the last upload as the autopilot has it
-        self._sent_items: list[Item] = []  # its items as they were received
+        self._mission: tuple[rq.MissionItem, ...] = ()  # last upload as the autopilot has it
+        self._sent_items: list[Item] = []  # its items as received
         self._progress_sent: tuple[int, ...] = ()
         self._progress_at = -self.repeat_s
         self._reached = -1
@@ -221,7 +221,7 @@ class MissionService(Service):
         upload = self._upload
         if upload is None or upload.client != client or upload.mission_type != mission_type:
             if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
-                # The station repeats its last item, so it has not received the acknowledgement.
+                # The station repeats its last item, so the acknowledgement was lost.
                 return [_ack(client, self._last_upload[3], mission_type)]
             return [_ack(client, ERROR, mission_type)]
         if upload.waiting or message.seq != len(upload.items):
@@ -240,7 +240,7 @@ class MissionService(Service):
             return [self._next_request(upload)]
         try:
             request = self._request(upload)
-        except InputError as error:  # a jump to an item that does not exist
+        except InputError as error:  # a jump to a missing item
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
@@ -303,7 +303,7 @@ class MissionService(Service):
 
         for request in requests:
             if not self._answers.request(request, client, reply):
-                # This is sent once, because ``remaining`` does not reach 0 after it.
+                # Sent once, because ``remaining`` does not reach 0 again.
                 return [_ack(client, ERROR, mission_type)]
         return []
 

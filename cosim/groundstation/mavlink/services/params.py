@@ -50,14 +50,14 @@ class ParameterService(Service):
     def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
         self._personality = personality
         self._answers = AnswerQueue(ask)
-        # By client, the next parameter of its list and the rate at which it is sent.
+        # By client: the next parameter of its list, and the rate limit.
         self._lists: dict[Client, tuple[int, RateLimit]] = {}
         self.replace(parameters)
 
     def replace(self, parameters: Parameters) -> None:
         """Take the parameters of another flight of the same vehicle."""
         self._parameters = parameters
-        # PX4 sorts parameters by name and computes the hash in this order
+        # PX4 sorts parameters by name and hashes them in this order.
         self._lines = sorted(parameters, key=lambda line: line.name)
         self._index = {line.name: i for i, line in enumerate(self._lines)}
         self._sent = dict(parameters.values)
@@ -69,7 +69,7 @@ class ParameterService(Service):
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
                 first = -1 if self._personality == "px4" else 0  # the hash goes first, as parameter -1
-                # Values a second: 3.7 kB/s, two thirds of what a radio of 57600 baud carries.
+                # Values per second: 3.7 kB/s, two thirds of what a radio at 57600 baud carries.
                 pace = self._lists[client][1] if client in self._lists else RateLimit(100.0, 10)
                 self._lists[client] = (first, pace)
             return []
@@ -124,7 +124,7 @@ class ParameterService(Service):
     def _set(self, message: Message, client: Client) -> list[Message]:
         name = decode_text(message.param_id)
         if name == HASH and self._personality == "px4":
-            # The ground station has the same set in its cache and wants no list any more.
+            # The station has the same set in its cache and needs no list.
             if struct.pack("<f", message.param_value) == struct.pack("<f", self._hash_value().param_value):
                 self._lists.pop(client, None)
             return []
@@ -182,7 +182,7 @@ class ParameterService(Service):
         """Return the value that PARAM_SET carries, or why its type is refused."""
         if kind != REAL32 and kind not in _INTEGERS:
             return _Refusal(UNSUPPORTED_TYPE)
-        if self._personality == "ardupilot":  # its clients may state any type
+        if self._personality == "ardupilot":  # ArduPilot clients may state any type
             return value
         expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
         if kind != expected and not (expected == INT32 and kind in _INTEGERS):

@@ -16,7 +16,7 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 Outgoing = list[tuple[Peer | None, Message]]
-# arguments: request, callback for the answer (called later, from any thread), name of the sender
+# Arguments: the request, a callback for the answer (called later, from any thread), the sender's name.
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
 # Clients for which a service keeps state; chosen by us, more than are ever connected.

@@ -15,7 +15,7 @@ try:
 except ImportError as error:
     raise InputError("the MAVLink messages have not been made: install the project again (pip install -e .)") from error
 
-mav.MAVLINK_IGNORE_CRC = False  # overrides MAV_IGNORE_CRC
+mav.MAVLINK_IGNORE_CRC = False  # overrides the variable MAV_IGNORE_CRC
 Message = Any  # an instance of a generated class
 KINDS: dict[int, Any] = mav.mavlink_map
 BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}

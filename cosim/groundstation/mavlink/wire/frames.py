@@ -65,7 +65,7 @@ class Parser:
                 frames.append(frame)
             if reason:
                 self._refused[reason] += 1
-            # This is no frame.  Skip its first byte only, because the others may begin a real one.
+            # This is not a frame. Skip its first byte only, because a frame may begin right after it.
             if reason in ("crc", "flags"):
                 at = _next_magic(buffer, at + 1)
             else:
@@ -79,7 +79,7 @@ class Parser:
             return "flags", None
         try:
             message = self._mav.decode(bytearray(raw))
-        except mav.MAVError:  # wrong checksum: the length is right
+        except mav.MAVError:  # wrong checksum, but the length is right
             return "crc", None
         if isinstance(message, mav.MAVLink_unknown):
             return "unknown", None

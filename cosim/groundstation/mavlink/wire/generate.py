@@ -41,7 +41,7 @@ def generate(folder: Path) -> Path:
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 done = mavgen.mavgen(options, [str(work / SOURCE.name)])
-        except SystemExit as error:  # mavgen exits where it finds an error
+        except SystemExit as error:  # mavgen calls exit() on errors
             raise GenerateError(f"mavgen ended with {error.code}: {output.getvalue()[-300:]}") from error
         if not done or not output_file.exists():
             raise GenerateError(f"mavgen refused {SOURCE.name}: {output.getvalue()[-300:]}")
@@ -62,6 +62,6 @@ def _strip_descriptions(source: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     module = generate(Path(__file__).parent)
-    # Compiling takes a second, which the first flight should not wait for.
+    # Compiling takes a second, for which the first flight should not wait.
     py_compile.compile(str(module), doraise=True)
     print(module)

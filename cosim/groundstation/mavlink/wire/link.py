@@ -45,7 +45,7 @@ class Link(Hub):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(system, signing, log, clock)
-        # By reason, the count that was reported last and the time of that report.
+        # By reason: the count that was reported last, and when.
         self._reports: dict[str, tuple[int, float]] = {}
         self._channels: list[Channel] = []
         self._stop = threading.Event()

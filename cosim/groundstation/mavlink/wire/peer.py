@@ -19,9 +19,9 @@ from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 class PeerLimits(NamedTuple):
     """Limits of what waits for a station and of what is read from it, chosen by us."""
 
-    max_bytes: int = 512_000  # of answers and lists that wait
-    pause_bytes: int = 2000  # at which lists and files pause
-    frames_1_s: int = 1000  # read; more are discarded unread
+    max_bytes: int = 512_000  # of queued answers and lists
+    pause_bytes: int = 2000  # queue size that pauses lists and files
+    frames_1_s: int = 1000  # frames read per second; more are dropped
     burst_frames: int = 1000
 
 
@@ -57,11 +57,11 @@ class Peer:
         self._clock = clock
         self.created = now = clock()
         self.last_heard = -1.0  # time of the last frame; -1: none yet
-        self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
-        self.turn = 0  # slots of messages that take turns
+        self.intervals: dict[int, float] = {}  # s, by message id; 0: not sent
+        self.turn = 0  # counts slots of messages that take turns
         self.received = self.sent = self.dropped = 0
-        self.signature = packer.signature  # bytes of the signature on every frame
-        self.stuck = False  # no room for another answer
+        self.signature = packer.signature  # bytes of the signature in each frame
+        self.stuck = False  # True: no room for another answer
         self._transmit = transmit
         self._parser = parser
         self._packer = packer
@@ -69,10 +69,10 @@ class Peer:
         self._answers: deque[Message] = deque()
         self._bulk: deque[Message] = deque()
         self._telemetry: dict[tuple[int, int], Message] = {}
-        self._frame = b""  # the rest of the frame that is being sent
-        self._waiting = 0  # bytes of answers and bulk data that wait
-        self._balance = 0  # bytes of bulk ahead of telemetry
-        self._blocked: float | None = None  # since when it accepts nothing; or None
+        self._frame = b""  # unsent rest of the current frame
+        self._waiting = 0  # bytes of queued answers and bulk data
+        self._balance = 0  # bulk bytes sent ahead of telemetry
+        self._blocked: float | None = None  # time since it accepts nothing, or None
         self._credit = float(LIMITS.burst_frames)
         self._credited = now
 

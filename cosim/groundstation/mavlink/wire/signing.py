@@ -52,7 +52,7 @@ class Signing:
     def __init__(self, key: bytes, clock: Callable[[], float] = time.time) -> None:
         self._key = key
         self._clock = clock
-        self._last = 0  # the highest time stamp sent or accepted
+        self._last = 0  # highest time stamp sent or accepted
         self._streams: dict[tuple[int, int, int], int] = {}
 
     def enable_signing(self, packer: Any, link: int) -> None:

@@ -28,10 +28,10 @@ class TelemetryLog:
         except OSError as error:
             raise InputError(f"{path}: the telemetry log cannot be written: {error}") from error
         self._clock = clock
-        # The log is not signed, because each link has a signature of its own.
+        # Frames in the log are unsigned, because each link has a signature of its own.
         self._packer = FramePacker(system)
         self.frames = 0
-        self.failure = ""  # why writing stopped, if it did
+        self.failure = ""  # why writing stopped; empty: it did not
 
     def write_sent(self, packed: Message) -> None:
         """Write a message that was sent."""

@@ -20,16 +20,16 @@ from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 class TransportLimits(NamedTuple):
     """Limits of servers and connections, chosen by us."""
 
-    max_stations: int = 16  # on one server
-    # A station that was silent for so long is replaced by a new one; one that has sent nothing yet goes sooner, as
-    # ground stations send a heartbeat once a second.
+    max_stations: int = 16  # stations per server
+    # A station that was silent for this long gives way to a new one; one that has sent nothing yet sooner, because
+    # ground stations send a heartbeat each second.
     evict_s: float = 10.0
     unheard_s: float = 3.0
-    reads: int = 64  # from one socket before the others
-    datagram_bytes: int = 2048  # a frame has at most 280
-    stall_s: float = 10.0  # until a connection is closed
+    reads: int = 64  # reads from one socket per turn
+    datagram_bytes: int = 2048  # a frame has at most 280 bytes
+    stall_s: float = 10.0  # until a stalled connection is closed
     retry_s: float = 1.0  # between two attempts to connect
-    # Credit with which a station that flooded is read again.
+    # Budget in frames at which a station that flooded the link is read again.
     resume_frames: float = 100.0
 
 
@@ -64,10 +64,10 @@ class Hub:
     def __init__(
         self, system: int, signing: Signing | None, log: TelemetryLog | None, clock: Callable[[], float]
     ) -> None:
-        self.refused: Counter[str] = Counter()  # frames and bytes, by reason
-        self.failures: Counter[str] = Counter()  # own exceptions by kind: defects
+        self.refused: Counter[str] = Counter()  # refused frames and bytes, by reason
+        self.failures: Counter[str] = Counter()  # our own exceptions: these are defects
         self.taken = 0  # frames that were accepted
-        self.events: deque[str] = deque(maxlen=100)  # lines about the links, for the user
+        self.events: deque[str] = deque(maxlen=100)  # messages about the links for the user
         self.on_event: Callable[[str], None] = lambda text: None  # called in the link's thread
         self.log = log
         self.handler: FrameHandler | None = None

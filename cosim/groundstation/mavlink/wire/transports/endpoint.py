@@ -27,7 +27,7 @@ class Endpoint(NamedTuple):
     """Parsed URL of one link."""
 
     kind: str  # one of NETWORK
-    host: str  # an address
+    host: str  # IP address
     port: int
     family: int = socket.AF_INET
 

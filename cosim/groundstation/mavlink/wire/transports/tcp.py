@@ -69,7 +69,7 @@ class TcpServer:
         idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
         if not idle:
             return False
-        # A station that has sent nothing is closed before one that has.
+        # A station that has sent nothing is closed first.
         oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent_seconds(now)))
         oldest.close()
         streams.remove(oldest)

@@ -27,7 +27,7 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError:
-            return len(data)  # no listener or route: a lost datagram
+            return len(data)  # no listener or route: datagram lost
 
     return transmit
 
@@ -40,7 +40,7 @@ def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
-            continue  # an ICMP message: nobody listens there
+            continue  # an ICMP error: nobody listens there
 
 
 class UdpClient:
@@ -92,7 +92,7 @@ class ConnectedStation:
         self._socket = socket.socket(server.family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            # Set for this moment only, so that no other program can take the port.
+            # Exclusive for the moment of binding only, so that no other program takes the port.
             for opened in (server, self._socket):
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind(server.getsockname())
@@ -158,7 +158,7 @@ class UdpServer:
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])
         self._stations: dict[Address, ConnectedStation | SharedSocketStation] = {}
-        self._first_parser = link.new_parser(is_datagram=True)  # for addresses that are no stations yet
+        self._first_parser = link.new_parser(is_datagram=True)  # for addresses without a station yet
         link.watch(self._socket, self._ready)
 
     @property
