@@ -8,6 +8,7 @@ import os
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -21,9 +22,9 @@ from cosim.engine.rundown import FlameOutLaw
 
 if TYPE_CHECKING:
     from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
+    from cosim.spec.vehicle import RateModel
 
 Axis = TypeVar("Axis")
-Model = TypeVar("Model")
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,12 @@ class EngineSpec:
         """Keys of its identified models; version 0.2.0 had the file's name alone, also where that is ``engine``."""
         return (self.family,) if self.library else (self.family, (self.mapping or self.path).name)
 
-    def models_in(self, identified: Mapping[str, Mapping[Axis, Model]]) -> Mapping[Axis, Model]:
-        """Return the models of this engine, by axis, among those by engine; empty where there are none."""
-        return next((identified[family] for family in self.families if family in identified), {})
+    def models_in(self, identified: Mapping[str, Mapping[Axis, RateModel]]) -> Mapping[Axis, RateModel]:
+        """Return this engine's models by axis, if any; those of a file that was copied or renamed by its hash."""
+        named = (identified[family] for family in self.families if family in identified)
+        sources = () if self.library else identified.values()
+        copied = (each for each in sources if any(model.engine_sha256 == self.fingerprint for model in each.values()))
+        return next(chain(named, copied), {})
 
     @property
     def ports(self) -> Mapping[str, Port]:

@@ -177,13 +177,14 @@ def design(
     say(f"uncertainty of {spec.name}")
     tolerances = engine_tolerances(need, scenario, vehicle, spec, plants.values())
     need = tolerances.need
-    models = spec.models_in(read_models(model)) if model else {}
+    stated = read_models(model) if model else {}
+    models = spec.models_in({family: {a: RateModel(**t) for a, t in each.items()} for family, each in stated.items()})
     if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
-    for axis, table in models.items():
-        if not spec.matches_model(table.get("engine_sha256", "")):
+    for axis, of_axis in models.items():
+        if not spec.matches_model(of_axis.engine_sha256):
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
-        plants[axis] = replace(plants[axis], identified=RateModel(**table))
+        plants[axis] = replace(plants[axis], identified=of_axis)
     if plants["roll"].is_by_servo:
         names = names_for_servos(names, controller, vehicle, firmware)
     source = f"{identified.source}; with the airframe of {vehicle.name}"

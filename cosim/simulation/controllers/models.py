@@ -64,8 +64,7 @@ def find_models(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
             notify(f"{where}: {other}: left out; hexjet identify {axis} makes one of this")
             continue
         if not engine.library and not model.engine_sha256:
-            unverified = f"states no hash: that it is of this {engine.family} is not verified"
-            notify(f"{where}: {unverified}")
+            notify(f"{where}: states no hash: that it is of this {engine.family} is not verified")
         models[axis] = model
     return models
 
@@ -105,10 +104,9 @@ def make_predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) ->
     for axis in AXES:
         model = models_at_step.get(axis)
         if spec.needs_model and model is None and axis in models:
-            sample_time = models[axis].sample_time_s
             raise InputError(
-                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {sample_time:g} s is not the "
-                f"scenario's step {scenario.step_s:g} s"
+                f"vehicle.identified.{engine.family}.{axis}: the model's sample time {models[axis].sample_time_s:g} s "
+                f"is not the scenario's step {scenario.step_s:g} s"
             )
         # Pitch and yaw of tilting jets act by servos, for which there is no predictor.
         predicted = model is not None if spec.needs_model else axis == "roll" or vehicle.allocation == "rotors"

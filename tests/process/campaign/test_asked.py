@@ -34,10 +34,11 @@ normal = { mean = 5.525, sd = 0.05, min = 5.4, max = 5.7 }
 DRAWN = ["hover", "--vary", "vehicle.mass_kg=normal(5.525,0.05,5.4,5.7)"]
 HOVER = ["--set", "duration_s=0.02", "--success", "roll.max_abs_error_rad<=0.0305"]
 BUDGET = ["--budget", "800", "--target", "0.5", "--same-seed"]
+ALONE = ["--search", "0", "--no-limit"]
 # Of each: the command, how it is resumed, and where its study is.
 COMMANDS: dict[str, tuple[list[str], list[str], str]] = {
     "sweep": (["sweep", "short.toml"], ["sweep", "out"], ""),
-    "prove": (["prove", "short.toml", "--search", "0", "--no-limit"], ["prove", "out", "--search", "0", "--no-limit"], "campaign"),
+    "prove": (["prove", "short.toml", *ALONE], ["prove", "out", *ALONE], "campaign"),
     "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], ""),
     "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], ""),
     "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], ""),

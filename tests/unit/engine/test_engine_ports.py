@@ -821,7 +821,9 @@ def test_engines_whose_file_is_called_engine_have_the_names_of_their_folders(tmp
         ("my-engine", "my-engine.toml"), ("other", "other.toml"), ("other", "other.fmu"),
     ]  # fmt: skip
     # models that version 0.2.0 filed under the bare name are found, behind those of the name of today
-    assert mine.models_in({"engine.toml": {"roll": 1}}) == {"roll": 1}
-    assert mine.models_in({"engine.toml": {"roll": 1}, "my-engine.toml": {"roll": 2}}) == {"roll": 2}
-    assert mine.models_in({"other.toml": {"roll": 1}}) == {}
-    assert load_engine("edf", {}, STEP).models_in({"edf.fmu": {"roll": 1}}) == {}
+    unknown, known = ({"roll": SimpleNamespace(engine_sha256=sha256)} for sha256 in ("", mine.fingerprint))
+    assert mine.models_in({"engine.toml": unknown}) == unknown
+    assert mine.models_in({"engine.toml": known, "my-engine.toml": unknown}) == unknown
+    assert load_engine("edf", {}, STEP).models_in({"edf.fmu": unknown}) == {}
+    # a copy of the file in a campaign's folder has another name and is the same engine
+    assert mine.models_in({"other.toml": unknown, "elsewhere.toml": known}) == known
