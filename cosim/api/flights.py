@@ -72,26 +72,24 @@ class FlightResult(Result):
 
     def tables(self) -> list[Table]:
         """Return the metrics of the axes and of the whole flight, and what was checked, each with its margin."""
-        from cosim.results.report.flight import axis_cell, whole_rows
+        from cosim.results.report.flight import found_values
         from cosim.results.report.requirements import CHECKED, checked_rows
-        from cosim.results.wording import AXIS_ROWS
+        from cosim.results.wording import AXIS_DIGITS, NONE, metric
 
-        summary, metrics = self.run.summary, self.run.metrics
+        summary, metrics, found = self.run.summary, self.run.metrics, found_values(self.run.summary)
         axes = [
-            (
-                _lower(f"{row.title}, {row.unit}"),
-                *(axis_cell(each, row.key, row.factor, row.digits) for each in metrics.values()),
-            )
-            for row in AXIS_ROWS
+            (f"{metric(key).label}, {metric(key).unit}", *(found.get(f"{axis}.{key}", NONE) for axis in metrics))
+            for key in AXIS_DIGITS
         ]
-        whole = [(_lower(row["label"]), row["value"], row["limit"], row["unit"]) for row in whole_rows(summary)]
+        limits = {name: f"{metric(name).factor * limit:.4g}" for name, limit in summary.limits.items()}
+        whole = [
+            (metric(name).label, text, limits.get(name, ""), metric(name).unit)
+            for name, text in found.items()
+            if name.split(".")[0] not in metrics
+        ]
         checked = [cells for _, cells in checked_rows(summary)] if summary.outcome == "completed" else []
         tables = [Table("", ("metric", *metrics), axes), Table("", ("whole flight", "value", "limit", "unit"), whole)]
         return [each for each in (*tables, Table("", CHECKED, checked)) if each.rows]
-
-
-def _lower(title: str) -> str:
-    return title.lower().replace("rmse", "RMSE")
 
 
 def _other_engines(summary: Summary) -> str:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from math import degrees
 from typing import NamedTuple
 
+from cosim.base.signals import AXES
+
 
 class Metric(NamedTuple):
     """One metric: its name in the data, in words, and the unit that is shown with the factor to it."""
@@ -16,16 +18,6 @@ class Metric(NamedTuple):
     label: str
     unit: str
     factor: float
-
-
-class AxisRow(NamedTuple):
-    """How one metric of an axis is shown in a table."""
-
-    title: str
-    key: str
-    unit: str
-    factor: float
-    digits: int
 
 
 # What a metric's name ends with, the unit shown, and the factor to it.
@@ -60,34 +52,35 @@ WHOLE_FLIGHT = {  # neither of an axis nor said by its parts
     "effort.throttle_1_s": "throttle activity",
     "effort.tilt_rad_s": "tilt activity",
 }
-AXIS_ROWS = (
-    AxisRow("RMSE", "rmse_rad", "deg", degrees(1.0), 2),
-    AxisRow("Largest error", "max_abs_error_rad", "deg", degrees(1.0), 2),
-    AxisRow("Overshoot", "overshoot_percent", "%", 1.0, 1),
-    AxisRow("Settling, to 5 %", "settling_time_s", "s", 1.0, 3),
-    AxisRow("Rate RMSE", "rate_rmse_rad_s", "deg/s", degrees(1.0), 2),
-    AxisRow("Error at the end", "final_error_rad", "deg", degrees(1.0), 3),
-    AxisRow("Residual oscillation", "oscillation_rad", "deg", degrees(1.0), 3),
-)
-WHOLE_ROWS = (  # name and digits, in order of display
-    ("altitude.rmse_m", 3),
-    ("altitude.max_abs_error_m", 3),
-    ("altitude.final_error_m", 3),
-    ("position.drift_m", 2),
-    ("position.final_drift_m", 2),
-    ("position.rmse_m", 2),
-    ("position.max_abs_error_m", 2),
-    ("position.final_error_m", 2),
-    ("position.waypoints_left", 0),
-    ("speed.max_m_s", 2),
-    ("speed.final_m_s", 2),
-    ("touchdown_m_s", 2),
-    ("effort.saturated_percent", 1),
-    ("effort.alternating_percent", 0),
-    ("effort.throttle_1_s", 3),
-    ("effort.tilt_rad_s", 1),
-    ("fuel_burnt_kg", 3),
-)
+# The digits behind the point of each metric, in the order in which they are shown.
+AXIS_DIGITS = {
+    "rmse_rad": 2,
+    "max_abs_error_rad": 2,
+    "overshoot_percent": 1,
+    "settling_time_s": 3,
+    "rate_rmse_rad_s": 2,
+    "final_error_rad": 3,
+    "oscillation_rad": 3,
+}
+DIGITS = {f"{axis}.{key}": digits for axis in AXES for key, digits in AXIS_DIGITS.items()} | {
+    "altitude.rmse_m": 3,
+    "altitude.max_abs_error_m": 3,
+    "altitude.final_error_m": 3,
+    "position.drift_m": 2,
+    "position.final_drift_m": 2,
+    "position.rmse_m": 2,
+    "position.max_abs_error_m": 2,
+    "position.final_error_m": 2,
+    "position.waypoints_left": 0,
+    "speed.max_m_s": 2,
+    "speed.final_m_s": 2,
+    "touchdown_m_s": 2,
+    "effort.saturated_percent": 1,
+    "effort.alternating_percent": 0,
+    "effort.throttle_1_s": 3,
+    "effort.tilt_rad_s": 1,
+    "fuel_burnt_kg": 3,
+}
 NONE = "–"
 
 

@@ -156,17 +156,21 @@ def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:
 def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run, Path]) -> None:
     run, path = flown
     with opened(browser, path) as page:
-        page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
-        page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+        page.locator('[data-figure="first"]').scroll_into_view_if_needed()
+        page.wait_for_function("document.querySelector('[data-figure=first] .strip').panel.chart", timeout=SOON)
+        # thrust about the first step, 25 samples late, until one zooms
+        window = "(({ from, to }) => [from, to])(document.querySelector('[data-figure=answer] .strip').panel.view)"
+        assert page.evaluate(window) == pytest.approx([0.9, 1.25])
         page.evaluate("hexjet.setView(1, 2)")
+        assert page.evaluate(window) == [1, 2]
         lines = page.evaluate(
-            "hexjet.files.csvOf(document.querySelector('[data-figure=attitude] .strip').panel)"
+            "hexjet.files.csvOf(document.querySelector('[data-figure=first] .strip').panel)"
         ).splitlines()
         assert lines[0] == "time_s,roll_measured_rad,roll_rad,roll_setpoint_rad"
         assert len(lines) == 1 + 251
         row = [float(cell) for cell in lines[1].split(",")]
         assert row[:3] == pytest.approx([1.0, run.log["roll_measured_rad"][250], run.log["roll_rad"][250]], abs=1e-4)
-        svg = page.evaluate("hexjet.files.svgOf(document.querySelector('[data-figure=attitude] .strip').panel)")
+        svg = page.evaluate("hexjet.files.svgOf(document.querySelector('[data-figure=first] .strip').panel)")
         assert svg.count("<path") == 3
         # a sine of 2 at 25 Hz
         tops = page.evaluate(
@@ -174,11 +178,11 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
                  const [f, a] = hexjet.amplitudes(y, 1 / 1024, 1); const n = a.indexOf(Math.max(...a)); return [f[n], a[n]]; }"""
         )
         assert tops == pytest.approx([25.0, 2.0], rel=1e-6)
-        page.locator("[data-figure=attitude] .strip-spectrum").first.click()
-        page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.mode === 'spectrum'")
+        page.locator("[data-figure=first] .strip-spectrum").first.click()
+        page.wait_for_function("document.querySelector('[data-figure=first] .strip').panel.mode === 'spectrum'")
         for kind in ("spectrum", "cross"):
-            page.evaluate("k => document.querySelector('[data-figure=attitude] .strip').panel.turn(k)", kind)
-            page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+            page.evaluate("k => document.querySelector('[data-figure=first] .strip').panel.turn(k)", kind)
+            page.wait_for_function("document.querySelector('[data-figure=first] .strip').panel.chart", timeout=SOON)
 
 
 def test_a_name_is_pulled_to_another_panel_and_taken_off_it(browser: Any, flown: tuple[Run, Path]) -> None:
@@ -196,8 +200,8 @@ def test_a_name_is_pulled_to_another_panel_and_taken_off_it(browser: Any, flown:
         assert strips.nth(1).get_attribute("class") == "strip strip-target"
         page.mouse.up()
         named = "[...document.querySelectorAll('[data-figure=attitude] .strip')].map((s) => s.panel.signals.map((each) => each.column))"
-        assert page.evaluate(named)[1][3:] == ["roll_rad"]
-        assert page.evaluate(named)[0][1] == "roll_rad"  # it stays where it was, and a pull is no press
+        assert page.evaluate(named)[1][3:] == ["pitch_rad"]
+        assert page.evaluate(named)[0][1] == "pitch_rad"  # it stays where it was, and a pull is no press
         assert strips.nth(0).locator('[aria-pressed="false"]').count() == 1  # the spectrum's
         page.wait_for_function(
             "document.querySelectorAll('[data-figure=attitude] .strip')[1].panel.lines.length === 4", timeout=SOON
@@ -240,7 +244,9 @@ def test_a_phone_in_daylight_and_at_night(browser: Any, flown: tuple[Run, Path],
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         ink = page.evaluate("getComputedStyle(document.body).color")
         assert (ink == "rgb(228, 233, 238)") == (scheme == "dark")
-        assert page.locator(".stage canvas").bounding_box()["width"] <= 390
+        stage = page.locator(".stage canvas").bounding_box()
+        assert stage["width"] <= 390
+        assert page.locator("[data-figure=first] .strip-body").bounding_box()["y"] < stage["y"] < 844 - stage["height"]
 
 
 def test_without_webgl_it_says_so_and_the_strips_remain(browser: Any, flown: tuple[Run, Path]) -> None:
@@ -248,8 +254,8 @@ def test_without_webgl_it_says_so_and_the_strips_remain(browser: Any, flown: tup
         HTMLCanvasElement.prototype.getContext = function (kind, ...more) { return kind.startsWith("webgl") ? null : real.call(this, kind, ...more); };"""
     with opened(browser, flown[1], none) as page:
         assert "no WebGL" in page.locator(".no-webgl").inner_text()
-        page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
-        page.wait_for_selector('[data-figure="attitude"] .u-over', timeout=SOON)
+        page.locator('[data-figure="first"]').scroll_into_view_if_needed()
+        page.wait_for_selector('[data-figure="first"] .u-over', timeout=SOON)
 
 
 @pytest.mark.long

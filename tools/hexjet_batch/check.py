@@ -19,7 +19,7 @@ from cosim.base.storage.files import write_files
 from cosim.commands import Command
 from cosim.pages import BLUE, ORANGE, Card, Page, beneath, panels, trace
 from cosim.results.metrics import flatten, flight_metrics
-from cosim.results.wording import AXIS_ROWS, WHOLE_ROWS, metric
+from cosim.results.wording import DIGITS, metric
 from cosim.spec.scenario import Scenario
 from hexjet_batch.fly import fly_batch
 
@@ -30,7 +30,6 @@ QUANTITIES = (
     (("rate_p_rad_s", "rate_q_rad_s", "rate_r_rad_s"), "deg/s", 1e-2),
     (PLACE, "m", 0.05),
 )
-DIGITS = {f"{axis}.{row.key}": row.digits for axis in ("roll", "pitch", "yaw") for row in AXIS_ROWS} | dict(WHOLE_ROWS)
 
 
 class Difference(NamedTuple):

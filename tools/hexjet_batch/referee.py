@@ -17,9 +17,9 @@ import numpy as np
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import write_whole
+from cosim.results.wording import DIGITS
 from cosim.spec.controller_name import short_name
 from cosim.studies import REFEREE, Campaign, Row, Workers, flight_of, metric, metric_names, open_campaign, proportion
-from hexjet_batch.check import DIGITS
 
 # Chosen by us: an honest batch stays within 0.5 % in half of the flights and within 2 % in nine of ten of them.
 HALF_WITHIN, MOST_WITHIN = 0.005, 0.02

@@ -21,7 +21,7 @@ from cosim.results.comparison import (
 from cosim.results.events import list_events
 from cosim.results.log.tables import TIME
 from cosim.results.report.cards import Card, Page, code, coloured, link, marked
-from cosim.results.report.flight import axis_cell, verdict, verdict_badge
+from cosim.results.report.flight import found_values, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.report.page import Flights
 from cosim.results.report.plot import run_colour
@@ -29,15 +29,11 @@ from cosim.results.report.requirements import compared_margins
 from cosim.results.report.signals_data import FlightData, describe_run, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
-from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, display_unit, metric, show_value
+from cosim.results.wording import DIGITS, NONE, display_unit, metric
 
 STRIPS = (
-    (
-        "attitude",
-        "Attitude",
-        "True angles. Zoom by dragging, on any strip: all follow. Double click to see everything again. Values are "
-        "those at the cursor.",
-    ),
+    ("first", "", ""),
+    ("attitude", "", ""),
     (
         "difference",
         "Differences",
@@ -51,7 +47,8 @@ STRIPS = (
 )
 MARKED = (
     "True angles against the set-point. Overshoot is stated in percent of each step, the worst step counts; settled is "
-    "within 5 % of the step for good; – means that there is none. Where all fly the same scenario the least is green."
+    "within 5 % of the step for good; – means that there is none. Where all fly the same "
+    "scenario, the least is green among the flights that completed"
 )
 
 
@@ -74,19 +71,19 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
     colours = [run_colour(number) for number in range(len(flights))]
     named = [coloured(flight.label, colour) for flight, colour in zip(flights, colours, strict=True)]
     cards = [
-        *[Card(title, text=text, figure=name, is_half=name in ("height", "track"))
+        *[Card(title, text=text, figure=name, is_half=name in ("first", "attitude", "height", "track"))
           for name, title, text in STRIPS if name in strips],
         _metrics_card(summaries, named),
         _requirements_card(summaries, named),
         *[card for number, pair in enumerate(compared, 1)
           for card in _pair_cards(pair, colours[number], inputs_between(flights[0], flights[number]))],
+        Card("What flew", text=description, lines=[*filter(None, map(_describe_flight, flights))]),
     ]  # fmt: skip
     page = Page(
         "comparison",
         title,
         cards,
         answer=[_answer(flight, name, path) for flight, name in zip(flights, named, strict=True)],
-        summary=[*([description] if description else []), *filter(None, map(_describe_flight, flights))],
         flights=Flights("comparison", data, strips),
     )
     page.write(path)
@@ -111,17 +108,18 @@ def _describe_flight(flight: ComparedFlight) -> str:
             f"{summary.scenario}, {summary.aircraft}, engine {summary.engine_shown}, controller "
             f"{summary.controller_shown}, seed {summary.seed}"
         ]
-        if summary.expectations_met is not None:
-            parts += ["as expected" if summary.expectations_met else "not as expected"]
     parts += [flight.source] if flight.source else []
     return f"{flight.label}: {'; '.join([*parts, *flight.remarks])}" if parts else ""
 
 
-def _metrics_card(summaries: Sequence[Summary | None], named: Sequence[str]) -> Card | None:
+def _metrics_card(summaries: Sequence[Summary | None], named: Sequence[Markup]) -> Card | None:
     rows = comparison_rows(summaries)
+    done = [name for name, each in zip(named, summaries, strict=True) if each and each.outcome == "completed"]
+    few = Markup(": here {} alone did, so nothing is.").format(done[0]) if done else ": here none did."
+    text = MARKED + ("." if len(done) > 1 else few)
     cells = [[marked(cell["text"], "best") if cell["best"] else cell["text"] for cell in row["cells"]] for row in rows]
     listed = [(row["axis"], row["title"], *texts, row["unit"]) for row, texts in zip(rows, cells, strict=True)]
-    return Card("Metrics", ("axis", "metric", *named, "unit"), listed, MARKED) if rows else None
+    return Card("Metrics", ("axis", "metric", *named, "unit"), listed, text) if rows else None
 
 
 def _requirements_card(summaries: Sequence[Summary | None], named: Sequence[str]) -> Card | None:
@@ -216,35 +214,40 @@ def inputs_between(first: ComparedFlight, second: ComparedFlight) -> list[tuple[
 def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:
     """Return the metrics of the commanded axes and of the whole flight, a row each; a summary of None has none.
 
-    The least of a row is marked where all fly the same scenario: of different ones it would say nothing.
+    The least of a row among the flights that completed is marked where all fly the same scenario: of different ones it
+    would say nothing.
     """
     with_run = [summary for summary in summaries if summary is not None]
     alike = len({summary.scenario for summary in with_run}) == 1
+    judged = [alike and summary is not None and summary.outcome == "completed" for summary in summaries]
+    commanded = {axis for summary in with_run for axis, metrics in summary.metrics.items() if metrics.commanded}
+    found = [{} if summary is None else found_values(summary) for summary in summaries]
+    flat = [{} if summary is None else summary.flat_metrics for summary in summaries]
     rows: list[dict[str, Any]] = []
-    for axis in AXES:
-        by_run = [None if summary is None else summary.metrics[axis] for summary in summaries]
-        if any(metrics is not None and metrics.commanded for metrics in by_run):
-            for title, key, unit, factor, digits in AXIS_ROWS:
-                texts = [NONE if metrics is None else axis_cell(metrics, key, factor, digits) for metrics in by_run]
-                values = [None if metrics is None else getattr(metrics, key) for metrics in by_run]
-                rows.append({"axis": axis, "title": title, "unit": unit, "cells": _mark(texts, values, alike)})
-    metrics_by_run = [{} if summary is None else summary.flat_metrics for summary in summaries]
-    custom = dict.fromkeys(name for summary in with_run for name in summary.own_metrics)
-    for name, digits in [*WHOLE_ROWS, *((name, 4) for name in custom)]:
-        of = metric(name)
-        values = [flat.get(name) for flat in metrics_by_run]
-        texts = [show_value(value, of.factor, digits) for value in values]
-        title = of.label[0].upper() + of.label[1:]
-        rows.append({"axis": "whole flight", "title": title, "unit": of.unit, "cells": _mark(texts, values, alike)})
-    return [row for row in rows if any(cell["text"] != NONE for cell in row["cells"])]
+    for name in dict.fromkeys([*DIGITS, *(name for texts in found for name in texts)]):
+        of, axis, texts = metric(name), name.split(".")[0], [each.get(name, NONE) for each in found]
+        if (axis in AXES and axis not in commanded) or set(texts) == {NONE}:
+            continue
+        title = of.label.removeprefix(f"{axis} ") if axis in AXES else of.label
+        rows.append(
+            {
+                "axis": axis if axis in AXES else "whole flight",
+                "title": title[0].upper() + title[1:],
+                "unit": of.unit,
+                "cells": _mark(texts, [each.get(name) for each in flat], judged),
+            }
+        )
+    return rows
 
 
-def _mark(texts: Sequence[str], values: Sequence[float | None], alike: bool) -> list[dict[str, Any]]:
-    least = min((value for value in values if value is not None), default=None)
-    differ = alike and len(set(texts)) > 1
+def _mark(texts: Sequence[str], values: Sequence[float | None], judged: Sequence[bool]) -> list[dict[str, Any]]:
+    """Return cells of a row, the least value of those that are judged marked unless they all read the same."""
+    cells = list(zip(texts, values, judged, strict=True))
+    least = min((value for _, value, among in cells if among and value is not None), default=None)
+    differ = len({text for text, _, among in cells if among}) > 1
     return [
-        {"text": text, "best": differ and value is not None and value == least}
-        for text, value in zip(texts, values, strict=True)
+        {"text": text, "best": differ and among and value is not None and value == least}
+        for text, value, among in cells
     ]
 
 

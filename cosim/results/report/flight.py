@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from math import degrees
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,18 +19,18 @@ from cosim.results.report.plot import BLUE
 from cosim.results.report.requirements import (
     SOURCES,
     ZERO,
+    allowed_range,
     by_margin,
     deciding_events,
     describe_margin,
     margin_columns,
     margins_over_time,
-    shortened,
 )
 from cosim.results.report.signals_data import describe_run, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES, NOTHING_EXPECTED
-from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, show_value
+from cosim.results.wording import DIGITS, NONE, metric, show_value
 
 KINDS = {
     "fault": "fault",
@@ -74,7 +73,6 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         flights,
         path.resolve().parent.parent if shared_assets else None,
         strips=strips,
-        axis_rows=AXIS_ROWS,
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
         events=events,
         kinds=KINDS,
@@ -88,19 +86,14 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         summary=summary,
         verdict=verdict(summary),
         badge=verdict_badge(summary),
-        axes=sorted(summary.metrics.items(), key=lambda item: not item[1].commanded),
-        axis_cell=axis_cell,
-        axis_limits=axis_limits_line(summary),
-        whole=whole_rows(summary),
-        flat=summary.flat_metrics,
-        is_met=is_met,
+        found=found_values(summary),
         requirements=by_margin(summary),
         sources=SOURCES,
-        shortened=shortened,
         describe_margin=describe_margin,
+        allowed=allowed_range,
+        metric=metric,
         ledgers=ledgers(summary),
         jets=jet_drawing(summary),
-        uncertain=uncertain_rows(summary),
         own=custom_columns(run.log.described),
         files={"log": LOG, "scenario": SCENARIO},
         folder=run.folder,
@@ -111,7 +104,8 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
 def verdict_badge(summary: Summary) -> tuple[str, str]:
     """Return the class and the text of the badge with the verdict; a flight without one shows its outcome."""
     if summary.verdict is None or summary.verdict == Verdict.NOT_COMPLETED:
-        return summary.outcome, summary.outcome
+        expected = {True: ", as expected", False: ", not as expected", None: ""}[summary.expectations_met]
+        return summary.outcome, summary.outcome + expected
     return BADGES[summary.verdict], summary.verdict
 
 
@@ -120,9 +114,10 @@ def verdict(summary: Summary) -> str:
     duration = f"{summary.duration_s:.2f} s"
     if summary.outcome == "completed":
         sentences = [f"Flew all {duration}{', but beyond its limits' if summary.beyond else ''}."]
+        sentences += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
+        sentences += [f"Not as expected: {text}." for text in summary.complaints]
     else:
         sentences = [f"{summary.outcome.capitalize()} after {duration} of {summary.planned_s:g} s: {summary.reason}."]
-    sentences += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
     if summary.verdict == Verdict.NOTHING_CHECKED:
         sentences.append(NOTHING_EXPECTED)
     sentences += axis_sentences(summary)
@@ -159,36 +154,16 @@ def _worst_error(summary: Summary) -> str:
     return f"Largest attitude error: {degrees(error):.2g}°, in {axis}."
 
 
-def axis_limits_line(summary: Summary) -> str:
-    """Return the limits of the axes in words; an empty string for a flight that has none."""
-    limits = [(metric(name), most) for name, most in summary.limits.items() if name.split(".")[0] in summary.metrics]
-    texts = ", ".join(f"{of.label} {of.factor * most:.4g} {of.unit}" for of, most in limits)
-    return f"Limits: {texts}." if texts else ""
-
-
-def whole_rows(summary: Summary) -> list[dict[str, Any]]:
-    """Return the metrics of the whole flight that are known: label, value, unit, limit, and whether it is exceeded."""
-    flat, rows = summary.flat_metrics, []
-    for name, digits in WHOLE_ROWS:
-        of, value, most = metric(name), flat.get(name), summary.limits.get(name)
-        if value is not None:
-            limit = "" if most is None else f"{of.factor * most:.4g}"
-            cell = show_value(value, of.factor, digits)
-            label = of.label[0].upper() + of.label[1:]
-            rows.append(
-                {"label": label, "value": cell, "unit": of.unit, "limit": limit, "beyond": name in summary.beyond}
-            )
+def found_values(summary: Summary) -> dict[str, str]:
+    """Return the metrics of a flight that are known by name, its own ones last: texts without their unit."""
+    flat = summary.flat_metrics
+    texts = {name: show_value(flat.get(name), metric(name).factor, digits) for name, digits in DIGITS.items()}
+    for axis, metrics in summary.metrics.items():
+        if metrics.settling_time_s is None and metrics.overshoot_percent is not None:
+            texts[f"{axis}.settling_time_s"] = "not settled"
     for name, value in summary.own_metrics.items():
-        of = metric(name)
-        cell = NONE if value is None else f"{of.factor * value:.4g}"
-        rows.append({"label": of.label.capitalize(), "value": cell, "unit": of.unit, "limit": "", "beyond": False})
-    return rows
-
-
-def is_met(summary: Summary, name: str) -> bool:
-    """Return whether nothing was complained of about a metric of which something was expected."""
-    beginnings = (f"{name} ", f"{name}:", f"unknown metric {name!r}")
-    return not any(complaint.startswith(beginnings) for complaint in summary.complaints)
+        texts[name] = NONE if value is None else f"{metric(name).factor * value:.4g}"
+    return {name: text for name, text in texts.items() if text != NONE}
 
 
 class AxisLedger(NamedTuple):
@@ -209,12 +184,8 @@ def ledgers(summary: Summary) -> list[AxisLedger]:
     for rows, axes in axes_of.items():
         samples = [row.samples for row in rows if row.samples is not None]
         total = sum(samples) if len(samples) == len(rows) else None
-        axis_ledgers.append(AxisLedger(_listed(axes).capitalize(), list(rows), total))
+        axis_ledgers.append(AxisLedger(" and ".join(axes), list(rows), total))
     return axis_ledgers
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)
 
 
 def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
@@ -226,20 +197,3 @@ def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
         {"number": number, "x": 50.0 + 36.0 * y / reach, "y": 52.0 - 36.0 * x / reach}
         for number, (x, y, _) in enumerate(summary.jets_m, start=1)
     ]
-
-
-def uncertain_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of how well the engine is known."""
-    known = summary.engine_uncertainty
-    return [
-        [row.name, f"{row.flown:.4g}", f"{row.nominal:.4g}", f"{row.low:.4g} to {row.high:.4g}",
-         f"{row.spread:.3g}" if row.spread else ""]
-        for row in (known.parameters if known is not None else ())
-    ]  # fmt: skip
-
-
-def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:
-    """Return one metric of an axis as a table has it."""
-    if key == "settling_time_s" and metrics.settling_time_s is None and metrics.overshoot_percent is not None:
-        return "not settled"
-    return show_value(getattr(metrics, key), factor, digits)

@@ -16,6 +16,7 @@ from cosim.results.comparison import ComparedFlight, difference, make_time_base
 from cosim.results.log.columns import custom_columns
 from cosim.results.log.recorder import Log, MemoryLog
 from cosim.results.log.tables import TIME
+from cosim.results.metrics import AxisMetrics
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.panels import (
     ATTITUDE,
@@ -29,6 +30,7 @@ from cosim.results.report.panels import (
     Trace,
     effort_panels,
     engine_panels,
+    make_rest_columns,
     thrust_panels,
     tilt_panels,
 )
@@ -59,16 +61,21 @@ def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = 
     ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
     """
     reader = Reader(log, summary.step_s)
+    first = first_panel(reader, summary.metrics)
     east_north = [Trace("east_m", "east", BLUE), Trace("north_m", "north", BLUE)]
     figures = {
-        "attitude": strips(reader, ATTITUDE),
+        "first": strips(reader, [first]),
+        "attitude": strips(reader, [panel for panel in ATTITUDE if panel != first]),
         "rate": strips(reader, RATE),
         "thrust": strips(reader, thrust_panels(summary)) | {"shared": True},
         "tilt": strips(reader, tilt_panels(log)),
         "effort": strips(reader, effort_panels(log)),
-        "height": strips(reader, HEIGHT),
+        "height": strips(reader, [panel for panel in HEIGHT if panel != first]),
         "track": strips(reader, [Panel("Track", "m", east_north)]) | {"equal": True},
     }
+    answer = first_answer(reader, summary)
+    if answer:
+        figures["answer"] = answer
     if margins:
         figures["margins"] = strips(reader, margin_panels(margins))
     if any(
@@ -87,6 +94,49 @@ def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = 
     if inside:
         figures["engines"] = strips(reader, inside)
     return figures
+
+
+def first_panel(reader: Reader, metrics: Mapping[str, AxisMetrics]) -> Panel:
+    """Return the panel that a page begins with: the commanded axis of the largest error.
+
+    Where no axis is commanded it is the height, if its set-point moves, or else the axis of the largest error.
+    """
+    ranks = [(each.commanded, each.max_abs_error_rad or 0.0) for each in (metrics[axis] for axis in AXES)]
+    height = HEIGHT[0].traces[-1].column
+    climbs = reader.has_values(height) and np.nanmin(reader.log[height]) < np.nanmax(reader.log[height])
+    return HEIGHT[0] if climbs and not max(ranks)[0] else ATTITUDE[ranks.index(max(ranks))]
+
+
+def first_answer(reader: Reader, summary: Summary, min_step_rad: float = 0.02) -> Figure | None:
+    """Return the strip of the jet or servo that moves most about the first step of an attitude's set-point.
+
+    It shows the time around that step; shaded are the delays on its way that the delay ledger states, one after the
+    other.  None without a step of ``min_step_rad`` between two rows.
+    """
+    log, step_s, rest = reader.log, summary.step_s, make_rest_columns(reader.log, summary)
+    jumps = {axis: np.flatnonzero(np.abs(np.diff(log[f"{axis}_setpoint_rad"])) > min_step_rad) for axis in AXES}
+    steps = [(int(rows[0]) + 1, axis) for axis, rows in jumps.items() if rows.size]
+    if not steps:
+        return None
+    row, axis = min(steps)
+    begin = end = row * step_s
+    spans, beyond = [], ("sensors.", "JSBSim")
+    for owned in summary.delay_ledger:
+        if owned.axis == axis and owned.kind in ("transport", "lag") and not owned.owner.startswith(beyond):
+            late = (owned.samples or 0.0) * step_s
+            spans += [[end, end + late, f"{1e3 * late:.0f} ms", owned.element.split(",")[0]]] if late else []
+            end += late
+    around = max(end - begin, 0.05)
+    rows = slice(row - 1, row + int(2.5 * around / step_s))
+
+    def movement(panel: Panel) -> float:
+        command = panel.traces[0].column
+        values = (rest[command]() if command in rest else log[command])[rows]
+        return float(np.ptp(values)) * panel.scale / panel.least_span
+
+    panel = max([*thrust_panels(summary), *tilt_panels(log)], key=movement)
+    window = {"from": begin - around, "to": begin + 2.5 * around}
+    return {"panels": [_strip(panel, [(0, each) for each in panel.traces]) | {"window": window, "spans": spans}]}
 
 
 def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
@@ -134,11 +184,19 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
     """
     readers = [Reader.of(flight) for flight in flights]
     labels = [flight.label for flight in flights]
-    chosen = {"attitude": (ATTITUDE, "true"), "rate": (RATE, "measured"), "effort": (EFFORT, "asked for")}
+    with_run = [(reader, flight.run) for reader, flight in zip(readers, flights, strict=True) if flight.run is not None]
+    first = first_panel(with_run[0][0], with_run[0][1].metrics) if with_run else ATTITUDE[0]
+    attitude, height = ([panel for panel in panels if panel != first] for panels in (ATTITUDE, HEIGHT))
+    chosen = {
+        "first": ([first], "true"),
+        "attitude": (attitude, "true"),
+        "rate": (RATE, "measured"),
+        "effort": (EFFORT, "asked for"),
+    }
     figures: dict[str, list[tuple[Panel, list[tuple[int, Trace]]]]] = {
         name: overlay_panels(readers, labels, panels, which) for name, (panels, which) in chosen.items()
     }
-    figures["height"] = overlay_panels(readers, labels, HEIGHT, "true")
+    figures["height"] = overlay_panels(readers, labels, height, "true")
     figures["difference"] = []
     for panel in LESS:
         name = panel.traces[0].column

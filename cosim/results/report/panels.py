@@ -178,7 +178,7 @@ def thrust_panels(summary: Summary) -> list[Panel]:
                 *([_demand(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
                 Trace(f"thrust_{jet}_N", "delivered", width=1.5),
             ],
-            least_span=4.0,
+            least_span=1.0,
         )
         for row in jet_rows(summary.jets_m)
         for jet in row

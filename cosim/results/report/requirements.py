@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -77,11 +76,11 @@ def checked_rows(summary: Summary) -> list[tuple[str, tuple[str, ...]]]:
             of = metric(result.name)
             margin = result.note if result.margin is None else f"{of.factor * result.margin:z.4g} {of.unit}".strip()
             at = "overall" if result.decided_at_s is None else f"{result.decided_at_s:.3f} s"
-            rows.append((result.name, (of.label, SOURCES[result.source], _allowed(result, summary), margin, at)))
+            rows.append((result.name, (of.label, SOURCES[result.source], allowed_range(result, summary), margin, at)))
     return rows
 
 
-def _allowed(result: RequirementResult, summary: Summary) -> str:
+def allowed_range(result: RequirementResult, summary: Summary) -> str:
     """Return the range of a metric that a limit or an expectation allows."""
     of, least, most = metric(result.name), None, summary.limits.get(result.name)
     if result.source == "expect" and summary.expectation is not None:
@@ -115,11 +114,6 @@ def describe_margin(result: RequirementResult) -> str:
     """Format a margin with its unit; a dash where there is none."""
     unit, factor = display_unit(result.unit)
     return NONE if result.margin is None else f"{factor * result.margin:z.4g} {'' if unit == '1' else unit}".strip()
-
-
-def shortened(formula: str) -> str:
-    """Return a formula that was made, its numbers rounded to four digits for people."""
-    return re.sub(r"(?<![\w.])\d+\.\d+(?:e[-+]\d+)?", lambda number: f"{float(number[0]):.4g}", formula)
 
 
 def margin_panels(margins: Sequence[MarginOverTime]) -> list[Panel]:

@@ -113,6 +113,9 @@ def test_the_least_is_marked_only_where_the_scenario_is_the_same() -> None:
     marked = lambda rows: any(cell["best"] for row in rows for cell in row["cells"])  # noqa: E731
     assert marked(comparison_rows([one, other, None]))
     assert not marked(comparison_rows([one, other.model_copy(update={"scenario": "else"})]))
+    lost = other.model_copy(update={"outcome": "diverged"})
+    assert not marked(comparison_rows([one, lost]))
+    assert not any(row["cells"][2]["best"] for row in comparison_rows([one, other, lost]))
 
 
 def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
@@ -129,8 +132,8 @@ def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() 
     flights = [ComparedFlight("A", logs[0]), ComparedFlight("B", logs[1])]
     less = subtract_first(flights)
     figures = comparison_figures(flights, less)
-    assert set(figures) == {"attitude", "difference"}
-    for name, drawn in (("attitude", [(0, "roll_rad"), (1, "roll_rad")]), ("difference", [(2, "roll_rad_less")])):
+    assert set(figures) == {"first", "difference"}
+    for name, drawn in (("first", [(0, "roll_rad"), (1, "roll_rad")]), ("difference", [(2, "roll_rad_less")])):
         (panel,) = figures[name]["panels"]
         assert [(signal["run"], signal["column"]) for signal in panel["signals"]] == drawn
     np.testing.assert_array_equal(less[1]["time_s"], times)

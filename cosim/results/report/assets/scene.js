@@ -13,7 +13,7 @@
   // moment(n): where it is, {place, quaternion, value, seen}: value(name) is that of a column of the log, or NaN; so many points
   // of its track are flown.  drawn() is called after each picture; high(width) is the picture's height in pixels.
   // Gives {show, views, put, moved}: draw, next camera, put a vehicle to its moment, tell that a track has grown.
-  const make = ({ stage, flown, moment, element, style, drawn = () => {}, high = (width) => Math.max(220, Math.min(460, 0.56 * width)) }) => {
+  const make = ({ stage, flown, moment, element, style, drawn = () => {}, high = (width) => Math.max(220, Math.min(460, 0.65 * width)) }) => {
     const read = element("div", { class: "readout" });
     // where the processor draws, a picture that moves is coarser, without smooth edges: that is more than half of its cost
     const probe = document.createElement("canvas").getContext("webgl2");
@@ -253,13 +253,15 @@
       }
     };
 
-    const deg = (value) => Number.isFinite(value) ? `${(value * 180 / Math.PI).toFixed(1)}°` : "–";
+    // no minus before what rounds to 0
+    const fixed = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]*$)/, "");
+    const deg = (value) => Number.isFinite(value) ? `${fixed(value * 180 / Math.PI, 1)}°` : "–";
     const words = () => vehicles.map(({ flight, real, share }, n) => {
       const { value } = moment(n);
       const speed = Math.hypot(value("velocity_north_m_s"), value("velocity_east_m_s"), value("velocity_down_m_s"));
       const wind = Math.hypot(value("wind_north_m_s"), value("wind_east_m_s"), value("wind_down_m_s"));
       const thrust = flight.vehicle.jets.reduce((sum, _, jet) => sum + value(`thrust_${jet + 1}_N`), 0);
-      const is = (x, digits, unit) => Number.isFinite(x) ? `${x.toFixed(digits)} ${unit}` : "–";
+      const is = (x, digits, unit) => Number.isFinite(x) ? `${fixed(x, digits)} ${unit}` : "–";
       return `${vehicles.length > 1 ? `${flight.label}: ` : ""}${is(value("altitude_m"), 2, "m high")}, ${is(speed, 2, "m/s")}, roll ${deg(value("roll_rad"))}, pitch ${deg(value("pitch_rad"))}, yaw ${deg(value("yaw_rad"))}, thrust ${is(thrust, 1, "N")}, wind ${is(wind, 1, "m/s")}`;
     });
 

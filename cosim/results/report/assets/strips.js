@@ -118,9 +118,10 @@
   }, { rootMargin: "300px" });
 
   class Panel {
-    // signals: {run, column, label, colour, dash, width, held, scale}
-    constructor(place, { title = "", unit = "", least = 0, signals = [], mode = "time", free = false, height = 150, equal = false, group = null }) {
-      Object.assign(this, { title, unit, least, mode, free, height, equal, group });
+    // signals: {run, column, label, colour, dash, width, held, scale}; window: what is seen while all else shows the whole
+    // flight, {from, to}; spans: named intervals behind the lines, [from, to, name]
+    constructor(place, { title = "", unit = "", least = 0, signals = [], mode = "time", free = false, height = 150, equal = false, group = null, window = null, spans = null }) {
+      Object.assign(this, { title, unit, least, mode, free, height, equal, group, window, spans });
       this.signals = [];
       this.seen = false;
       this.hidden = new Set();
@@ -207,6 +208,8 @@
       this.build();
     }
 
+    get view() { return this.window && state.from === 0 && state.to === state.end ? this.window : state; }
+
     viewKey() { return `${state.from} ${state.to} ${this.width()} ${state.marks}`; }
 
     width() { return printing ? PAPER.width : Math.max(120, this.body.clientWidth); }
@@ -266,7 +269,7 @@
         paths: line.held ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear() }));
       // uPlot's steps are at most twice the least space apart: three labels stand on a sixth of the height
       const options = this.common(width, { yAxis: { space: (u, axis, low, high, size) => Math.max(13, Math.min(30, size / 6)) }, options: {
-        scales: { x: { time: false, range: () => [state.from, state.to] }, y: { range: (u, low, high) => this.yRange(low, high) } },
+        scales: { x: { time: false, range: () => [this.view.from, this.view.to] }, y: { range: (u, low, high) => this.yRange(low, high) } },
         series: [{}, ...series],
         cursor: { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false } },
         select: { show: true },
@@ -275,7 +278,7 @@
           setSelect: [(u) => { if (u.select.width > 3) { const a = u.posToVal(u.select.left, "x"), b = u.posToVal(u.select.left + u.select.width, "x");
             u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false); setView(a, b); } }],
         } } });
-      this.data = windowOf(lines, state.from, state.to, width - SIDES);
+      this.data = windowOf(lines, this.view.from, this.view.to, width - SIDES);
       this.chart = new uPlot(options, this.data, this.body);
       const over = this.chart.over;
       over.append(this.cursor);
@@ -286,7 +289,7 @@
         if (!event.ctrlKey && !event.shiftKey) return; // the wheel alone scrolls the page
         event.preventDefault();
         if (event.ctrlKey) zoom(event.deltaY > 0 ? 1.25 : 0.8, this.chart.posToVal(event.offsetX, "x"));
-        else { const by = 0.1 * (state.to - state.from) * Math.sign(event.deltaY || event.deltaX); setView(state.from + by, state.to + by); }
+        else { const { from, to } = this.view, by = 0.1 * (to - from) * Math.sign(event.deltaY || event.deltaX); setView(from + by, to + by); }
       }, { passive: false });
       this.values();
     }
@@ -310,20 +313,20 @@
       const width = this.width();
       if (this.mode !== "time") { if (this.drawnFor !== this.viewKey()) this.changed(); return; }
       if (this.chart.width !== width) this.chart.setSize({ width, height: this.height });
-      this.data = windowOf(this.lines, state.from, state.to, width - SIDES);
+      this.data = windowOf(this.lines, this.view.from, this.view.to, width - SIDES);
       this.chart.setData(this.data);
       this.drawnFor = this.viewKey();
       this.values();
     }
 
     // a tint for each phase, and its name in the first of panels above each other
-    tint(u, x, phases) {
-      const { ctx } = u, { top, height } = u.bbox, ratio = devicePixelRatio;
+    tint(u, x, phases, alpha) {
+      const { ctx } = u, { from: begin, to: end } = this.view, { top, height } = u.bbox, ratio = devicePixelRatio;
       const names = [...new Set(phases.map(([, , name]) => name))];
       ctx.font = `${10 * ratio}px ${getComputedStyle(document.body).fontFamily}`;
       for (const [from, to, name] of phases) {
-        if (to < state.from || from > state.to) continue;
-        ctx.globalAlpha = 0.09;
+        if (to < begin || from > end) continue;
+        ctx.globalAlpha = alpha;
         ctx.fillStyle = TINTS[names.indexOf(name) % TINTS.length];
         ctx.fillRect(x(from), top, x(to) - x(from), height);
         ctx.globalAlpha = 1;
@@ -334,21 +337,22 @@
 
     // phases, faults, disturbances, saturation behind the lines; words of monitor and autopilot as dotted lines
     bands(u) {
-      const { ctx } = u, { left, top, width, height } = u.bbox;
+      const { ctx } = u, { left, top, width, height } = u.bbox, { from: begin, to: end } = this.view;
       const x = (t) => Math.max(left, Math.min(left + width, u.valToPos(t, "x", true)));
       ctx.save();
       const shown = new Set(this.lines.map((line) => line.flight.number));
-      if (shown.size === 1) this.tint(u, x, this.lines[0].flight.phases);
+      if (this.spans) this.tint(u, x, this.spans, 0.2);
+      else if (shown.size === 1) this.tint(u, x, this.lines[0].flight.phases, 0.09);
       for (const number of shown) {
         const flight = flights[number];
         for (const event of flight.events) {
-          const end = event.end === null ? state.end : event.end;
+          const last = event.end === null ? state.end : event.end;
           if (event.lasts && event.banded) {
-            if (end < state.from || event.t > state.to) continue;
+            if (last < begin || event.t > end) continue;
             ctx.globalAlpha = 0.14;
             ctx.fillStyle = KINDS[event.kind];
-            ctx.fillRect(x(event.t), top, Math.max(1, x(end) - x(event.t)), height);
-          } else if (!event.lasts && event.t >= state.from && event.t <= state.to) {
+            ctx.fillRect(x(event.t), top, Math.max(1, x(last) - x(event.t)), height);
+          } else if (!event.lasts && event.t >= begin && event.t <= end) {
             ctx.globalAlpha = 0.9;
             ctx.strokeStyle = KINDS[event.kind];
             ctx.lineWidth = 1.2 * devicePixelRatio;
@@ -358,18 +362,18 @@
         }
         ctx.globalAlpha = 0.14;
         ctx.fillStyle = KINDS.disturbance;
-        for (const [from, to] of flight.upsets) if (to >= state.from && from <= state.to) ctx.fillRect(x(from), top, Math.max(1, x(to) - x(from)), height);
+        for (const [from, to] of flight.upsets) if (to >= begin && from <= end) ctx.fillRect(x(from), top, Math.max(1, x(to) - x(from)), height);
         ctx.globalAlpha = 0.5;
         ctx.fillStyle = "#e8590c";
         for (const [from, to] of flight.saturated) {
-          const end = to === null ? flight.end : to;
-          if (end >= state.from && from <= state.to) ctx.fillRect(x(from), top, Math.max(1, x(end) - x(from)), 3 * devicePixelRatio);
+          const last = to === null ? flight.end : to;
+          if (last >= begin && from <= end) ctx.fillRect(x(from), top, Math.max(1, x(last) - x(from)), 3 * devicePixelRatio);
         }
       }
       ctx.globalAlpha = 1;
       ctx.setLineDash([]);
       state.marks.forEach((mark, n) => {
-        if (mark === null || mark < state.from || mark > state.to) return;
+        if (mark === null || mark < begin || mark > end) return;
         ctx.strokeStyle = ctx.fillStyle = style("--ink");
         ctx.lineWidth = devicePixelRatio;
         ctx.beginPath(); ctx.moveTo(x(mark), top); ctx.lineTo(x(mark), top + height); ctx.stroke();
@@ -384,7 +388,7 @@
       if (!this.chart || !this.lines) return;
       if (this.mode === "time") {
         const at = this.chart.valToPos(state.t, "x");
-        const inside = state.t >= state.from && state.t <= state.to;
+        const inside = state.t >= this.view.from && state.t <= this.view.to;
         this.cursor.style.transform = `translateX(${at}px)`;
         this.cursor.style.visibility = inside ? "visible" : "hidden";
       }
@@ -401,7 +405,7 @@
 
     // every sample of what is seen
     seenRows(line) {
-      const first = Math.max(0, line.flight.row(state.from + 1e-9)), end = Math.min(line.flight.rows, line.flight.row(state.to) + 1);
+      const first = Math.max(0, line.flight.row(this.view.from + 1e-9)), end = Math.min(line.flight.rows, line.flight.row(this.view.to) + 1);
       return [first, end];
     }
 
