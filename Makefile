@@ -69,7 +69,7 @@ wheel: $(LOCKED) ## build a wheel of the project for this Python and system, in 
 	@$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . && ls dist/*.whl
 
 fmus: $(BUILT) ## build the engines' FMUs anew
-	@$(BIN)/hexjet fmu build $(ARGS)
+	@$(BIN)/hexjet engine build $(ARGS)
 
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py

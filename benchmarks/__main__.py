@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: the same as ``hexjet bench``."""
+"""``python -m benchmarks``: the same as ``hexjet benchmark``."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ import sys
 from cosim.cli.main import main
 
 if __name__ == "__main__":
-    main(["bench", *sys.argv[1:]])
+    main(["benchmark", *sys.argv[1:]])

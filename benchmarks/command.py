@@ -1,12 +1,12 @@
-"""hexjet bench: what it costs."""
+"""hexjet benchmark: what it costs."""
 
 from __future__ import annotations
 
 from cosim.commands import Command
 
-bench = Command(
-    "bench",
-    "benchmarks.show:bench",
+benchmark = Command(
+    "benchmark",
+    "benchmarks.show:benchmark",
     "--only step --only peers",
     options={"folder": "--dir"},
     metavars={"only": "PART", "page": "FILE.md"},

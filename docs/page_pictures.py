@@ -63,13 +63,13 @@ PAGES = {
     ),
     "identify": Page(["identify roll --engine edf-as-flown --out identified"], "identified/report.html"),
     "identify-log": Page([*DOUBLET, MODEL], "logged/report.html"),
-    "validation": Page([*DOUBLET, MODEL, "validate logged baseline --out validated"], "validated/report.html"),
+    "validation": Page([*DOUBLET, MODEL, "replay baseline --model logged --out validated"], "validated/report.html"),
     "design": Page([f"design --start {START} --no-proof --out designed.toml"], "designed.html"),
     "margins": Page(
         ["margins hover --controller smith --axis roll --periods 3 --out measured"], "measured/report.html"
     ),
     "paper": Page(["paper --out paper"], "paper/report.html"),
-    "engine-check": Page(["fmu check edf.fmu --out checked"], "checked/report.html"),
+    "engine-check": Page(["engine check edf.fmu --out checked"], "checked/report.html"),
 }
 MORE = {  # looked at, and not in the documentation
     "replay": Page([DOUBLET[1], "replay smith --draws 8 --out replayed"], "replayed/report.html"),
@@ -78,7 +78,7 @@ MORE = {  # looked at, and not in the documentation
     ),
     "rare": Page(
         [
-            "rare hover --vary vehicle.mass_kg=5:7.5 --controller smith --target 0.1 --budget 1200 "
+            "search --rare hover --vary vehicle.mass_kg=5:7.5 --controller smith --target 0.1 --budget 1200 "
             "--set duration_s=0.4 --out rare"
         ],
         "rare/rare.html",

@@ -531,7 +531,7 @@ ENVIRONMENT = {
     "ARDUPILOT_SITL": "the ArduPilot program that `hexjet sitl` runs",
     "BETAFLIGHT_SITL": "the Betaflight program that `hexjet sitl` runs",
     "PX4_SITL": "the PX4 program that `hexjet sitl` runs",
-    "HEXJET_BROWSER": "the browser that tests, pictures of pages and `hexjet bench` drive",
+    "HEXJET_BROWSER": "the browser that tests, pictures of pages and `hexjet benchmark` drive",
     "CC": "the C compiler that builds FMUs and extensions; `cc` without it",
     "PYTHONPATH": "where Python finds modules of your own; a campaign's workers on this machine have the same",
     "PATH": "where compiler and CMake are found",

@@ -32,4 +32,4 @@ print(f"flight {rows['flight'][worst]} with {rows['controller'][worst]}: {again.
 print(
     f"mass factor {rows['mismatch.mass_factor'][worst]:.3f}, {rows['mismatch.delay_samples'][worst]} samples more delay"
 )
-print(f"the same log again, bit for bit: {again.same}; next: hexjet report {folder}")
+print(f"the same log again, bit for bit: {again.same}; next: hexjet show {folder} --page")

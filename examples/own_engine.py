@@ -52,4 +52,6 @@ print(f"{fmu.name}: {thrust:.2f} N at throttle {throttle:g}")
 for name, run in (("six of it", six), ("one of it at station 3", one)):
     throttle, error = run.log["throttle_3"][-1], run.summary.altitude.max_abs_error_m
     print(f"{name}: {run.outcome}, throttle 3 in hover {throttle:.3f}, greatest error of the height {error:.3f} m")
-print(f"next: hexjet fmu check {fmu}, and hexjet design --engine {fmu} for a predictor and gains with stated margins")
+print(
+    f"next: hexjet engine check {fmu}, and hexjet design --engine {fmu} for a predictor and gains with stated margins"
+)

@@ -28,19 +28,8 @@ STYLE = (
 def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     """Draw the attainable moments with all engines filled, and without each one as a line in roll and pitch.
 
-    A section holds the weight and keeps the third moment at zero.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What is drawn.
-    reach : Reach
-        What its layout can do, all engines well.
-
-    Returns
-    -------
-    str
-        A whole SVG document.
+    A section holds the weight and keeps the third moment at zero.  It is a whole SVG document; ``reach`` is what the
+    layout can do, all engines well.
     """
     title = f"{vehicle.name}: attainable moments in hover"
     root = begin_drawing(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)

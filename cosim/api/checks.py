@@ -1,4 +1,4 @@
-"""Engines and aircraft looked over: what ``hexjet fmu check``, ``fmu map`` and ``aircraft check`` call."""
+"""Engines and aircraft looked over: what ``hexjet engine check``, ``engine map`` and ``aircraft check`` call."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class EngineCheckResult(FolderResult):
         return {"report": page, "json": page.with_name(CHECK[0])}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet fmu check --json`` prints."""
+        """Return what ``hexjet engine check --json`` prints."""
         return self.check.to_dict()
 
     def lines(self) -> list[str]:
@@ -147,7 +147,7 @@ class MappingResult(Result):
         return self.begun.is_complete
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet fmu map --json`` prints."""
+        """Return what ``hexjet engine map --json`` prints."""
         begun = self.begun
         return {
             "fmu": str(begun.archive.path),

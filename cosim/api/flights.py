@@ -101,48 +101,6 @@ def _other_engines(summary: Summary) -> str:
     return "".join(f", {engine} at {' and '.join(numbers)}" for engine, numbers in at.items())
 
 
-def report(folder: str | Path, *, shared_assets: bool = False) -> Result:
-    """Write the report of a run or of a campaign again.
-
-    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.  No code of the
-    folder is run: metrics of your own are those that the flights left.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The folder of a run or of a campaign.
-    shared_assets : bool
-        Of a run: keep what draws the page in one folder beside those of runs, rather than in each page.
-
-    Returns
-    -------
-    Result
-        What the run or the campaign came to.
-
-    Raises
-    ------
-    InputError
-        If there is neither.
-    """
-    from cosim.campaign.folder import is_campaign
-    from cosim.results.report.flight import write_report
-    from cosim.results.run import REPORT, open_run
-
-    folder = Path(folder)
-    if is_campaign(folder):
-        if shared_assets:
-            raise InputError(f"shared_assets: {folder} is a campaign, whose page has all in it; leave it out")
-        from cosim.api.studies import SweepResult
-        from cosim.campaign import open_campaign
-        from cosim.campaign.analysis.page import write_campaign_report
-
-        campaign = open_campaign(folder)
-        return SweepResult(campaign, write_campaign_report(campaign))
-    run = open_run(folder)
-    write_report(run, folder / REPORT, shared_assets)
-    return FlightResult(run)
-
-
 def load(
     scenario: Scenario | str | Path,
     *,

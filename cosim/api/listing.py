@@ -1,11 +1,12 @@
-"""The names of what can be flown: what ``hexjet list`` calls."""
+"""The names of what can be flown: what ``hexjet show`` lists."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cosim.api.call import Result, checked
+from cosim.api.call import Result
 from cosim.base.storage.paths import data_folder, files_in, names_in
 
 Kind = Literal["scenarios", "studies", "engines", "aircraft", "controllers"]
@@ -21,8 +22,8 @@ class CatalogueResult(Result):
         Of each kind a list of entries, each with ``name`` and ``title``.
     """
 
-    def __init__(self, catalogues: dict[str, list[dict[str, Any]]]) -> None:
-        self.catalogues = catalogues
+    def __init__(self, kinds: Iterable[str]) -> None:
+        self.catalogues = {kind: catalogue(kind) for kind in kinds}
         self.files = {}
 
     def to_dict(self) -> dict[str, Any]:
@@ -36,23 +37,6 @@ class CatalogueResult(Result):
             width = max((len(entry["name"]) for entry in entries), default=0)
             lines += [kind, *(f"  {entry['name']:{width}}  {entry['title']}" for entry in entries)]
         return lines
-
-
-@checked()
-def list_items(kind: Kind | None = None) -> CatalogueResult:
-    """List what can be flown: scenarios, studies, engines, aircraft, controllers.
-
-    Parameters
-    ----------
-    kind : str or None
-        These alone; None: all.
-
-    Returns
-    -------
-    CatalogueResult
-        Names and titles.
-    """
-    return CatalogueResult({each: catalogue(each) for each in ([kind] if kind else KINDS)})
 
 
 def catalogue(kind: str) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What can be flown, with its numbers, their units and what they mean: what ``hexjet show`` and ``list`` call."""
+"""What can be flown, with its numbers, their units and what they mean: what ``hexjet show`` calls."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what is called so in ``hexjet list``, an entry for each kind.  Raises InputError if nothing is."""
+    """Return what is called so in ``hexjet show``, an entry for each kind.  Raises InputError if nothing is."""
     catalogues = {kind: catalogue(kind) for kind in kinds}
     shown = [
         {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
@@ -187,8 +187,8 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
     if not shown:
         path = Path(name)
         if path.exists():
-            raise InputError(f"{name}: cannot be shown; allowed: a name of hexjet list, {_FILES}")
-        names = {entry["name"] for entries in catalogues.values() for entry in entries}
+            raise InputError(f"{name}: cannot be shown; allowed: a name of hexjet show, {_FILES}")
+        names = {*KINDS, *(entry["name"] for entries in catalogues.values() for entry in entries)}
         names |= {str(other) for folder in {Path("runs"), path.parent} if folder.is_dir() for other in folder.iterdir()}
         raise InputError(f"nothing is called {name!r}; {similar(name, names)}")
     return shown

@@ -67,8 +67,8 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 
 def similar(name: str, allowed: Iterable[str]) -> str:
-    """Return a clause with similar names, where too many are allowed for a line: ``hexjet list`` has them all."""
+    """Return a clause with similar names, where too many are allowed for a line: ``hexjet show`` has them all."""
     import difflib
 
     close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))
-    return f"{f'did you mean {close}? ' if close else ''}see: hexjet list"
+    return f"{f'did you mean {close}? ' if close else ''}see: hexjet show"

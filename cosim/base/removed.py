@@ -25,23 +25,41 @@ _ENGINE_OUT: Final = Removal(
 )
 _PAGES: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
 _COSTS: Final = Removal("the cost of memory and of a campaign", "0.3.0", "benchmarks of version 0.2.0")
+
+
+def _renamed(now: str) -> Removal:
+    """Return what says where a command is that has another name now."""
+    return Removal("an old name", "0.3.0", now)
+
+
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
+    "hexjet bench": _renamed("hexjet benchmark"),
+    "hexjet failsafes": _renamed("hexjet faults --autopilot, for one aircraft"),
+    "hexjet fmu": _renamed("hexjet engine check, map or build"),
+    "hexjet identify bench": _renamed("hexjet engine from-bench"),
+    "hexjet identify engine": _renamed("hexjet engine identify"),
+    "hexjet list": _renamed("hexjet show"),
+    "hexjet rare": _renamed("hexjet search --rare"),
+    "hexjet report": _renamed("hexjet show --page"),
+    "hexjet validate": _renamed("hexjet replay LOG --model MODEL"),
     "hexjet fmu compile": Removal("compiling the sources of an FMU", "0.3.0", "python -m fmpy compile FILE.fmu"),
-    "hexjet fmu survey": Removal("the table of many engines", "0.3.0", "hexjet fmu check and hexjet design for each"),
+    "hexjet fmu survey": Removal(
+        "the table of many engines", "0.3.0", "hexjet engine check and hexjet design for each"
+    ),
     "hexjet faults --engine-out": _ENGINE_OUT,
     "hexjet faults --designs": _ENGINE_OUT,
     "hexjet faults --docs": _PAGES,
-    "hexjet failsafes --page": _PAGES,
+    "hexjet faults --page": _PAGES,
     "hexjet paper --page": _PAGES,
-    "hexjet fmu build --windows": Removal("building for Windows", "0.3.0", "a wheel made on Windows"),
+    "hexjet engine build --windows": Removal("building for Windows", "0.3.0", "a wheel made on Windows"),
     "hexjet gcs --foxglove": Removal(
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
     ),
     "hexjet sitl betaflight --rates": _RATES,
     "hexjet sitl px4 --rates": _RATES,
-    "hexjet bench --campaign": _COSTS,
-    "hexjet bench --memory-minutes": _COSTS,
+    "hexjet benchmark --campaign": _COSTS,
+    "hexjet benchmark --memory-minutes": _COSTS,
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
     "input clock": Removal("input clocks of FMI 3.0", "0.3.0", "an FMU that samples by itself, once a step"),

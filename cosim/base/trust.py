@@ -179,7 +179,7 @@ def _names(text: str, folder: Path, is_engine: bool) -> Iterator[Path | str]:
 def _named_in(arguments: Sequence[str]) -> Iterator[Path | str]:
     """Yield the code that the arguments of a command name."""
     for before, text in zip(["", *arguments], arguments, strict=False):
-        is_engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("fmu", "identify")
+        is_engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("engine", "identify")
         yield from _names(text.removeprefix("--engine="), Path(), is_engine)
 
 

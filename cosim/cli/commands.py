@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.cli.console import echo, note, show_result
 from cosim.cli.declare import Command
+
+if TYPE_CHECKING:
+    from cosim.api.identify import IdentifyResult
 
 
 def _name_of(path: str) -> str:
@@ -43,7 +46,7 @@ def _show_mapping(result: Any, verbose: bool) -> None:
     """Print what is found and what is open, and what to do next."""
     show_result(result, verbose)
     mapping = result.files["mapping"]
-    echo(f"next: hexjet fmu check {mapping}" if result.is_complete else f"next: state in {mapping} what is open")
+    echo(f"next: hexjet engine check {mapping}" if result.is_complete else f"next: state in {mapping} what is open")
 
 
 def open_runs(folder: Path = Path("runs"), *, browser: bool = True) -> Path:
@@ -57,11 +60,6 @@ def open_runs(folder: Path = Path("runs"), *, browser: bool = True) -> Path:
         The folder of the runs.
     browser : bool
         Open the page, or only write it.
-
-    Returns
-    -------
-    Path
-        The page.
     """
     from cosim.shelf.index import write_index
 
@@ -71,6 +69,21 @@ def open_runs(folder: Path = Path("runs"), *, browser: bool = True) -> Path:
 
         webbrowser.open(page.resolve().as_uri())
     return page
+
+
+def identify_axis(axis: Literal["roll", "pitch", "yaw"], **choices: Any) -> IdentifyResult:
+    """Identify an axis in flight, torque command to measured rate.
+
+    A chirp is added while the vehicle holds still; a pole, lags and a delay are fitted to the response.
+
+    Parameters
+    ----------
+    axis : str
+        About which it turns.
+    """
+    from cosim.api.identify import identify
+
+    return identify(axis, **choices)
 
 
 aircraft_check = Command(
@@ -128,20 +141,30 @@ fly = Command(
     "what flew; or with --flight the same as in the campaign, bit for bit.  1: the flight failed, went beyond its "
     "limits or did not come to what the scenario expects or requires, or is not the same.  2: wrong input.",
 )
-fmu_build = Command(
-    "fmu build", "cosim.engine.source:build_engines", "turbojet", runs_code=False, show=_show_paths, data=None
+engine_build = Command(
+    "engine build", "cosim.engine.source:build_engines", "turbojet", runs_code=False, show=_show_paths, data=None
 )
-fmu_check = Command(
-    "fmu check",
-    "cosim.cli.calls.fmu:check",
+engine_check = Command(
+    "engine check",
+    "cosim.cli.calls.engine:check",
     "their.fmu --step 0.004",
     like="cosim.api.checks:check_engine",
     folder=lambda arguments: f"check-{_name_of(arguments['engine'])}",
     succeeded=lambda result: result.is_fit,
     ends="Status 0: fit; 1: unfit; 2: not usable.",
 )
-fmu_map = Command(
-    "fmu map",
+engine_identify = Command(
+    "engine identify",
+    "cosim.api.identify:identify",
+    "turbojet --set delay_samples=40",
+    given={"subject": "engine"},
+    hidden=("aircraft", "controller", "substeps", "seed"),
+    metavars={"hold": "NAME=VALUE", "settings": "PARAMETER=VALUE"},
+    folder=lambda arguments: f"identify-{_name_of(arguments['engine'])}",
+    succeeded=lambda result: result.found,
+)
+engine_map = Command(
+    "engine map",
     "cosim.api.checks:map_engine",
     "their.fmu --out mine.toml",
     metavars={"fmu": "FILE.fmu", "out": "FILE.toml|DIR"},
@@ -166,34 +189,17 @@ gcs = Command(
     succeeded=lambda result: result.runs[-1].summary.succeeded,
     show=lambda result: None,  # it has printed everything while it ran
 )  # fmt: skip
-identify_engine = Command(
-    "identify engine",
-    "cosim.api.identify:identify",
-    "turbojet --set delay_samples=40",
-    given={"subject": "engine"},
-    hidden=("aircraft", "controller", "substeps", "seed"),
-    metavars={"hold": "NAME=VALUE", "settings": "PARAMETER=VALUE"},
-    folder=lambda arguments: f"identify-{_name_of(arguments['engine'])}",
+identify = Command(
+    "identify",
+    "cosim.cli.commands:identify_axis",
+    "roll --engine edf --out roll-model",
+    like="cosim.api.identify:identify",
+    options={"engine": "--engine"},
+    hidden=("subject", "throttle", "step_s"),
+    metavars={"hold": "NAME=VALUE"},
+    folder=lambda arguments: f"identify-{arguments['axis']}",
     succeeded=lambda result: result.found,
 )
-
-
-def _identify_axis(axis: str) -> Command:
-    return Command(
-        f"identify {axis}",
-        "cosim.api.identify:identify",
-        f"--engine edf --out {axis}-model",
-        given={"subject": axis},
-        options={"engine": "--engine"},
-        hidden=("throttle", "step_s"),
-        metavars={"hold": "NAME=VALUE"},
-        folder=lambda arguments: f"identify-{axis}",
-        succeeded=lambda result: result.found,
-    )
-
-
-identify_roll, identify_pitch, identify_yaw = map(_identify_axis, ("roll", "pitch", "yaw"))
-list = Command("list", "cosim.api.listing:list_items", "engines", runs_code=False)
 new = Command(
     "new", "cosim.spec.new_project:new_project", "mine", metavars={"name": "NAME", "out": "DIR"}, runs_code=False,
     show=_show_project, data=None,
@@ -202,7 +208,6 @@ open = Command(
     "open", "cosim.cli.commands:open_runs", "runs", metavars={"folder": "DIR"}, runs_code=False, show=_show_paths,
     data=None,
 )  # fmt: skip
-report = Command("report", "cosim.api.flights:report", "runs/roll-doublet-smith-001", runs_code=False)
 sweep = Command(
     "sweep",
     "cosim.cli.calls.studies:sweep",
@@ -217,9 +222,10 @@ sweep = Command(
 )  # fmt: skip
 show = Command(
     "show",
-    "cosim.api.show:show",
+    "cosim.cli.calls.show:show",
     "hexjet-p220",
+    like="cosim.api.show:show",
     options={"kind": "--kind"},
     runs_code=False,
-    data=lambda result: result.to_list(),
+    data=lambda result: result.to_list() if hasattr(result, "to_list") else result.to_dict(),
 )

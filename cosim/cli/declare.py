@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import dataclass, field
@@ -13,13 +12,12 @@ from json import dumps
 from math import isfinite
 from os import devnull
 from pathlib import Path
-from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
 
-from cosim.api.call import Progress
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything, without_code
+from cosim.cli.annotations import as_typed, read_type
 from cosim.cli.console import TerminalProgress, echo, lay_out, output_to_stderr, show_result
 
 if TYPE_CHECKING:
@@ -45,17 +43,6 @@ _FILES = frozenset((
 # Options that every command may add.
 _JSON, _TRUST, _VERBOSE, _QUIET = "as_json", "trust", "verbose", "quiet"
 _HELP = ("-h", "--help")
-
-
-class _Unknown:
-    """A type that is imported for type checkers alone; no option has a value of it."""
-
-
-class _Types(dict[str, Any]):
-    """The names of a module, in which one that is imported for type checkers alone is :class:`_Unknown`."""
-
-    def __missing__(self, name: str) -> Any:
-        return getattr(__import__("builtins"), name, _Unknown)
 
 
 @dataclass(frozen=True)
@@ -130,6 +117,8 @@ class Command:
     # Another function, ``module:name``, whose arguments are handed on by the ``**choices`` of this one: they are
     # options too, and have its texts.
     like: str = ""
+    # Other functions, ``module:name``, by the option that calls each of them in place of this one.
+    modes: Mapping[str, str] = field(default_factory=dict)
     # Arguments that are no options.
     hidden: tuple[str, ...] = ()
     # What a note of the call is called on standard error.
@@ -145,19 +134,31 @@ class Command:
         """The function."""
         return _import(self.function)
 
-    @cached_property
-    def sources(self) -> list[Callable[..., Any]]:
-        """The function, and that whose arguments it hands on."""
+    def sources(self, mode: str = "") -> list[Callable[..., Any]]:
+        """Return the function, or that of a mode, and that whose arguments it hands on."""
+        if mode:
+            return [_import(self.modes[mode])]
         return [self.call, *([_import(self.like)] if self.like else [])]
 
-    @cached_property
-    def parameters(self) -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
-        """The arguments of the function with those that it hands on, each with the function that has it."""
+    def parameters(self, mode: str = "") -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
+        """Return the arguments of :meth:`sources`, each with the function that has it."""
         found: dict[str, tuple[inspect.Parameter, Callable[..., Any]]] = {}
-        for function in self.sources:
+        for function in self.sources(mode):
             for name, parameter in inspect.signature(function).parameters.items():
                 if parameter.kind is not parameter.VAR_KEYWORD:
                     found.setdefault(name, (parameter, function))
+        return found
+
+    @cached_property
+    def all_parameters(self) -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
+        """The arguments of the function and of its modes, with an option for each mode."""
+        found = self.parameters()
+        for mode in self.modes:
+            (function,), own = self.sources(mode), self.parameters(mode)
+            flag = inspect.Parameter(mode, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=bool)
+            if mode in own:
+                flag = flag.replace(default=None, annotation=own[mode][0].annotation)
+            found = found | {mode: (flag, function)} | {name: own[name] for name in own if name not in (*found, mode)}
         return found
 
     @cached_property
@@ -166,16 +167,30 @@ class Command:
         from docstring_parser import parse
         from docstring_parser.common import DocstringStyle
 
-        first, *others = [parse(inspect.getdoc(each) or "", DocstringStyle.NUMPYDOC) for each in self.sources]
+        def read(function: Callable[..., Any]) -> Any:
+            return parse(inspect.getdoc(function) or "", DocstringStyle.NUMPYDOC)
+
+        first, *others = map(read, self.sources())
         about = [text for text in (first.short_description, first.long_description, self.ends) if text]
         parameters = [each for parsed in (*reversed(others), first) for each in parsed.params]
-        of = {each.arg_name.lstrip("*"): _as_typed(each.description or "") for each in parameters}
-        return "\n\n".join(_as_typed(text) for text in about), of
+        of = {each.arg_name.lstrip("*"): as_typed(each.description or "") for each in parameters}
+        defaults = {name: each.default for name, (each, _) in self.parameters().items()}
+        for mode in self.modes:
+            parsed = read(self.sources(mode)[0])
+            of.setdefault(mode, as_typed(parsed.short_description))
+            for each in parsed.params:
+                name, text = each.arg_name, as_typed(each.description or "")
+                default = self.parameters(mode)[name][0].default
+                if name not in of:
+                    of[name] = f"With --{mode}: {text[:1].lower()}{text[1:]}"
+                elif default and default != defaults.get(name, default):
+                    of[name] += f" With --{mode} {default} by default."
+        return "\n\n".join(as_typed(text) for text in about), of
 
     @cached_property
     def declared(self) -> list[Option]:
         """Every option and argument but those of this class, in the function's order; texts are left out."""
-        found = (self._declare(parameter, function) for parameter, function in self.parameters.values())
+        found = (self._declare(parameter, function) for parameter, function in self.all_parameters.values())
         return [option for option in found if option is not None]
 
     def _declare(self, parameter: inspect.Parameter, function: Callable[..., Any]) -> Option | None:
@@ -183,7 +198,7 @@ class Command:
         name, several = parameter.name, parameter.kind is parameter.VAR_POSITIONAL
         if name in self.given or name in self.hidden:
             return None
-        read = _read_type(parameter.annotation, function)
+        read = read_type(parameter.annotation, function)
         if read is None:
             return None
         kind, repeats, pairs = read
@@ -322,6 +337,13 @@ class Command:
         if ending in _FILES and ending not in self.writes and not path.is_dir():
             raise InputError(f"--out {out}: names a file by its ending; hexjet {self.name} writes {wanted}")
 
+    def _check_mode(self, mode: str, others: Iterable[str]) -> None:
+        """Raise InputError for arguments that the function of a mode has not, or that another mode has."""
+        names = {each.argument: each.names[0] if each.names else each.metavar for each in self.declared}
+        for other in sorted(others):
+            home = next((each for each in self.modes if other in (each, *self.parameters(each))), "")
+            raise InputError(f"{names[other]}: goes {f'without --{mode}' if mode else f'with --{home}'}")
+
     def _complete_bare(self, words: Sequence[str]) -> Iterator[str]:
         """Yield the words, with a value behind an option that may stand without one."""
         values = {name: self.bare[each.argument] for each in self.declared if each.argument in self.bare
@@ -380,7 +402,11 @@ class Command:
         if arguments.pop(_TRUST, False):
             trust_everything()
         arguments |= self.given
-        parameters = {name: parameter for name, (parameter, _) in self.parameters.items()}
+        mode = next((each for each in self.modes if arguments.get(each)), "")
+        parameters = {name: parameter for name, (parameter, _) in self.parameters(mode).items()}
+        self._check_mode(mode, arguments.keys() - parameters.keys() - {mode})
+        if mode not in parameters:
+            arguments.pop(mode, None)
         if self.folder is not None and arguments.get("out") is None:
             from cosim.flight import new_folder
 
@@ -397,7 +423,7 @@ class Command:
                 goes_on = again if "resume" in parameters else ""
                 shows = TerminalProgress(as_json or quiet, goes_on, "" if quiet else self.notes)
                 arguments["progress"] = stack.enter_context(shows)
-            result = self.call(*_by_place(parameters, arguments), **arguments)
+            result = self.sources(mode)[0](*_by_place(parameters, arguments), **arguments)
         if as_json and self.data is not None:
             echo(dumps(self.data(result)))
         elif not quiet:
@@ -428,30 +454,6 @@ def _by_place(parameters: Mapping[str, inspect.Parameter], arguments: dict[str, 
     return values
 
 
-def _read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool, tuple[type, type] | None] | None:
-    """Return the type of an option's value, whether there may be several, and the types of pairs; None: no option."""
-    if isinstance(annotation, str):
-        annotation = eval(annotation, {}, _Types(inspect.unwrap(function).__globals__))
-    members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
-    if Progress in members:
-        return None
-    for member in members:
-        origin, inner = get_origin(member), get_args(member)
-        if origin is Literal or (origin is tuple and Ellipsis not in inner):
-            return member, False, None
-        if origin in (Sequence, list, tuple, Iterable):
-            read = _read_type(inner[0], function)
-            return None if read is None else (read[0], True, None)
-    for member in members:
-        if get_origin(member) is Mapping:
-            return str, True, get_args(member)
-    # A text can be any number; the function reads it.
-    for kind in (bool, str, int, float, Path):
-        if kind in members:
-            return kind, False, None
-    return (str, False, None) if Any in members else None
-
-
 def _check(option: Option) -> Callable[[Any, Any], None]:
     """Return what refuses a number that is not finite or beyond the limits of an argument."""
 
@@ -479,11 +481,3 @@ def _as_mapping(option: Option, texts: Sequence[str]) -> dict[Any, Any]:
         except ValueError:
             raise InputError(f"{option.names[0]} {text}: must be {option.metavar}") from None
     return pairs
-
-
-def _as_typed(text: str) -> str:
-    """Return a text of a docstring as a terminal shows it: without marks of code and what is Python's alone."""
-    text = re.sub(r"; in Python [^.;]*| or ``\{.*?\}``", "", text)
-    text = re.sub(r"(^|[.;] )None: ", lambda found: f"{found[1]}{'By' if found[1] != '; ' else 'by'} default ", text)
-    paragraphs = text.replace("``", "").split("\n\n")
-    return "\n\n".join(" ".join(each.split()) for each in paragraphs)

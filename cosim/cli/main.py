@@ -102,7 +102,7 @@ def run(words: list[str]) -> int:
 
 def describe(width: int | None = None) -> str:
     """Return the help of all commands in groups; what another package adds is imported for its line."""
-    there = {name.partition(" ")[0] for name in table.list_names()}
+    there = {name.partition(" ")[0] for name in table.list_names()} - table.HIDDEN
     sections = {
         title: [(name, line) for name, line in commands.items() if name in there]
         for title, commands in table.GROUPS.items()
@@ -113,8 +113,8 @@ def describe(width: int | None = None) -> str:
 
 def describe_collection(name: str, width: int | None = None) -> str:
     """Return the help of commands whose first word is ``name``."""
-    rows = [(each.partition(" ")[2], _first_line(each)) for each in table.list_names(name)]
-    about = f"{table.LINES.get(name, name).capitalize()}."
+    rows = [(each.partition(" ")[2], _first_line(each)) for each in table.list_names(name) if each not in table.HIDDEN]
+    about = f"{(line := table.LINES.get(name, name))[:1].upper()}{line[1:]}."
     if name in table.OWN:  # a command too
         return f"{table.load(name).help(width)}\n\n{lay_out(f'hexjet {name} COMMAND ...', '', {'Commands': rows})}"
     return lay_out(f"hexjet {name} COMMAND ...", about, {"Commands": rows}, width=width)

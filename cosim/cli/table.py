@@ -20,32 +20,27 @@ ADDED = "hexjet.commands"
 GROUPS = {
     "Fly": {
         "fly": "fly a scenario and leave a run's folder",
-        "replay": "fly a recorded flight again, and judge the model by it",
+        "replay": "fly a recorded flight again, and judge a model by it",
     },
     "Look": {
-        "list": "list what can be flown",
-        "show": "show one of them, or a run, with its numbers",
+        "show": "list what can be flown, or show one of them, or a run",
         "open": "look through runs in the browser",
         "compare": "lay flights over each other",
-        "report": "write the page of a run or a campaign again",
     },
     "Design": {
         "new": "begin a project: vehicle, engine, flight, study, notebook",
         "aircraft": "begin an aircraft of your own, and check one",
-        "fmu": "build and check engines as FMUs",
+        "engine": "check an engine's FMU, map its ports, fit one to a bench log",
         "identify": "fit a model to a chirp or a log",
         "design": "design predictor and gains for an engine",
         "margins": "measure gain, phase and delay margins in flight",
-        "validate": "fly a model with the commands of a log",
     },
     "Prove": {
         "sweep": "fly a scenario many times with what varies drawn",
         "batch": "fly many at once on arrays, beside JSBSim",
-        "search": "find the smallest change that breaks a controller",
-        "rare": "find the probability of a rare failure",
+        "search": "find the smallest change that breaks, or a rare failure",
         "prove": "show or refute a claim, on one page",
-        "faults": "fly every single fault",
-        "failsafes": "let everything fail that the autopilot answers",
+        "faults": "fly every single fault, or every failsafe",
         "paper": "reproduce the paper",
     },
     "Connect": {
@@ -53,19 +48,17 @@ GROUPS = {
         "sitl": "let an external autopilot fly the vehicle",
         "export": "write a log, a controller or the vehicle for other tools",
     },
-    "Develop": {
-        "bench": "measure what a flight costs on this machine",
-    },
 }
+# What developers of this project use, which the help leaves out.
+HIDDEN = frozenset(("benchmark", "engine build"))
 OTHERS = "Of other packages"
 LINES = {name: line for commands in GROUPS.values() for name, line in commands.items()}
 # Commands of this package, each declared under its name in cosim/cli/commands.py, with _ between its words.
 OWN = frozenset((
-    "aircraft check", "aircraft new", "compare", "export", "fly", "fmu build", "fmu check", "fmu map", "gcs",
-    "identify engine", "identify pitch", "identify roll", "identify yaw", "list", "new", "open", "report", "show",
-    "sweep",
+    "aircraft check", "aircraft new", "compare", "engine build", "engine check", "engine identify", "engine map",
+    "export", "fly", "gcs", "identify", "new", "open", "show", "sweep",
 ))  # fmt: skip
-_COLLECTIONS = frozenset(("aircraft", "export", "fmu", "identify", "sitl"))  # commands of two words begin with these
+_COLLECTIONS = frozenset(("aircraft", "engine", "export", "identify", "sitl"))  # commands of two words begin with these
 
 
 @cache
@@ -113,11 +106,11 @@ def find(words: list[str]) -> tuple[str, list[str]]:
         return first, words[1:]
     for count in (2, 1):
         name = " ".join(words[:count])
+        if (removed := describe_removed(f"hexjet {name}")) is not None:
+            raise InputError(f"{name}: {removed}")
         if len(words) >= count and (name in OWN or name in added()):
             return name, words[count:]
     if is_collection(first):
-        if (removed := describe_removed(f"hexjet {' '.join(words[:2])}")) is not None:
-            raise InputError(f"{words[1]}: {removed}")
         inner = [name.partition(" ")[2] for name in list_names(first)]
         if not inner:
             # Loading one of them says which package is missing.

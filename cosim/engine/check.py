@@ -1,4 +1,4 @@
-"""Check of an FMU as an engine (``hexjet fmu check``): short flights in a process of its own, and what it answers.
+"""Check of an FMU as an engine (``hexjet engine check``): short flights in a process of its own, and what it answers.
 
 The archive is read here, where nothing of it is executed; the engine is flown as an isolated one is in a flight
 (``cosim.engine.isolated``).  A flight asks the same of an engine that is not of the library before it takes off.

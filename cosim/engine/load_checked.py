@@ -38,7 +38,7 @@ def load_engine(
 
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
     file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.  One not of the library
-    is refused if ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.
+    is refused if ``hexjet engine check`` finds it unfit; ``unchecked`` leaves that out.
 
     ``isolated``: whether it runs in a process of its own, by default as its mapping file says, and else if it is not of
     the library.  This process never loads one that does.  An archive is code, which the user has to trust.
@@ -116,7 +116,7 @@ def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(
-            f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet fmu check says all, "
+            f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet engine check says all, "
             "unchecked_engine flies it all the same"
         )
 

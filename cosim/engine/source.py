@@ -44,16 +44,6 @@ def build_engines(engines: list[str] | None = None) -> list[Path]:
     ----------
     engines : list of str or None
         Names of engines; None: all.
-
-    Returns
-    -------
-    list of Path
-        The FMU of each.
-
-    Raises
-    ------
-    InputError
-        If one cannot be built.
     """
     try:
         return build_all(data_folder("engines"), data_folder("fmus"), engines)
@@ -129,7 +119,7 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
     definition = _definition(home)
     path = archive_path(data_folder("fmus"), name, 2 if engine != name else 3)
     if not path.is_file():
-        raise InputError(f"engine {engine}: {path} has not been built; run: hexjet fmu build")
+        raise InputError(f"engine {engine}: {path} has not been built; run: hexjet engine build")
     known = PortMap(ports=definition.ports, search=False)
     return EngineSource(engine, path, read_archive(path, known), definition, _without_mapping(path.name))
 

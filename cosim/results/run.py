@@ -359,7 +359,7 @@ def _settle(
         write_whole(folder / SUMMARY, summary_json(summary).encode(), FlightError)
     except FlightError as error:
         raise FlightError(
-            f"{error}; what was flown is kept in {folder / STREAM}: hexjet report {folder} finishes it"
+            f"{error}; what was flown is kept in {folder / STREAM}: hexjet show {folder} --page finishes it"
         ) from error
     return summary, log
 

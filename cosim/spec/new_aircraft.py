@@ -39,16 +39,6 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
         Name of a shipped aircraft.
     out : str or Path or None
         Made if need be; there must not be an aircraft in it. None: a folder of its name here.
-
-    Returns
-    -------
-    Path
-        The new ``vehicle.toml``.
-
-    Raises
-    ------
-    InputError
-        For a name that cannot be one, an unknown base, or a folder that is used or cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"{name!r} is no name for an aircraft: letters, digits, - and _, a letter or digit first")

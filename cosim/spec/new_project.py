@@ -25,11 +25,6 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
         The project's name and its vehicle's: letters, digits, - and _.
     out : str or Path or None
         An empty or new folder; None: one of its name here.
-
-    Raises
-    ------
-    InputError
-        For a name that cannot be one, or a folder that is not empty or cannot be written.
     """
     folder = Path(name if out is None else out)
     with map_os_errors(InputError, folder):

@@ -26,7 +26,7 @@ BINARY = {
     3: f"binaries/{fmpy.platform_tuple}/broken{fmpy.sharedLibraryExtension}",
 }
 XML = "modelDescription.xml"
-UNFIT, UNUSABLE = 1, 2  # what hexjet fmu check leaves with
+UNFIT, UNUSABLE = 1, 2  # what hexjet engine check leaves with
 
 _HEAD = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="{version}" modelName="broken" {token}="broken:{fault}">

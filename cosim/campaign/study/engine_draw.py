@@ -28,8 +28,8 @@ DRAWN_BY = "by the engine's [uncertainty]"
 # A quantile of 0 would be minus infinity under a normal distribution.
 SMALLEST = 2.0**-54
 HOW = (
-    "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary single "
-    "parameters, vary mismatch.engine_parameters.NAME=LO:HI"
+    "hexjet engine from-bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary "
+    "single parameters, vary mismatch.engine_parameters.NAME=LO:HI"
 )
 
 

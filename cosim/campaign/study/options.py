@@ -131,7 +131,7 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
         elif str(name) in scenario_names():
             return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
         elif len(path.parts) > 1 or path.suffix or path.exists():
-            raise InputError(f"{path}: no such study or scenario; a .toml file, or a name of hexjet list, is needed")
+            raise InputError(f"{path}: no such study or scenario; a .toml file, or a name of hexjet show, is needed")
         else:
             suggestion = similar(str(name), [*study_names(), *scenario_names()])
             raise InputError(f"unknown study or scenario {str(name)!r}; {suggestion}, or give the path of a .toml file")

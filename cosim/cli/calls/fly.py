@@ -56,16 +56,6 @@ def fly(
         Fly this flight of the campaign in the folder again, as it was.
     out : str or None
         The run's folder; by default a new one in runs/.
-
-    Returns
-    -------
-    FlightResult
-        What it came to.
-
-    Raises
-    ------
-    InputError
-        For wrong choices.
     """
     from cosim.flight import new_folder
     from cosim.results.run import finish_killed

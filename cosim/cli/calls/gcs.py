@@ -88,11 +88,6 @@ def gcs(  # noqa: PLR0913 - the options of a command
         The folder of the first flight; by default a new one in runs/.
     log_limit_mb : float
         The most that the log of a flight may take: what is flown beyond is not recorded.
-
-    Returns
-    -------
-    SessionResult
-        The flights.
     """
     from cosim.base.plugins.entry_points import load_hook
     from cosim.groundstation.links import Links

@@ -42,11 +42,6 @@ def sweep(name: str, *, keys: str | None = None, **choices: Any) -> Result:
         A scenario, a study, or the folder of a campaign to go on with.
     keys : str or None
         List what can be varied, all or what a pattern names, and fly nothing.
-
-    Returns
-    -------
-    Result
-        The flights, or the keys.
     """
     if keys is None:
         return fly_all(name, **choices)

@@ -212,11 +212,11 @@ def _wrong_type(v: Variable, kind: PortKind) -> PortError:
 
 
 def _wrong_unit(port: str, v: Variable, complaint: str) -> PortError:
-    return PortError(f"its {v.name} {complaint}; hexjet fmu map begins a file that states it: [units] {port} = ...")
+    return PortError(f"its {v.name} {complaint}; hexjet engine map begins a file that states it: [units] {port} = ...")
 
 
 def _advise_mapping(port: str) -> str:
-    return f'hexjet fmu map begins a file that states it: [ports] {port} = "..."'
+    return f'hexjet engine map begins a file that states it: [ports] {port} = "..."'
 
 
 def _list_names(causality: str, variables: Sequence[Variable]) -> str:

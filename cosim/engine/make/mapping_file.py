@@ -18,7 +18,7 @@ from cosim.engine.fmu.variables import Variable
 from cosim.engine.make.controller_fmu import is_controller
 
 _HEAD = """\
-# Ports of {fmu}, begun by hexjet fmu map. A line behind "# OPEN" is to be stated; others hold unless you change them.
+# Ports of {fmu}, begun by hexjet engine map. What follows "# OPEN" is to be stated; others hold until you change them.
 # All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: hexjet fly hover --engine {file}
 """
 
@@ -55,9 +55,9 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
     """
     suffix = fmu.suffix.lower()
     if suffix == ".toml":
-        raise InputError(f"{fmu}: is a mapping file already; hexjet fmu check {fmu} says what it lacks")
+        raise InputError(f"{fmu}: is a mapping file already; hexjet engine check {fmu} says what it lacks")
     if suffix != ".fmu" and not fmu.exists():
-        raise InputError(f"{fmu}: is no file; hexjet fmu map takes the FMU of an engine, FILE.fmu")
+        raise InputError(f"{fmu}: is no file; hexjet engine map takes the FMU of an engine, FILE.fmu")
     try:
         archive = read_component(fmu, read_bytes(fmu))
     except UnusableError as reason:

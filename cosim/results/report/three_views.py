@@ -30,15 +30,7 @@ STYLE = (
 def three_views(vehicle: Vehicle) -> str:
     """Draw jets with their numbers, thrust and reach of tilts, panels, legs, hull, centre of gravity, and a scale.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        What is drawn; places in m, body.
-
-    Returns
-    -------
-    str
-        A whole SVG document.
+    It is a whole SVG document; places are in m, body.
     """
     reach = max(max(map(abs, point)) for point in points_of(vehicle)) or 1.0
     scale = (VIEW / 2.0 - MARGIN) / reach

@@ -24,7 +24,7 @@ def find_scenario(name: str | Path) -> Path:
         if (path / "scenario.toml").is_file() and not (path / "study.toml").is_file():
             raise InputError(f"{path} is a run's folder; its scenario is {path / 'scenario.toml'}")
         if path.exists() or len(path.parts) > 1:
-            raise InputError(f"{path}: is no scenario, which is a .toml file or a name of hexjet list")
+            raise InputError(f"{path}: is no scenario, which is a .toml file or a name of hexjet show")
         raise InputError(
             f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
         )

@@ -1,4 +1,4 @@
-"""``fmu check`` and the measurements behind it."""
+"""``engine check`` and the measurements behind it."""
 
 from __future__ import annotations
 

@@ -560,7 +560,7 @@ def test_a_file_that_is_not_a_model(hexjet, tmp_path: Path) -> None:  # type: ig
 
 
 def test_the_command_prints_the_papers_turbojet(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    status, out, _ = hexjet("identify", "engine", "turbojet")
+    status, out, _ = hexjet("engine", "identify", "turbojet")
     assert status == 0
     assert "G(z) = 0.01866 / (z - 0.9879) z^-25  [kgf per throttle]" in out
     assert (tmp_path / "runs" / "identify-turbojet-001" / "report.html").is_file()
@@ -570,18 +570,18 @@ def test_the_command_prints_the_papers_turbojet(hexjet, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["engine", "nope"], "unknown engine 'nope'"),
-        (["engine", "edf", "--set", "delay"], "settings delay: write it as NAME=NUMBER"),
-        (["engine", "edf", "--amplitude", "nan"], "--amplitude: nan is not a finite number"),
-        (["engine", "edf", "--duration", "inf"], "--duration: inf is not a finite number"),
-        (["roll", "--hold", "lag_s=much"], "--hold lag_s=much: must be NAME=VALUE"),
-        (["roll", "--aircraft", "nope"], "unknown aircraft 'nope'"),
-        (["roll", "--lags", "7"], "--lags"),
+        (["engine", "identify", "nope"], "unknown engine 'nope'"),
+        (["engine", "identify", "edf", "--set", "delay"], "settings delay: write it as NAME=NUMBER"),
+        (["engine", "identify", "edf", "--amplitude", "nan"], "--amplitude: nan is not a finite number"),
+        (["engine", "identify", "edf", "--duration", "inf"], "--duration: inf is not a finite number"),
+        (["identify", "roll", "--hold", "lag_s=much"], "--hold lag_s=much: must be NAME=VALUE"),
+        (["identify", "roll", "--aircraft", "nope"], "unknown aircraft 'nope'"),
+        (["identify", "roll", "--lags", "7"], "--lags"),
     ],
     ids=str,
 )
 def test_one_line_for_wrong_input(hexjet, arguments: list[str], said: str) -> None:  # type: ignore[no-untyped-def]
-    status, out, err = hexjet("identify", *arguments)
+    status, out, err = hexjet(*arguments)
     assert (status, out) == (2, "")
     assert said in err
     assert len(err.splitlines()) == 1

@@ -159,7 +159,7 @@ def test_a_start_with_the_legs_in_the_ground_is_refused(roll: float, least: floa
 
 def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet', .*see: hexjet list"
+        InputError, match=r"unknown scenario 'rol-doublet'; did you mean 'roll-doublet', .*see: hexjet show"
     ):
         Scenario.load("rol-doublet")
     with pytest.raises(InputError, match=r"none\.toml: no such scenario file"):

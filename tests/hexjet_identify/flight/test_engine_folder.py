@@ -17,8 +17,8 @@ from hexjet_identify.bench.result import write
 SVG = "{http://www.w3.org/2000/svg}"
 GIVEN = ("--engine", "1", "--time", "t_s", "--command", "throttle", "--output", "thrust_N")
 COMMANDS = {
-    "bench": ("identify", "bench", "bench.csv"),
-    "own parameters": ("identify", "bench", "bench.csv", "--engine", "fitted", "--fit", "lag", "--fit", "gain",
+    "bench": ("engine", "from-bench", "bench.csv"),
+    "own parameters": ("engine", "from-bench", "bench.csv", "--engine", "fitted", "--fit", "lag", "--fit", "gain",
                        "--set", "offset=5", "--set", "lag=0.2"),
     "log": ("identify", "log", "bench.csv", *GIVEN),
 }  # fmt: skip
@@ -87,7 +87,7 @@ def test_a_load_cell_whose_zero_is_wrong_is_named(tmp_path: Path) -> None:
 
 def test_where_none_is_left_that_is_the_last_word(hexjet: Hexjet, tmp_path: Path) -> None:
     log_of(tmp_path, Truth(gain=-20.0, offset=0.0), "stairs of 5 s")
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.status == 0  # a model is told
     assert "no engine: the thrust falls where the throttle rises" in " ".join(done.out.split())
     done = hexjet("fly", "hover", "--engine", "mine/engine.toml")

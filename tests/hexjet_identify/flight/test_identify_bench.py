@@ -67,7 +67,7 @@ def test_limits_of_rise_and_fall_are_found_behind_a_curved_line(tmp_path: Path) 
 def test_a_governor_is_not_explained_however_little_it_is_off(hexjet: Hexjet, tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, Truth(governor=True))
     write(tmp_path / "bench.csv", command, thrust, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.status == 1
     assert done.out.startswith("not explained: ")
     assert "no engine: the model does not explain the log" in done.out
@@ -81,7 +81,7 @@ def test_a_slow_ramp_tells_the_static_line_alone_and_the_next_test(hexjet: Hexje
     command = np.linspace(0.05, 0.95, len(times))
     noise = np.random.default_rng(1).normal(0.0, 0.05, len(times))
     write(tmp_path / "bench.csv", command, 12.0 * command**1.8 + noise, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     said = " ".join(done.out.split())
     assert done.status == 1
     assert "no engine: the log tells neither delay nor lag, the static line alone" in said
@@ -94,7 +94,7 @@ def test_a_slow_ramp_tells_the_static_line_alone_and_the_next_test(hexjet: Hexje
 def test_the_terminal_has_the_verdict_first_and_three_notes_at_most(hexjet: Hexjet, tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("chirp", 50.0)
     write(tmp_path / "bench.csv", command, thrust, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.out.startswith("explained to 0.")
     assert sum(line.startswith(("note: ", "not told: ", "no engine: ")) for line in done.out.splitlines()) == 3
     assert " more on the page" in done.out
@@ -182,7 +182,7 @@ def test_one_choice_of_what_is_between_rows_is_half_a_row_of_delay(tmp_path: Pat
 def test_the_command_leaves_an_engine_that_answers_as_the_log(hexjet: Hexjet, tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, Truth(exponent=1.7))
     write(tmp_path / "bench.csv", command, thrust, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.status == 0
     assert {path.name for path in (tmp_path / "mine").iterdir()} == {
         "engine.fmu", "engine.toml", "README.md", "measured.svg", "identification.json", "report.html",
@@ -225,7 +225,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     assert "hexjet identify log" in (tmp_path / "mine" / "README.md").read_text(encoding="utf-8")
     write(tmp_path / "bench.csv", 100.0 * command, thrust, times, "t_ms,throttle,thrust_N")
     done = hexjet("identify", "log", "bench.csv", *given, "--output", "thrust_N", "--out", "mine")
-    assert "an engine's throttle from 0 to 1: hexjet identify bench --throttle-range" in " ".join(done.out.split())
+    assert "an engine's throttle from 0 to 1: hexjet engine from-bench --throttle-range" in " ".join(done.out.split())
     assert not (tmp_path / "mine" / "engine.toml").exists()
     write(tmp_path / "bench.csv", command, thrust, times, "t_ms,throttle,speed_rpm")
     done = hexjet("identify", "log", "bench.csv", *given, "--output", "speed_rpm", "--out", "none")
@@ -255,7 +255,7 @@ def test_wrong_logs_are_told_in_a_line(
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
     times, command, thrust = changed(times, command, thrust)  # type: ignore[operator]
     write(tmp_path / "bench.csv", command, thrust, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.status == status
     assert words in " ".join((done.out + done.err).split())
     assert "Traceback" not in done.err
@@ -413,7 +413,7 @@ def test_the_parameters_of_a_turbine_and_its_ecu_come_out(hexjet: Hexjet, tmp_pa
     """Its own ramps, damping and delay, each within four standard deviations."""
     turbine_log(tmp_path, 1, speed)
     fits = [text for name in TURBINE for text in ("--fit", name)]
-    done = hexjet("identify", "bench", "turbine.csv", "--engine", "turbine-220", *fits, "--out", "mine")
+    done = hexjet("engine", "from-bench", "turbine.csv", "--engine", "turbine-220", *fits, "--out", "mine")
     assert done.status == 0, done.err
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
     assert told.keys() >= SHARED
@@ -440,7 +440,7 @@ def test_what_cannot_be_fitted_is_told_in_a_line(
     hexjet: Hexjet, tmp_path: Path, arguments: tuple[str, ...], status: int, words: str
 ) -> None:
     turbine_log(tmp_path, 1)
-    done = hexjet("identify", "bench", "turbine.csv", *arguments, "--out", "mine")
+    done = hexjet("engine", "from-bench", "turbine.csv", *arguments, "--out", "mine")
     assert done.status == status
     assert words in " ".join((done.out + done.err).split())
 
@@ -453,7 +453,7 @@ def test_what_cannot_be_fitted_is_told_in_a_line(
 def test_the_ramp_of_a_real_ecu_foretells_half_of_its_steps_from_the_others(hexjet: Hexjet, tmp_path: Path) -> None:
     fits = ("--fit", "fuel_integral", "--fit", "fuel_fall")
     log = str(RECORDINGS / "run-2023-01-09-a.csv")
-    done = hexjet("identify", "bench", log, "--engine", "jetcat-p300", *fits, "--out", str(tmp_path / "mine"))
+    done = hexjet("engine", "from-bench", log, "--engine", "jetcat-p300", *fits, "--out", str(tmp_path / "mine"))
     assert done.status == 0, done.err
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
     verdict = done.out.partition("\n")[0]

@@ -269,7 +269,7 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
         np.savetxt(tmp_path / f"{n}.csv", rows, delimiter=",", header="t,u,y", comments="")
     told = ["--command", "u", "--output", "y", "--lags", "1"]
     assert hexjet("identify", "log", "0.csv", "--axis", "roll", *told, "--out", "model").status == 0
-    done = hexjet("validate", "model", "1.csv", "--out", "beside", "--json")
+    done = hexjet("replay", "1.csv", "--model", "model", "--out", "beside", "--json")
     assert done.status == 0
     told_by = json.loads(done.out)
     assert told_by["fit_of_changes"] > 0.5
@@ -295,7 +295,7 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     assert wrong.again.gain == pytest.approx(told_by["gain_fitted_anew"] / 1.3, rel=0.01)
     assert wrong.refused
     assert wrong.to_dict()["found"] is False
-    refused = hexjet("validate", "1.csv", "0.csv")
+    refused = hexjet("replay", "0.csv", "--model", "1.csv")
     assert refused.status == 2
     assert "1.csv: not JSON" in refused.err
 

@@ -174,7 +174,7 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
 )
 def test_what_cannot_be_asked_is_one_line(arguments: list[str], message: str) -> None:
     with pytest.raises(InputError) as refused:
-        run(["rare", *arguments])
+        run(["search", "--rare", *arguments])
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -186,7 +186,7 @@ def test_a_failure_that_comes_out_otherwise_is_told(
     monkeypatch.setattr("cosim.studies.choose_workers", lambda *_: nullcontext(Here()))
     varied = ["--vary", f"{WIND}=normal(0,1)", "--controller", "smith", "--set", "duration_s=0.1"]
     asked = ["hover", *varied, "--target", "1e-2", "--budget", "1200", "--out", str(tmp_path / "rare")]
-    assert run(["rare", *asked]) == 1
+    assert run(["search", "--rare", *asked]) == 1
     shown = capsys.readouterr().out
     assert shown.startswith("hover with smith fails with a probability of ")
     assert "failure-1: flight " in shown

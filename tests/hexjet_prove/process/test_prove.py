@@ -326,7 +326,7 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
         ),
         (["predictor-robustness"], "states no claim (until); claim says what is to be shown"),
         (["robustness-predictor"], "unknown study or scenario 'robustness-predictor'"),
-        (["runs/nothere"], "nothere: no such study or scenario; a .toml file, or a name of hexjet list, is needed"),
+        (["runs/nothere"], "nothere: no such study or scenario; a .toml file, or a name of hexjet show, is needed"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
         (["STUDY", "--rare", "100"], "rare 100: 8 repeats of 7 levels down to"),

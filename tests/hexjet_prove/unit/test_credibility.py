@@ -31,7 +31,7 @@ GOOD = Evidence(
     is_shipped=True,
     version=versions()["hexjet-cosim"],
     own_code=[],
-    uncertainty_source="hexjet identify bench of 12.csv",
+    uncertainty_source="hexjet engine from-bench of 12.csv",
     is_engine_drawn=True,
     varied=6,
     not_varied=[],
@@ -92,7 +92,7 @@ def test_what_a_replay_is_not_is_said(changes: dict[str, object], words: str) ->
     [
         ({"is_shipped": False}, "Data pedigree", "nothing says where they are from"),
         ({"uncertainty_source": "chosen, from fits of speed"}, "Data pedigree", "many are published or chosen"),
-        ({}, "Data pedigree", "identified: hexjet identify bench of 12.csv"),
+        ({}, "Data pedigree", "identified: hexjet engine from-bench of 12.csv"),
         ({"version": "0.0.1"}, "Verification", "0.0.1 flew"),
         ({"own_code": ["mine.py"]}, "Verification", "none of them sees: mine.py"),
         ({"comparisons": []}, "Validation", "some hold, some under a condition and some do not"),

@@ -41,7 +41,7 @@ COMMANDS: dict[str, tuple[list[str], list[str], str]] = {
     "prove": (["prove", "short.toml", *ALONE], ["prove", "out", *ALONE], "campaign"),
     "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], ""),
     "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], ""),
-    "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], ""),
+    "rare": (["search", "--rare", *DRAWN, *BUDGET, *HOVER], [], ""),
 }
 
 
@@ -97,7 +97,7 @@ def test_a_campaign_of_version_0_2_0_is_read_and_goes_on_there_alone(tmp_path: P
     folder = tmp_path / "c"
     shutil.copytree(TESTS / "older" / "0.2.0-a" / "campaign", folder)
     assert len(open_campaign(folder)) > 0
-    assert hexjet("report", str(folder)).status == 0
+    assert hexjet("show", str(folder), "--page").status == 0
     status, _, line = hexjet("sweep", str(folder), "--resume")
     assert (status, "as in folders of version 0.2.0; it can be looked at, that version goes on with it" in line) == (
         2,
@@ -105,7 +105,7 @@ def test_a_campaign_of_version_0_2_0_is_read_and_goes_on_there_alone(tmp_path: P
     )
 
 
-@pytest.mark.parametrize("command", [["report"], ["sweep", "--resume"], ["fly", "--flight", "0"]])
+@pytest.mark.parametrize("command", [["show", "--page"], ["sweep", "--resume"], ["fly", "--flight", "0"]])
 def test_a_search_of_version_0_2_0_is_refused_by_the_version(
     tmp_path: Path, hexjet: Hexjet, command: list[str]
 ) -> None:

@@ -252,7 +252,7 @@ def test_a_folder_is_resumed_by_its_name_alone(hexjet: Hexjet) -> None:
     assert hexjet(*arguments, "--out", "c", "--resume").status == 0
     assert Path("c", FLIGHTS, "part-00000.parquet").read_bytes() == before
     Path("c", "report.html").unlink()
-    assert hexjet("report", "c").status == 0
+    assert hexjet("show", "c", "--page").status == 0
     assert Path("c", "report.html").is_file()
 
 

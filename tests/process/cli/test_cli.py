@@ -109,15 +109,15 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
         (["fly"], "Missing argument 'SCENARIO'"),
         (["fly", "hover", "--winds", "3"], "No such option"),
-        (["list", "planes"], "'planes': allowed: aircraft, controllers, engines, scenarios, studies"),
-        (["report", "nowhere"], "nowhere: no run here"),
+        (["show", "planes"], "nothing is called 'planes'; see: hexjet show"),
+        (["show", "nowhere", "--page"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "csv"], "nowhere: no run here"),
         (["export", "nowhere", "--to", "xls"], "'xls': allowed: csv, mat, mcap, parquet, ulog"),
-        (["fmu", "check", "none.fmu"], "none.fmu: no such file"),
-        (["fmu", "check", "edf", "--step", "nan"], "nan is not a finite number"),
-        (["identify", "engine", "edf", "--step", "nan"], "nan is not a finite number"),
+        (["engine", "check", "none.fmu"], "none.fmu: no such file"),
+        (["engine", "check", "edf", "--step", "nan"], "nan is not a finite number"),
+        (["engine", "identify", "edf", "--step", "nan"], "nan is not a finite number"),
         (["design", "--engine", "edf", "--max-sensitivity", "nan"], "nan is not a finite number"),
-        (["fmu", "build", "steam"], "steam"),
+        (["engine", "build", "steam"], "steam"),
         (["frobnicate"], "No such command 'frobnicate'"),
     ],
 )
@@ -170,11 +170,11 @@ def test_wrong_input_leaves_no_folder(hexjet, tmp_path: Path) -> None:  # type: 
 
 
 def test_list(hexjet) -> None:  # type: ignore[no-untyped-def]
-    everything = json.loads(hexjet("list", "--json").out)
+    everything = json.loads(hexjet("show", "--json").out)
     assert set(everything) == {"scenarios", "studies", "engines", "aircraft", "controllers"}
     assert {e["name"] for e in everything["engines"]} >= {"turbojet", "edf", "edf-as-flown"}
     assert all(entry["title"] for entries in everything.values() for entry in entries)
-    text = hexjet("list", "scenarios").out
+    text = hexjet("show", "scenarios").out
     assert "roll-doublet" in text
     assert "turbojet" not in text
 
@@ -182,7 +182,7 @@ def test_list(hexjet) -> None:  # type: ignore[no-untyped-def]
 def test_report_and_export_of_a_run(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     hexjet("fly", "hover", *SHORT, "--out", "run")
     (tmp_path / "run" / "report.html").unlink()
-    assert hexjet("report", "run").status == 0
+    assert hexjet("show", "run", "--page").status == 0
     assert (tmp_path / "run" / "report.html").is_file()
     assert hexjet("export", "run", "--to", "csv").out.strip() == "run/flight.csv"
     assert (tmp_path / "run" / "flight.csv").read_text().startswith("time_s,roll_rad,")
@@ -195,12 +195,12 @@ def test_report_and_export_of_a_run(hexjet, tmp_path: Path) -> None:  # type: ig
 
 
 def test_fmu_check_and_build(hexjet) -> None:  # type: ignore[no-untyped-def]
-    done = hexjet("fmu", "check", "turbojet", "-v")
+    done = hexjet("engine", "check", "turbojet", "-v")
     assert done.status == 0
     assert "delay 25 samples" in done.out
-    found = json.loads(hexjet("fmu", "check", "edf-as-flown-fmi2", "--json").out)
+    found = json.loads(hexjet("engine", "check", "edf-as-flown-fmi2", "--json").out)
     assert found["ok"]
-    assert hexjet("fmu", "build", "edf").out.split("\n")[0].endswith("edf.fmu")
+    assert hexjet("engine", "build", "edf").out.split("\n")[0].endswith("edf.fmu")
 
 
 def test_a_machine_that_has_no_more_to_give_is_told_in_a_line(hexjet, monkeypatch) -> None:  # type: ignore[no-untyped-def]
@@ -214,7 +214,7 @@ def test_a_machine_that_has_no_more_to_give_is_told_in_a_line(hexjet, monkeypatc
 
 
 def test_help_has_an_example(hexjet) -> None:  # type: ignore[no-untyped-def]
-    for command in (["fly"], ["list"], ["fmu", "build"], ["fmu", "check"], ["report"], ["export"]):
+    for command in (["fly"], ["show"], ["engine", "build"], ["engine", "check"], ["identify"], ["export"]):
         done = hexjet(*command, "--help")
         assert done.status == 0
         assert "hexjet " in done.out.partition("Example:")[2]

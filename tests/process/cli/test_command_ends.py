@@ -92,7 +92,7 @@ def test_a_flight_needs_no_standard_stream(closed: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-@pytest.mark.parametrize("arguments", [["list", "--json"], SHORT])
+@pytest.mark.parametrize("arguments", [["show", "--json"], SHORT])
 def test_an_output_that_is_full_is_named(arguments: list[str], tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run([*HEXJET, *arguments], cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True)

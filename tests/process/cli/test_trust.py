@@ -136,8 +136,9 @@ def test_commands_that_look_run_nothing(flown: Path, mark: Path, hexjet: Hexjet,
     shutil.copytree(flown / "run", flown / "other")
     run, many = str(flown / "run"), str(flown / "many")
     looks: list[Sequence[str]] = [
-        ("report", run), ("report", many), ("compare", run, str(flown / "other"), "--out", str(tmp_path / "page")),
-        *(("export", run, "--to", to) for to in ("csv", "mat", "ulog")), ("list",), ("show", "smith"),
+        ("show", run, "--page"), ("show", many, "--page"),
+        ("compare", run, str(flown / "other"), "--out", str(tmp_path / "page")),
+        *(("export", run, "--to", to) for to in ("csv", "mat", "ulog")), ("show",), ("show", "smith"),
     ]  # fmt: skip
     for words in looks:
         done = hexjet(*words)
@@ -155,10 +156,10 @@ def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mar
     said = json.loads((flown / "many" / "columns.json").read_text())
     assert said["own"] == ["own.worst"]
     assert [key["path"] for key in said["keys"]] == ["controller_parameters.share"]
-    assert hexjet("report", str(flown / "many")).status == 0
+    assert hexjet("show", str(flown / "many"), "--page").status == 0
     assert (flown / "many" / REPORT).read_text(encoding="utf-8") == page
     (flown / "many" / "columns.json").unlink()
-    done = hexjet("report", str(flown / "many"))
+    done = hexjet("show", str(flown / "many"), "--page")
     assert (done.status, done.err.count("\n")) == (2, 1)
     assert "columns.json is missing, as where it was written before version 0.2.0; open it with 0.2.0" in done.err
     assert not mark.exists()
@@ -169,7 +170,7 @@ def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mar
 )
 def test_columns_that_are_none(text: str, flown: Path, hexjet: Hexjet) -> None:
     (flown / "many" / "columns.json").write_text(text)
-    done = hexjet("report", str(flown / "many"))
+    done = hexjet("show", str(flown / "many"), "--page")
     assert done.status == 2
     assert done.err.count("\n") == 1
     assert "columns.json: not the columns of a campaign" in done.err
@@ -188,7 +189,7 @@ def test_what_was_killed_is_finished_without_its_metric(
         recording._sink.close()  # type: ignore[union-attr]
     mark.unlink()
     forget(tmp_path)
-    done = hexjet("report", str(tmp_path / "killed"))
+    done = hexjet("show", str(tmp_path / "killed"), "--page")
     assert done.status == 0, done.err
     assert "metric own.py:worst: not measured: the flight was killed" in done.out
     assert not mark.exists()
@@ -300,7 +301,7 @@ def test_an_engine_that_an_identification_wrote_is_flown_without_a_question(hexj
     times, throttle, thrust, _ = bench_log("stairs of 2 s", 50.0, Truth(gain=20.0, offset=1.0), noise=0.1)
     rows = np.column_stack([times, throttle, thrust])
     np.savetxt(tmp_path / "bench.csv", rows, "%.9g", ",", header="time_s,throttle,thrust_N", comments="")
-    assert hexjet("identify", "bench", "bench.csv", "--out", "my-engine").status == 0
+    assert hexjet("engine", "from-bench", "bench.csv", "--out", "my-engine").status == 0
     assert hexjet("aircraft", "new", "gryphon").status == 0
     vehicle = tmp_path / "gryphon" / "vehicle.toml"
     text = vehicle.read_text()

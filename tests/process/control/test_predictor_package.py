@@ -62,7 +62,7 @@ def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pyte
     listed, misspelt, named = (
         subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, cwd=package, check=False)
         for words in (
-            ["list", "controllers"],
+            ["show", "controllers"],
             ["fly", "hover", "--controller", "my-smit"],
             ["fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1"],
         )

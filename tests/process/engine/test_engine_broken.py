@@ -142,7 +142,7 @@ def test_a_flight_refuses_it_in_one_line(
     assert not (tmp_path / "flight").exists()
     assert str(archives[name]) not in Path("/proc/self/maps").read_text()
     with pytest.raises(SystemExit) as left:
-        main(["fmu", "check", str(archives[name]), "--json", "--time-limit", "3", "--out", str(tmp_path / "check")])
+        main(["engine", "check", str(archives[name]), "--json", "--time-limit", "3", "--out", str(tmp_path / "check")])
     found = json.loads(capfd.readouterr().out)
     assert left.value.code == UNFIT
     assert any(re.search(broken.words, line) or "too long" in line for line in found["problems"])

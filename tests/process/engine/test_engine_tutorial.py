@@ -45,7 +45,7 @@ def test_the_first_lines_fly_an_engine_of_ones_own(
     foreign(tmp_path, "mine", "lag=0.15,delay=0.04")
     monkeypatch.chdir(tmp_path)
     check, design, fly = first_lines()
-    assert (check[:2], design[0], fly[0]) == (["fmu", "check"], "design", "fly")
+    assert (check[:2], design[0], fly[0]) == (["engine", "check"], "design", "fly")
     assert run(check) == 0
     assert "fit to fly" in capfd.readouterr().out
     # what fly says where nothing was designed is the next line of the page

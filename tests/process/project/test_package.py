@@ -194,7 +194,7 @@ def test_the_archives_in_the_wheel_hold_their_sources_and_a_binary(wheel: Path) 
 
 @pytest.mark.long
 def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: Path) -> None:
-    words = run(installed / "hexjet", "list", cwd=tmp_path).split()
+    words = run(installed / "hexjet", "show", cwd=tmp_path).split()
     assert set(SCENARIOS) <= set(words)
     assert set(STUDIES) <= set(words)
     assert set(ENGINES) <= set(words)
@@ -234,7 +234,7 @@ def test_the_installed_command_runs_the_commands_of_the_readme(installed: Path, 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = re.findall(r"^\.venv/bin/hexjet ([^#\n]+)", readme, re.MULTILINE)
     names = [line.split()[0] for line in lines]
-    assert {*SHORTER, "list", "fly", "fmu", "aircraft", "paper"} == set(names)
+    assert {*SHORTER, "show", "fly", "engine", "aircraft", "paper"} == set(names)
     for name, line in zip(names, lines, strict=True):
         command = [installed / "hexjet", *line.split(), *SHORTER.get(name, "").split()]
         with (tmp_path / "printed").open("w+") as printed:

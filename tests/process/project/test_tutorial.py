@@ -46,7 +46,7 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
             (tmp_path / name).write_text(text, encoding="utf-8")
         for line in commands.splitlines():
             said[line] = run(line, tmp_path)
-    assert "fit to fly" in next(out for line, out in said.items() if line.startswith("hexjet fmu check"))
+    assert "fit to fly" in next(out for line, out in said.items() if line.startswith("hexjet engine check"))
     for page in (
         "first/report.html",
         "compared/comparison.html",
@@ -62,7 +62,7 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_from_a_bench_log_to_a_proven_design_in_one_line(tmp_path: Path) -> None:
     """Twice the same engine, logged well and badly: another log is another verdict, and no number is typed."""
-    (line,) = re.findall(r"^hexjet identify bench bench.csv .*$", PAGE, re.MULTILINE)
+    (line,) = re.findall(r"^hexjet engine from-bench bench.csv .*$", PAGE, re.MULTILINE)
     truth = Truth(delay=0.06, lags=(0.05,), gain=20.0, offset=1.0)
     kept = {}
     for name, rate, noise in (("well", 100.0, 0.1), ("badly", 12.5, 0.4)):

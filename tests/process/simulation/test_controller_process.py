@@ -440,7 +440,7 @@ def test_one_of_pythonfmu3_through_a_mapping_file(
         < 1e-9
     )
     with pytest.raises(SystemExit) as ended:
-        main(["fmu", "check", str(mapping)])
+        main(["engine", "check", str(mapping)])
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert re.search(r"level +rate", said)

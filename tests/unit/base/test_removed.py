@@ -11,7 +11,11 @@ def test_the_page_on_versions_lists_what_left() -> None:
     page = (ROOT / "docs" / "versions.md").read_text(encoding="utf-8")
     _, _, table = page.partition("| what left |")
     rows = [line.split(" | ") for line in table.partition("\n\n")[0].splitlines()[2:]]
-    stated = {(what.removeprefix("| "), name, since, instead.removesuffix(" |")) for what, name, since, instead in rows}
+    stated = {
+        (what.removeprefix("| "), name, since, instead.removesuffix(" |"))
+        for what, names, since, instead in rows
+        for name in names.split(", ")
+    }
     assert stated == {(left.what, f"`{name}`", left.since, left.instead) for name, left in REMOVED.items()}
 
 

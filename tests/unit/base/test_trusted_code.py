@@ -59,7 +59,7 @@ def test_a_named_file_trusts_its_folder_and_none_below(arguments: tuple[str, ...
 def test_a_mapping_file_names_its_fmu_where_it_is_an_engine(file: Path) -> None:
     (file.parent / "sub").mkdir()
     code = Code(file.parent / "sub" / "its.fmu", (Path("map.toml"),))
-    for arguments in (("fly", "--engine", "map.toml"), ("fly", "--engine=3=map.toml"), ("fmu", "check", "map.toml")):
+    for arguments in (("fly", "--engine", "map.toml"), ("fly", "--engine=3=map.toml"), ("engine", "check", "map.toml")):
         assert runs(code, *arguments)
     for arguments in (("fly", "map.toml"), ("fly", "--model", "map.toml"), ("fly", "hover", "--engine", "o.toml")):
         assert not runs(code, *arguments)

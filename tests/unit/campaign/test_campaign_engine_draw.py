@@ -137,7 +137,7 @@ def test_texts_of_a_file_are_those_of_the_command_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"settings": ["engine=edf"]}, "edf has no .uncertainty. in a mapping file; hexjet identify bench writes one"),
+        ({"settings": ["engine=edf"]}, "edf has no .uncertainty. in a mapping file; hexjet engine from-bench writes"),
         ({"vary": ["engine", f"{COMMON}gain=0.2:0.3"]}, "gain: engine draws it by its .uncertainty. already"),
         ({"vary": ["engine", "stations.1.engine=edf,motor"]}, "brings another engine than the one that is drawn"),
         ({"design": "grid", "runs": None}, "engine needs levels or values in a grid, such as engine=A,B"),

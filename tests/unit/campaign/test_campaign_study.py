@@ -267,7 +267,7 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str,
 
 def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"unknown study or scenario 'hovr'; did you mean 'hover'.*\? see: hexjet list"
+        InputError, match=r"unknown study or scenario 'hovr'; did you mean 'hover'.*\? see: hexjet show"
     ):
         open_study("hovr", vary=[f"{MASS}=5:6"])
     for read in (Study.load, open_study):

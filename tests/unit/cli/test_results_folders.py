@@ -38,11 +38,11 @@ def test_an_identification_leaves_a_project_alone(name: str, hexjet: Hexjet, tmp
     project.mkdir()
     (project / name).write_text("mine")
     for arguments in (
-        ("bench", str(log)),
-        ("bench", str(log), "--engine", "fitted"),
-        ("log", str(log), "--axis", "roll"),
+        ("engine", "from-bench", str(log)),
+        ("engine", "from-bench", str(log), "--engine", "fitted"),
+        ("identify", "log", str(log), "--axis", "roll"),
     ):
-        done = hexjet("identify", *arguments, "--out", str(project))
+        done = hexjet(*arguments, "--out", str(project))
         assert done.status == 2
         (line,) = done.err.splitlines()
         assert line.startswith(f"hexjet: {project / name}: is there already, and no identification.json beside it")
@@ -53,11 +53,11 @@ def test_an_identification_leaves_a_project_alone(name: str, hexjet: Hexjet, tmp
 def test_an_identification_is_renewed_in_its_own_folder(hexjet: Hexjet, tmp_path: Path) -> None:
     log, out = bench_log(tmp_path), tmp_path / "out"
     for _ in range(2):
-        done = hexjet("identify", "bench", str(log), "--out", str(out))
+        done = hexjet("engine", "from-bench", str(log), "--out", str(out))
         assert done.status == 0, done.err
         assert (out / "engine.toml").is_file()
     (out / "notes.txt").write_text("mine")
-    done = hexjet("identify", "bench", str(log), "--out", str(out), "--longest-delay", "0.5")
+    done = hexjet("engine", "from-bench", str(log), "--out", str(out), "--longest-delay", "0.5")
     assert done.status == 0
     assert (out / "notes.txt").read_text() == "mine"
 
@@ -86,11 +86,11 @@ def test_a_record_that_is_none_is_somebody_elses(content: str, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
-        (("identify", "engine", "turbojet"), "report.html"),
+        (("engine", "identify", "turbojet"), "report.html"),
         (("identify", "roll"), "model.toml"),
         (("margins", "hover"), "response.csv"),
-        (("fmu", "check", "edf"), "check.json"),
-        (("validate", "model.toml", "log.csv"), "report.html"),
+        (("engine", "check", "edf"), "check.json"),
+        (("replay", "log.csv", "--model", "model.toml"), "report.html"),
     ],
 )
 def test_results_are_refused_before_the_work(

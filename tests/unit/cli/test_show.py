@@ -79,7 +79,7 @@ def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFix
         assert shown(capsys, entry["name"])[0]["kind"] == "controllers"
     with pytest.raises(InputError, match="called 'gusty'; did you mean 'gust'") as complaint:
         run(["show", "gusty"])
-    assert "hexjet list" in str(complaint.value)
+    assert "hexjet show" in str(complaint.value)
 
 
 def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(
@@ -133,7 +133,7 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
     assert number["value"] == summary.position.drift_m
     assert number["meaning"].startswith(f"limit ≤ {limit} m, margin ")
     with pytest.raises(
-        InputError, match=r"summary.json: cannot be shown; allowed: a name of hexjet list, the folder of a run"
+        InputError, match=r"summary.json: cannot be shown; allowed: a name of hexjet show, the folder of a run"
     ):
         run(["show", str(folder / "summary.json")])
 
@@ -141,7 +141,7 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("empty", "empty: cannot be shown; allowed: a name of hexjet list, the folder of a run"),
+        ("empty", "empty: cannot be shown; allowed: a name of hexjet show, the folder of a run"),
         ("hover-smith-001", "nothing is called 'hover-smith-001'; did you mean 'runs/hover-smith-001'? see: hexjet"),
         ("runs/hover-smith-01", "nothing is called 'runs/hover-smith-01'; did you mean 'runs/hover-smith-001'?"),
     ],

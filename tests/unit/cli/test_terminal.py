@@ -164,8 +164,8 @@ def test_no_file_writes_to_the_terminal_as_it_likes(tmp_path: Path, hexjet: Hexj
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     summary |= dict.fromkeys(("title", "scenario", "reason", "engine", "controller"), HOSTILE)
     (tmp_path / "run" / "summary.json").write_text(json.dumps(summary))
-    for words in (("show", "title.toml"), ("show", "key.toml"), ("show", "run"), ("report", "run"), ("show", HOSTILE)):
-        done = hexjet(words[0], *(str(tmp_path / each) if each != HOSTILE else each for each in words[1:]))
+    for words in (("title.toml",), ("key.toml",), ("run",), ("run", "--page"), (HOSTILE,)):
+        done = hexjet("show", *(each if each in (HOSTILE, "--page") else str(tmp_path / each) for each in words))
         printed = done.out + done.err
         assert "x1b" in printed, words
         assert not set(HOSTILE) & set("\x1b\x07\x9b\u202e") & set(printed), words

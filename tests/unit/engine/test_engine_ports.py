@@ -215,7 +215,7 @@ def test_ports_are_found_by_causality_name_and_unit(inputs: str, outputs: str, e
     assert {name: port.variable.name for name, port in found.items()} == expected
 
 
-MAP = "hexjet fmu map begins a file that states it: "
+MAP = "hexjet engine map begins a file that states it: "
 
 
 @pytest.mark.parametrize(
@@ -534,7 +534,7 @@ WRONG_MAPPINGS = {
     ),
     "unit of no port": (
         MAPPING.replace("[range]", 'fuel_flow = "kg/h"\n[range]'),
-        "{fmu}: has no output called fuel_flow; hexjet fmu map begins a file that states it: [ports] fuel_flow = ",
+        "{fmu}: has no output called fuel_flow; hexjet engine map begins a file that states it: [ports] fuel_flow = ",
     ),
     "no range": (
         MAPPING.replace("[range]\nthrottle = [20.0, 100.0]", ""),

@@ -1,4 +1,4 @@
-"""``hexjet fmu map``: a mapping file begun, with what is found and what is open."""
+"""``hexjet engine map``: a mapping file begun, with what is found and what is open."""
 
 from __future__ import annotations
 
@@ -72,10 +72,10 @@ def test_what_is_open_is_said_at_once_and_stated_it_flies(tmp_path: Path) -> Non
 def test_the_command_says_it_and_whether_it_is_enough(hexjet: Hexjet, tmp_path: Path) -> None:
     renamed(tmp_path / "odd.fmu", *ODD)
     renamed(tmp_path / "mine.fmu")
-    done = hexjet("fmu", "map", "odd.fmu")
+    done = hexjet("engine", "map", "odd.fmu")
     assert (done.status, done.out.splitlines()[0]) == (1, "found: start = throttle_start")
     assert done.out.splitlines()[-1] == "next: state in odd.toml what is open"
-    told = json.loads(hexjet("fmu", "map", "mine.fmu", "--json").out)
+    told = json.loads(hexjet("engine", "map", "mine.fmu", "--json").out)
     assert told == {
         "fmu": "mine.fmu", "mapping": "mine.toml", "open": {}, "complete": True,
         "found": {"throttle": "throttle", "thrust": "thrust", "start": "throttle_start"},
@@ -86,8 +86,8 @@ def test_the_command_says_it_and_whether_it_is_enough(hexjet: Hexjet, tmp_path: 
     ("name", "line"),
     [
         ("mine.fmu", "mine.toml: is there already; name another file as out, or remove it"),
-        ("mine.toml", "mine.toml: is a mapping file already; hexjet fmu check mine.toml says what it lacks"),
-        ("edf", "edf: is no file; hexjet fmu map takes the FMU of an engine, FILE.fmu"),
+        ("mine.toml", "mine.toml: is a mapping file already; hexjet engine check mine.toml says what it lacks"),
+        ("edf", "edf: is no file; hexjet engine map takes the FMU of an engine, FILE.fmu"),
         ("text.fmu", "text.fmu: is not an FMU: not a zip archive"),
         ("gone.fmu", "gone.fmu: no such file"),
     ],

@@ -21,8 +21,7 @@ from comparisons import compare_report
 from flights import STEP, samples, scenario, setup
 from packed_columns import unpack
 
-from cosim.api.flights import report
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError
 from cosim.base.signals import Command, Sample
 from cosim.flight import with_page
 from cosim.results.comparison import ComparedFlight
@@ -187,13 +186,6 @@ def test_what_draws_pages_is_written_once_beside_the_folders_of_runs(run: Run, t
     (tmp_path / "off" / "run").mkdir()
     with pytest.raises(FlightError, match=place.name):
         write_report(run, tmp_path / "off" / "run" / "report.html", shared_assets=True)
-
-
-def test_the_page_of_a_campaign_shares_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.folder.is_campaign", lambda folder: True)
-    with pytest.raises(InputError) as refused:
-        report(tmp_path, shared_assets=True)
-    assert str(refused.value) == f"shared_assets: {tmp_path} is a campaign, whose page has all in it; leave it out"
 
 
 def test_angles_are_drawn_in_degrees_and_nothing_else_is_changed(run: Run) -> None:

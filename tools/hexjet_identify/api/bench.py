@@ -1,4 +1,4 @@
-"""An engine from its bench logs: what ``hexjet identify bench`` calls."""
+"""An engine from its bench logs: what ``hexjet engine from-bench`` calls."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BenchIdentifyResult(FolderResult):
         return write(self.identification, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet identify bench --json`` prints."""
+        """Return what ``hexjet engine from-bench --json`` prints."""
         return self.identification.to_dict()
 
     def lines(self) -> list[str]:

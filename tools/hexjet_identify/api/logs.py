@@ -1,4 +1,4 @@
-"""A model from the log of a flight, and one compared with it: what ``hexjet identify log`` and ``validate`` call."""
+"""A model from the log of a flight, and one compared with it: ``hexjet identify log``, ``replay --model``."""
 
 from __future__ import annotations
 
@@ -204,13 +204,18 @@ class ValidateResult(FolderResult):
         """``explained``, ``not explained`` or ``not told``: whether gain and delay, fitted anew, are the model's."""
         return self.validation.judgement.verdict
 
+    @property
+    def explained(self) -> bool:
+        """Whether they are."""
+        return self.verdict == "explained"
+
     def _write(self, folder: Path) -> dict[str, Path]:
         from hexjet_identify.prediction_error.validate import write
 
         return write(self.validation, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet validate --json`` prints."""
+        """Return what ``hexjet replay --model --json`` prints."""
         return self.validation.to_dict()
 
     def lines(self) -> list[str]:

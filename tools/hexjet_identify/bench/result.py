@@ -141,7 +141,7 @@ def readme(found: Identification) -> str:
         validity += f", with throttle 0 at {low:g} and 1 at {high:g}"
     own = () if found.engine is None else (f"`{found.engine.label}`, its other parameters as they were",)
     residuals = f"{found.residual_rms:.3g} {found.unit} (rms); {found.verdict.words}."
-    source = f"{summary(found)} `hexjet identify bench`"
+    source = f"{summary(found)} `hexjet engine from-bench`"
     return engine_readme("bench log", rows(found), source, validity, residuals, found.untold, found.notes, *own)
 
 

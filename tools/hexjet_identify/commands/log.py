@@ -18,8 +18,8 @@ def read_or_identify(log: str, *, channels: bool = False, **choices: Any) -> Fli
     """Identify an axis or an engine from a flight's log, whoever flew it: lag, gain and delay with its bounds.
 
     Reads runs, ULog, ArduPilot DataFlash, Betaflight blackbox, Crazyflie, CSV and Parquet.  Leaves a page,
-    identification.json for hexjet validate; of an axis a model file for hexjet fly and design --model, of an engine's
-    thrust an engine.
+    identification.json for hexjet replay --model; of an axis a model file for hexjet fly and design --model, of an
+    engine's thrust an engine.
 
     Parameters
     ----------

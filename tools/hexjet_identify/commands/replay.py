@@ -1,4 +1,4 @@
-"""hexjet replay: a recorded flight flown again."""
+"""hexjet replay: a recorded flight flown again, or a model alone with its commands."""
 
 from __future__ import annotations
 
@@ -49,11 +49,13 @@ replay = Command(
     "hexjet_identify.commands.replay:replay_within_percent",
     "flight.ulg --aircraft ./mine --engine bench/engine.toml",
     like="hexjet_identify.api.replay:replay",
+    modes={"model": "hexjet_identify.api.logs:validate"},
     options={"scenario": "--scenario", **LOG_OPTIONS},
-    metavars={"engine": "[N=]NAME|FILE", "throttle": "N=SUM", "throttle_range": "LOW HIGH", "inertia_tolerance": "%",
-              "mass_tolerance": "%", "thrust_tolerance": "%", **LOG_METAVARS},
-    folder=lambda arguments: "replay",
+    metavars={"engine": "[N=]NAME|FILE", "model": "MODEL", "throttle": "N=SUM", "throttle_range": "LOW HIGH",
+              "inertia_tolerance": "%", "mass_tolerance": "%", "thrust_tolerance": "%", **LOG_METAVARS},
+    folder=lambda arguments: "validation" if arguments.get("model") else "replay",
     before=lambda arguments: one_thread(),
     succeeded=lambda result: result.explained,
-    ends="Status 0: explained; 1: not, or not told.",
+    ends="With --model, a model of an axis or an engine alone is fed the commands of the log.  Status 0: explained; "
+    "1: not, or not told.",
 )  # fmt: skip

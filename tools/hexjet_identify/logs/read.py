@@ -51,7 +51,7 @@ _OTHERS = (  # what else a file may begin with, and what it is then
     (b"\x89PNG", "a picture"),
     (b"\x7fELF", "a program"),
     (b"ARROW1", "an Arrow file; Parquet can be read"),
-    (b"\xff\xff\xff\xff", "an Arrow stream: hexjet report FOLDER makes its run whole"),
+    (b"\xff\xff\xff\xff", "an Arrow stream: hexjet show FOLDER --page makes its run whole"),
     (b"\x89HDF", "HDF5, as MATLAB writes it; export it as CSV"),
     (b"SQLite format 3", "a database (a bag of ROS 2?); export its topics as CSV"),
     (b"#ROSBAG", "a bag of ROS; export its topics as CSV"),

@@ -364,7 +364,7 @@ def _why_refused(
         return ""
     return (
         f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
-        "try lags, a known hold, a shorter longest_delay_s, or hexjet identify engine"
+        "try lags, a known hold, a shorter longest_delay_s, or hexjet engine identify"
     )
 
 

@@ -92,7 +92,7 @@ def why_no_engine(result: LogIdentification) -> str:
     if low < THROTTLE[0] or high > THROTTLE[1]:
         return (
             f"{result.signals.command} goes from {low:.4g} to {high:.4g}, and an engine's throttle from 0 to 1: "
-            "hexjet identify bench --throttle-range LOW HIGH"
+            "hexjet engine from-bench --throttle-range LOW HIGH"
         )
     return "" if result.chosen.gain > 0.0 else "the thrust falls where the throttle rises"
 

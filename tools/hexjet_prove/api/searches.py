@@ -1,4 +1,4 @@
-"""Searches among flights, and failures too rare to count: what ``hexjet search`` and ``hexjet rare`` call."""
+"""Searches among flights, and failures too rare to count: what ``hexjet search`` calls."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class RareResult(Result):
         return self.simulated.confirmed
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet rare --json`` prints."""
+        """Return what ``hexjet search --rare --json`` prints."""
         return self.simulated.to_json()
 
     def lines(self) -> list[str]:

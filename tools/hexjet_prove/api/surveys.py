@@ -1,4 +1,4 @@
-"""What a vehicle survives, and how it comes down: what ``hexjet faults`` and ``hexjet failsafes`` call."""
+"""What a vehicle survives, and how it comes down: what ``hexjet faults`` calls."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Table, WholeLine, checked
 from cosim.api.studies import SweepResult
+from cosim.base.errors import InputError
 from cosim.base.trust import trust_named_code
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def faults(
     controllers : sequence of str
         Names or files, by default those with a model.
     kinds : sequence of str
-        Only faults that begin so, such as ``flame-out``, by default all.
+        Only faults, or failsafes, that begin so, such as ``flame-out`` or ``GNSS``, by default all.
     limits : bool
         Find out, too, how much thrust may be lost, and how late that may be noticed.
     nominal_engine : bool
@@ -120,7 +121,7 @@ def failsafes(
     aircraft: str | Path = "hexjet",
     engine: str | Path | None = None,
     *,
-    controller: str | None = None,
+    controllers: Sequence[str] = (),
     kinds: Sequence[str] = (),
     heights: Sequence[float] = (),
     winds: Sequence[float] = (),
@@ -135,14 +136,17 @@ def failsafes(
 ) -> FailsafesResult:
     """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
 
+    Flown after a take-off to every height and some hover, several times, and moving, with the speeds of touch-down and
+    the thrust ten seconds after disarming.
+
     Parameters
     ----------
     aircraft : str or Path
         Name or folder.
     engine : str or Path or None
         A name, an FMU or its mapping file; None: that of the aircraft.
-    controller : str or None
-        A name or a file; None: smith, or baseline where there is no model.
+    controllers : sequence of str
+        The one that flies, by default smith, or baseline where there is no model.
     kinds : sequence of str
         Only failsafes that begin so, such as ``GNSS``, by default all.
     heights : sequence of float
@@ -181,7 +185,10 @@ def failsafes(
     from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
-    trust_named_code([engine, controller], Path())
+    trust_named_code([engine, *controllers], Path())
+    if len(controllers) > 1:
+        raise InputError(f"controllers: {', '.join(controllers)}; allowed: one")
+    controller = next(iter(controllers), None)
     wind_speeds = tuple(winds) or WINDS_M_S
     conditions = Conditions(tuple(heights), wind_speeds, moving, flights, airborne, seed, nominal_engine)
     plan = plan_failsafes(str(aircraft), None if engine is None else str(engine), controller, kinds, conditions)

@@ -1,1 +1,1 @@
-"""hexjet search, rare, prove, faults and failsafes."""
+"""hexjet search, prove and faults."""

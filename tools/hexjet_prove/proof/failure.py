@@ -20,7 +20,7 @@ SAID = {  # of one that was not made
     LIKELY: "no search for the most likely failure was made",
     WORST: "no search for the worst case was made",
 }
-# The levels reach down to this probability, as those of hexjet rare do by default.
+# The levels reach down to this probability, as those of hexjet search --rare do by default.
 MIN_PROBABILITY = 1e-6
 KEPT = (
     "probability",

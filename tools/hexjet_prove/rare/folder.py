@@ -25,7 +25,7 @@ from hexjet_prove.rare.simulation import ASKED, Plan, RareResult, simulate
 from hexjet_prove.search.question import Answered, fly_cases
 
 RESULT, REPORT = "rare.json", "rare.html"
-COMMAND = {"command": "hexjet rare"}  # as a folder records it
+COMMAND = {"command": "hexjet search --rare"}  # as a folder records it
 SavedRare = Answered[RareResult]
 
 

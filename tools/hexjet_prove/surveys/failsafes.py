@@ -38,8 +38,6 @@ from hexjet_prove.surveys.tipping import tip_speed
 if TYPE_CHECKING:
     from cosim.control.autopilot.energy import Energy
 
-# Of docs/tables/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
-TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
 TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
 WINDS_M_S = (0.0, 5.0, 10.0)

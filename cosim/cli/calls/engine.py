@@ -1,4 +1,4 @@
-"""What ``hexjet fmu check`` does beside ``cosim.check_engine``: it looks at the FMU of a controller too."""
+"""What ``hexjet engine check`` does beside ``cosim.check_engine``: it looks at the FMU of a controller too."""
 
 from __future__ import annotations
 
