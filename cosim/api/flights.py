@@ -211,6 +211,7 @@ def fly(
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
+    from cosim.api.call.choices import list_engine_notes
     from cosim.base.storage.settings import as_several
     from cosim.flight import check_arguments, fly_watched, list_warnings
 
@@ -225,7 +226,7 @@ def fly(
     )  # fmt: skip
     told = list_warnings(loaded, controller)
     if progress is not None:
-        for text in (*told, *_list_engine_notes(loaded)):
+        for text in (*told, *list_engine_notes(loaded)):
             progress.note(text)
     is_watched = bool(mavlink or flightgear)
     with ExitStack() as stack:
@@ -258,14 +259,6 @@ class _FlightProgress:
         """Tell of the step."""
         if sample.k % self._every == 0:
             self._progress.update(self._scenario.name, sample.k, self._scenario.steps)
-
-
-def _list_engine_notes(scenario: Scenario) -> list[str]:
-    """Return what of the FMUs of a scenario is not as it may seem."""
-    from cosim.api.call.choices import list_fmu_defects
-
-    engines = (station.engine for station in scenario.stations.values() if station.engine)
-    return list_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
 
 def _watch_by_links(links: Sequence[str], stack: ExitStack) -> Any:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Progress, Result, Table, checked
-from cosim.api.call.choices import aircraft_settings, plugin_settings
+from cosim.api.call.choices import aircraft_settings, list_engine_notes, plugin_settings
 from cosim.base.storage.settings import as_settings, as_texts
 
 if TYPE_CHECKING:
@@ -226,8 +226,10 @@ def sweep(
     )
     hears.begin(folder)
     with choose_workers(workers, cluster, time_limit_s) as flying:
-        for text in (*study.notes(), *design_warnings(study), *model_notes(study)) if study is not None else ():
-            hears.note(text)
+        if study is not None:
+            notes = (*list_engine_notes(study.base()), *study.notes(), *design_warnings(study), *model_notes(study))
+            for text in notes:
+                hears.note(text)
         campaign = run_campaign(study, folder, flying, resume, tell_tally(hears))
     return SweepResult(campaign, write_campaign_report(campaign))
 

@@ -172,6 +172,12 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
     return [f"aircraft={json.dumps(aircraft)}", *with_engine]
 
 
+def list_engine_notes(scenario: Scenario) -> list[str]:
+    """Return what of the FMUs of a scenario is not as it may seem."""
+    engines = (station.engine for station in scenario.stations.values() if station.engine)
+    return list_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
+
+
 def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> list[str]:
     """Return what of a foreign FMU's description, seen from ``folder``, is not as FMI has it.
 
@@ -188,7 +194,7 @@ def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None
             source = find_source(engine, folder)
             found = note_harmless_violations(source.archive)
             if isolated is False or (isolated is None and source.mapping.isolated is False):
-                found.append("isolated = false: a crash or a hang of its library ends hexjet, and this flight's log")
+                found.append("isolated = false: a crash or a hang of its library ends the process that flies it")
             lines += [f"{engine}: {line}" for line in found]
     return lines
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import Limits, Result, checked
+from cosim.api.call.choices import list_engine_notes
 from cosim.api.flights import load
 from cosim.base.wording import printable
 from cosim.cli.console import echo, note
@@ -99,6 +100,8 @@ def gcs(  # noqa: PLR0913 - the options of a command
     if place is not None:
         changes["environment"] = parse_place(place)
     loaded = loaded.replace(**changes)
+    for text in list_engine_notes(loaded):
+        note(text)
     key = make_vehicle_key(loaded) + (f"-system-{system}" if system != 1 else "")
     kept = None if parameters == "none" else Path(parameters) if parameters else find_default_file(key)
     key_file = None if sign_key is None else Path(sign_key)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_tools import Hexjet
 from patience import PATIENCE
 from places import DOCS, ROOT
 
@@ -110,6 +111,18 @@ def test_failsafes_without_winds_are_those_of_the_table(monkeypatch: pytest.Monk
         with pytest.raises(InputError, match="enough"):
             cosim.failsafes(**given)
     assert winds == [WINDS_M_S, WINDS_M_S, (3.0,)]
+
+
+@pytest.mark.parametrize("command", ["fly hover", "sweep hover --vary vehicle.mass_kg=5,6", "gcs --mavlink none"])
+def test_an_engine_in_this_process_is_noted(command: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise InputError("enough")
+
+    engine = str(ROOT / "fmus" / "edf.fmu")
+    for flies in ("cosim.flight.fly_watched", "cosim.campaign.run.run_campaign"):
+        monkeypatch.setattr(flies, stop)
+    done = hexjet(*command.split(), "--engine", engine, "--controller", "baseline", "--set", "engine_isolated=false")
+    assert f"{engine}: isolated = false: a crash or a hang of its library ends the process that flies it" in done.err
 
 
 def test_a_note_is_a_warning_at_the_line_of_the_caller() -> None:

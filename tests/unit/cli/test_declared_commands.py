@@ -64,6 +64,7 @@ def test_the_help_leaves_out_what_developers_use(words: list[str], status: int, 
     assert done.status == status
     assert "\n  fly " in done.out + done.err
     assert "benchmark" not in done.out + done.err
+    assert hexjet("--version").out.startswith("hexjet, version ")
 
 
 @pytest.mark.parametrize("name", ["", *ALL, "engine", "sitl", "identify", "export"])

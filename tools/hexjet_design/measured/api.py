@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Progress, Table, checked
-from cosim.api.call.choices import choose, list_fmu_defects
+from cosim.api.call.choices import choose, list_engine_notes
 from cosim.base.signals import AXES
 from cosim.spec.scenario import Scenario
 
@@ -170,7 +170,7 @@ def margins(
     check_results_folder(out, *WRITTEN)
     named = controller if isinstance(controller, (str, Path)) else None
     chosen, on = choose(scenario, named, aircraft, engine, settings, seed, hears.note), axes or AXES
-    for line in list_fmu_defects(chosen.engine, folder=chosen.folder):
+    for line in list_engine_notes(chosen):
         hears.note(line)
 
     def tell(text: str) -> None:
