@@ -84,7 +84,7 @@ __all__ = [
     "versions",
 ]
 
-_WHERE = {
+_WHERE = {  # module of each lazily imported name
     "Command": "cosim.base.signals",
     "Snapshot": "cosim.stepper",
     "Stepper": "cosim.stepper",
@@ -105,7 +105,7 @@ _WHERE = {
     "versions": "cosim.results.summary",
 }
 
-_ROOMS = ("identify",)  # packages that are called, too
+_ROOMS = ("identify",)  # subpackages of the lazy import
 
 
 class _Room(ModuleType):

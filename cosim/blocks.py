@@ -3,11 +3,11 @@
 What a block computes with is an attribute of it; ``build`` wires those of a scenario.
 """
 
-from cosim.control.allocation.allocation import LEAST_SHARE, RotorAllocator, TiltAllocator
-from cosim.control.allocation.effectiveness import FIRST_PASSES, PASSES, EffectivenessAllocator
+from cosim.control.allocation.allocation import MIN_HOVER_FRACTION, RotorAllocator, TiltAllocator
+from cosim.control.allocation.effectiveness import MAX_FIRST, MAX_ITERATIONS, EffectivenessAllocator
 from cosim.control.allocation.reallocation import command_to_torque
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
-from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.control.altitude import MIN_UPRIGHT
 from cosim.control.cascade import Cascade
 from cosim.control.laws.axis import RateLaw
 from cosim.control.lead import Lead
@@ -20,7 +20,7 @@ from cosim.control.predictors.state import (
     ModelObserver,
     StatePredictor,
 )
-from cosim.control.schedule import FINE
+from cosim.control.schedule import SCHEDULE_RESOLUTION
 from cosim.engine import Air, EngineSpec
 from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
 from cosim.engine.fmu.variables import REALS, Port

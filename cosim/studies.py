@@ -28,7 +28,7 @@ from cosim.campaign.study.engine_draw import EngineDraw, default_draw, engine_dr
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.model_notes import design_warnings, nominal_model_notes
-from cosim.campaign.study.normal_space import FURTHEST, NormalSpace, draw_seed
+from cosim.campaign.study.normal_space import MAX_SIGMA, NormalSpace, draw_seed
 from cosim.campaign.study.options import NothingVariesError, open_study
 from cosim.campaign.study.plan import Flight, flight_of, only_controller, scenario_of
 from cosim.campaign.study.sequential import MAX_TESTED, Decision, Verdict, default_runs, parse_claim

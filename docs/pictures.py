@@ -10,8 +10,8 @@ import numpy as np
 
 from cosim import Scenario, fly
 from hexjet_paper.experiments import COMPARED
-from hexjet_paper.extensions import ROBUST
-from hexjet_paper.report.figures import COLOURS, NAMES, SHORT
+from hexjet_paper.extensions import MAX_SENSITIVITY
+from hexjet_paper.report.figures import COLOURS, LABELS, NAMES
 from hexjet_paper.report.result import Reproduction
 from hexjet_paper.reproduce import reproduce
 
@@ -76,11 +76,11 @@ def paper_robustness(found: Reproduction) -> None:
     for panel, each in zip(axes.flat, maps, strict=True):
         cells = np.array(each.sensitivity, dtype=float)  # None becomes nan
         mesh = panel.pcolormesh(each.delay_errors, each.gains, cells, cmap=colours, vmin=1, vmax=4, shading="nearest")
-        panel.contour(each.delay_errors, each.gains, cells, levels=[ROBUST], colors="k", linewidths=1.2)
+        panel.contour(each.delay_errors, each.gains, cells, levels=[MAX_SENSITIVITY], colors="k", linewidths=1.2)
         panel.plot(0, 1, "kx", ms=8, mew=2)
         panel.set(yscale="log", yticks=[0.25, 0.5, 1, 2, 4], yticklabels=["1/4", "1/2", "1", "2", "4"])
         panel.minorticks_off()
-        panel.set_title(f"{SHORT[each.controller]}: {100 * each.stable_share:.0f} % stable", loc="left", fontsize=9)
+        panel.set_title(f"{LABELS[each.controller]}: {100 * each.stable_share:.0f} % stable", loc="left", fontsize=9)
     for panel in axes[1]:
         panel.set_xlabel("delay error [samples]")
     for panel in axes[:, 0]:

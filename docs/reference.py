@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from cosim.base.signals import JETS, MOST_JETS
+from cosim.base.signals import JETS, MAX_JETS
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.study.autopilot import StudyAutopilot
@@ -473,7 +473,7 @@ def columns_page() -> str:
     head = (
         "# Columns of the log\n\nOne row of `flight.parquet` is one control step `k`. True and measured quantities are taken at `t_k`, before the "
         f"step; everything else acts over `[t_k, t_k+1)`. All are float64. A vehicle with more than {JETS} jets has the columns of jets up "
-        f"to {MOST_JETS} too; one with fewer has NaN there. Body is forward-right-down, NED north-east-down with its origin on the ground "
+        f"to {MAX_JETS} too; one with fewer has NaN there. Body is forward-right-down, NED north-east-down with its origin on the ground "
         "below the start. Columns that a block [of your own](../docs/own-controller.md#your-own-metric-wind-sensors-and-observer) shows come last. In exports the names are the same, or "
         "[stated beside](../docs/runs.md#the-log-in-other-tools).\n\n"
     )

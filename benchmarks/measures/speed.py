@@ -22,7 +22,7 @@ from cosim.flight import record
 from cosim.results.run import Recording
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
-from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, EXTRAPOLATION, IN_THE_AIR, RECTANGULAR
+from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, AIR_METHOD, FORCE_EXTRAPOLATION, RECTANGULAR
 
 SUBSTEPS = (1, 4)
 UNIT_RUNS = 2000  # timed before and after every job
@@ -197,7 +197,12 @@ def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
             frame._set(f"simulation/integrator/{name}", method)
     run, more = frame.jsbsim_run(), frame.substeps - 1
     twice = more > 0 and not plain
-    fraction, write, write_ahead, read = EXTRAPOLATION[IN_THE_AIR], frame._act, frame._write_extrapolated, frame._read
+    fraction, write, write_ahead, read = (
+        FORCE_EXTRAPOLATION[AIR_METHOD],
+        frame._act,
+        frame._write_extrapolated,
+        frame._read,
+    )
 
     def action() -> None:
         for k in range(steps):

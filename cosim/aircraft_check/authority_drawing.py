@@ -14,10 +14,10 @@ from cosim.control.allocation.authority import Reach
 from cosim.results.report.three_views import begin_drawing, finish_drawing, line, text
 from cosim.spec.vehicle import Vehicle
 
-VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
+VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px: plot, its margin, its title
 Corners = list[tuple[float, float]]
-SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
-STYLE = (
+SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes drawn to the right and upwards
+STYLE = (  # CSS of the drawing
     "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
     " .frame { fill: #fff; } .axis { stroke: #999; stroke-width: 0.8; } .whole { fill: #1f4e79; fill-opacity: 0.12;"
     " stroke: #1f4e79; stroke-width: 1.6; } .lost { fill: none; stroke: #c0392b; stroke-width: 0.9; }"

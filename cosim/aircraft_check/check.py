@@ -28,15 +28,16 @@ from cosim.flight import fly_watched as fly
 from cosim.results.report.three_views import points_of, three_views
 from cosim.simulation.build import build
 from cosim.simulation.engines import load_engines
-from cosim.simulation.model_agreement import NOTABLE, ModelAgreement, compare_models
+from cosim.simulation.model_agreement import MIN_REPORTED, ModelAgreement, compare_models
 from cosim.simulation.notes import note_missing_fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
-HEIGHT_M, FLIGHT_S = 10.0, 5.0
-HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
-# the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
+HEIGHT_M, FLIGHT_S = 10.0, 5.0  # start and length of the hover test
+HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # limits in a calm hover
+# Plausible radius of gyration about an axis over the distance of the farthest part: 1 for a thin ring, small for a
+# dense core.
 GYRATION = (0.05, 1.0)
 Array = NDArray[np.float64]
 
@@ -267,7 +268,7 @@ def _models(simulation: Simulation) -> list[Line]:
 
 
 def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line:
-    """Return the line on the worst comparison with one model: a note above ``NOTABLE``, a fault where it is unfit."""
+    """Return the line on the worst comparison with a model: a note above ``MIN_REPORTED``, a fault if it is unfit."""
     name = f"{axis} model, {family}"
     if not agreements:
         return Line(name, "not compared: its sample time is not the vehicle's control step")
@@ -277,7 +278,7 @@ def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line
         return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
     return Line(
         name,
-        f"{text}: more than {100.0 * NOTABLE:.0f} % off, which predictors feel" if worst.is_noteworthy else text,
+        f"{text}: more than {100.0 * MIN_REPORTED:.0f} % off, which predictors feel" if worst.is_noteworthy else text,
     )
 
 

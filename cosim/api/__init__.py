@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hexjet_prove.api.searches import RareResult, SearchResult
     from hexjet_prove.api.surveys import FailsafesResult, FaultsResult
 
-_WHERE = {
+_WHERE = {  # module of each lazily imported name
     "AircraftCheckResult": "checks",
     "CompareResult": "compare",
     "EngineCheckResult": "checks",

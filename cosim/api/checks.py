@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from cosim.engine import CheckReport
     from cosim.engine.make.mapping_file import BegunMapping
 
-CHECK = ("check.json", "report.html")
-_MOMENTS = (
+CHECK_FILES = ("check.json", "report.html")  # files that a check writes
+_MOMENTS = (  # note under the table of moments
     "Largest moment either way while the weight is held and the other two moments are zero; all throttles and hinges "
     "are free within their limits."
 )
-_NOT_EXACT = (
+_NOT_EXACT = (  # note if values are only bounded
     "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
     "not known."
 )
@@ -50,7 +50,7 @@ class EngineCheckResult(FolderResult):
         from cosim.results.report.engine_check import write_check
 
         page = write_check(self.check, folder)
-        return {"report": page, "json": page.with_name(CHECK[0])}
+        return {"report": page, "json": page.with_name(CHECK_FILES[0])}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet engine check --json`` prints."""
@@ -111,7 +111,7 @@ def check_engine(
     from cosim.base.storage.toml import parse_values
     from cosim.engine import check_fmu
 
-    check_results_folder(out, *CHECK)
+    check_results_folder(out, *CHECK_FILES)
     texts = as_settings(settings)
     trust_named_code([*texts, engine], Path())
     result = EngineCheckResult(check_fmu(str(engine), step_s, parse_values(texts), time_limit_s))

@@ -16,9 +16,9 @@ from cosim.results.run import Run
 if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, LogComparison, Signal
 
-PAGE = "comparison.html"
-LETTERS = "ABCDEFGH"  # one per distinguishable colour
-SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
+PAGE = "comparison.html"  # file name of the page
+LETTERS = "ABCDEFGH"  # labels of flights, one per colour
+SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")  # always compared
 
 
 class CompareResult(Result):
@@ -123,7 +123,7 @@ class CompareResult(Result):
         return [found[name] for name in names if name in found]
 
 
-SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
+SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")  # heads of the table of signals
 
 
 @checked()

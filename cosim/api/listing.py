@@ -10,7 +10,7 @@ from cosim.api.call import Result
 from cosim.base.storage.paths import data_folder, files_in, names_in
 
 Kind = Literal["scenarios", "studies", "engines", "aircraft", "controllers"]
-KINDS = get_args(Kind)
+KINDS = get_args(Kind)  # what hexjet list can list
 
 
 class CatalogueResult(Result):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
-# These say what a key of a scenario or a study means, by its first part.
+# Meaning of a scenario's or study's key, by its first part.
 _MEANINGS = {
     "duration_s": "planned length of the flight",
     "step_s": "control step",
@@ -49,7 +49,7 @@ _MEANINGS = {
     "settings": "written over the scenario's",
     "success": "what counts as one",
 }
-# These say what a requirement in the file of a design means, by the last part of its key.
+# Meaning of a design's requirement, by the last part of its key.
 _MEANINGS_OF_MARGINS = {
     "peak_sensitivity": "largest |S|",
     "gain_margin_db": "of more gain",
@@ -59,10 +59,10 @@ _MEANINGS_OF_MARGINS = {
     "overshoot": "share of a step",
     "settling_s": "of a step, within 5 %",
 }
-_FILES = (
+_FILES = (  # files that can be shown, for messages
     "the folder of a run, a design or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
 )
-_TEXTS = ("name", "title", "description")
+_TEXTS = ("name", "title", "description")  # keys left out of lists of values
 
 
 class Number(NamedTuple):

@@ -16,8 +16,8 @@ from importlib.util import spec_from_file_location
 from pathlib import Path
 from typing import Any
 
-PACKAGE = Path(__file__).resolve().parents[1]
-MODULES = (
+PACKAGE = Path(__file__).resolve().parents[1]  # folder of the package
+MODULES = (  # compiled modules
     "vehicle/airframe.py",
     "vehicle/jsbsim_units.py",
     "vehicle/effects/effect.py",
@@ -72,8 +72,9 @@ MODULES = (
     "vehicle/effects/rotors.py",
 )
 # mypyc's shared library of all compiled modules, in the package's folder, for each Python that it was compiled for.
+# mypyc's shared library with all compiled modules, one for each Python version.
 SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"
-PURE = "HEXJET_PURE"  # variable: build and run from source
+PURE_VARIABLE = "HEXJET_PURE"  # set it to build and run from source
 
 
 def is_current() -> bool:
@@ -92,7 +93,7 @@ def is_current() -> bool:
 
 def select_modules() -> None:
     """Import the compiled modules from here on if they are current, else all of them from source."""
-    if os.environ.get(PURE) or not is_current():
+    if os.environ.get(PURE_VARIABLE) or not is_current():
         sys.meta_path.insert(0, _FromSource())
 
 

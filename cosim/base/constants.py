@@ -9,5 +9,5 @@ GRAVITY: Final = 9.80665
 
 Side = Literal["left", "right"]  # which tilt servo, as seen by the pilot
 Sensor = Literal["gyro", "attitude", "gnss", "barometer"]  # sensors that can fail
-SERVOS: Final[tuple[Side, ...]] = get_args(Side)
-SENSORS: Final[tuple[Sensor, ...]] = get_args(Sensor)
+SERVOS: Final[tuple[Side, ...]] = get_args(Side)  # names of the tilt servos
+SENSORS: Final[tuple[Sensor, ...]] = get_args(Sensor)  # names of the sensors

@@ -19,26 +19,25 @@ from cosim.base.constants import SERVOS
 from cosim.base.signals import AXES, NO_JETS, Actuation, Command, ControlSignals, Measured, Unallocated, Vector3
 
 WholeAnswer = tuple[Actuation, ControlSignals | None]
-PROTOCOL, VERSION = "hexjet-controller", 1
+PROTOCOL, VERSION = "hexjet-controller", 1  # name and version of the protocol
 
-_ATTITUDE = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")  # body to NED
-_RATES = ("roll_rate", "pitch_rate", "yaw_rate")  # measured
-_RATE_SETPOINTS = ("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint")
-_ANGLES = ("roll_setpoint", "pitch_setpoint", "yaw_setpoint")
-_APPLIED = ("roll_applied", "pitch_applied", "yaw_applied")
-# Of a whole controller, before what is per jet; commanded: 1 where the numbers behind it are asked for, else 0.
+_ATTITUDE = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")  # measured quaternion, body to NED
+_RATES = ("roll_rate", "pitch_rate", "yaw_rate")  # measured rates, rad/s
+_RATE_SETPOINTS = ("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint")  # rad/s
+_ANGLES = ("roll_setpoint", "pitch_setpoint", "yaw_setpoint")  # attitude set-points, rad
+_APPLIED = ("roll_applied", "pitch_applied", "yaw_applied")  # commands applied in the previous step
+# Inputs of a whole controller before those of each jet; "commanded" is 1 if the numbers after it are commanded, else 0.
 _CONTROLLER_INPUTS = (
     *_ANGLES, "altitude_setpoint", "rates_commanded", *_RATE_SETPOINTS, "collective_commanded", "collective_setpoint",
     *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
-_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s along the heading, over ground
-_PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
-# What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
-# what it shows of a cascade.
+_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s along the heading, over the ground
+_PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")  # inputs for each jet
+# Optional outputs of a whole controller: unallocated part, jets shut off, and signals shown in the log.
 EXTRAS = ("unallocated", "off", "shown")
-_SHOWN = ("rate_setpoint", "predicted", "torque")
-LEVEL_BY_OUTPUT = {
+_SHOWN = ("rate_setpoint", "predicted", "torque")  # signals for the log, per axis
+LEVEL_BY_OUTPUT = {  # controller's level by an output's name
     "throttle_1": "controller", "roll_torque": "rate", "roll_rate_setpoint": "attitude", "predicted_rate": "predictor",
 }  # fmt: skip
 

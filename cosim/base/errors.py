@@ -9,9 +9,9 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-# A system call that fails with one of these lacks disk, memory or files: the input is not wrong.
+# Errors that mean a lack of disk, memory or files, and not wrong input.
 RESOURCE_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
-OUTPUT = "standard output"  # name of standard output in errors
+STDOUT_NAME = "standard output"  # name of standard output in errors
 
 
 class InputError(ValueError):
@@ -42,7 +42,7 @@ class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
 
 
-_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # frames omitted from messages
+_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # frames left out of tracebacks
 
 
 def describe_error(error: Exception) -> str:

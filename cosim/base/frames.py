@@ -9,7 +9,7 @@ from math import asin, atan2, cos, sin, sqrt
 
 from cosim.base.signals import Quaternion, Vector3
 
-IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)  # quaternion of no rotation
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> Quaternion:

@@ -12,11 +12,11 @@ from math import atan2, cos, degrees, hypot, radians, sin, sqrt
 
 from cosim.base.errors import InputError
 
-SEMI_MAJOR = 6378137.0  # m, WGS 84
-FLATTENING = 1.0 / 298.257223563  # WGS 84
-_E2 = FLATTENING * (2.0 - FLATTENING)
-_EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3  # m/s^2 and -, normal gravity of WGS 84
-# Iterations, each of which gains two digits or more.
+SEMI_MAJOR = 6378137.0  # m, semi-major axis of WGS 84
+FLATTENING = 1.0 / 298.257223563  # flattening of WGS 84
+_E2 = FLATTENING * (2.0 - FLATTENING)  # square of the first eccentricity
+_EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3  # m/s^2 and 1: normal gravity of WGS 84
+# Limit of iterations, each of which gains two digits or more.
 _MAX_ROUNDS = 8
 
 

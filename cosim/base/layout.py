@@ -21,7 +21,7 @@ from cosim.base._turning import Turning
 from cosim.base.frames import cross
 from cosim.base.signals import Vector3
 
-UP: Vector3 = (0.0, 0.0, -1.0)  # body: thrust straight up
+UP: Vector3 = (0.0, 0.0, -1.0)  # body axes: thrust straight up
 
 
 class Station(NamedTuple):

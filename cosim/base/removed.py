@@ -17,10 +17,10 @@ class Removal(NamedTuple):
     instead: str
 
 
-_RATES: Final = Removal(
+_RATES: Final = Removal(  # shared by several removed names
     "a rate loop from outside", "0.3.0", "hexjet export controller --for, which puts it inside the autopilot"
 )
-_ENGINE_OUT: Final = Removal(
+_ENGINE_OUT: Final = Removal(  # shared by several removed names
     "the table of three vehicles with one engine out", "0.3.0", "hexjet faults --kind flame-out for a vehicle"
 )
 _PAGES: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
@@ -85,7 +85,7 @@ def describe_removed(name: str) -> str | None:
     return None if removal is None else f"{removal.what} left in version {removal.since}; use {removal.instead}"
 
 
-# What a file is answered with that a version before 0.2.0 wrote.
+# Error for a file that a version before 0.2.0 wrote.
 WRITTEN_BEFORE: Final = "written before version 0.2.0; open it with 0.2.0"
 
 

@@ -20,11 +20,11 @@ PerServo = tuple[float, ...]
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
-JETS = 6  # columns in every log
-MOST_JETS = 16  # servo outputs that MAVLink has
-ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # no engine is known to have failed
+JETS = 6  # jets that every log has columns for
+MAX_JETS = 16  # MAVLink has 16 servo outputs
+ALL_WELL: Final[PerJet] = (1.0,) * MAX_JETS  # health: every engine is healthy
 NO_JETS: Final[frozenset[int]] = frozenset()
-# Every jet of the log; left and right servo; gyro, attitude, GNSS, barometer.
+# Inactive: each jet of the log; left and right servo; gyro, attitude, GNSS, barometer.
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 

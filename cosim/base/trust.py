@@ -27,18 +27,19 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import cache_folder, settings_folder
 from cosim.base.wording import printable
 
-ENV_VAR = "HEXJET_TRUST"  # 1: as --trust for every command
-REMEMBERED = "trusted"  # folders in the format of sha256sum
-# What hexjet reads or writes and never runs does not count, or each edit of a scenario and each flight would ask again.
+ENV_VAR = "HEXJET_TRUST"  # 1: like --trust for every command
+REMEMBERED = "trusted"  # file of trusted folders, as sha256sum's
+# Files that hexjet reads or writes but never runs are not hashed, or each edit of a scenario and each flight would ask
+# again.
 _DATA = re.compile(
     r".*\.(arrows|bbl|bfl|bin|csv|html|jpg|json|jsonl|log|mat|mcap|md|parquet|png|svg|tlog|toml|ulg|xml)", re.IGNORECASE
 )
-_LEFT_OUT = ("__pycache__", "runs")  # never read there, and results
-_SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
-_HASH = re.compile(r"[0-9a-f]{64}(?=  )")
-_CODE = (".py", ".fmu")  # endings of code files
-_ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
-_BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names in arguments, also KEY=["NAME"]
+_LEFT_OUT = ("__pycache__", "runs")  # folders without code that could run
+_SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")  # folders with the package's own code
+_HASH = re.compile(r"[0-9a-f]{64}(?=  )")  # line of the file of trusted folders
+_CODE = (".py", ".fmu")  # file endings of code
+_ENGINES = ("--engine", "--engine=")  # options that may name a mapping file
+_BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # separates names in KEY=["NAME"]
 
 
 class CodeRefusedError(InputError):

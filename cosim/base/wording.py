@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 
-# What a terminal obeys, or by which it writes from right to left; line ends and tabs are not among it.
+# Characters that control a terminal or change the writing direction; line ends and tabs are not included.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-_QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value, as messages echo it
-# What is longer than a file's name can be is no part of a path, but a value that stands without quotes.
+_QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value as messages quote it
+# Longer than a file name can be: not part of a path but an unquoted value.
 _LONG_WORD = re.compile(r"[^\s/]{256,}")
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cosim.campaign.workers.tasks import as_finished
     from hexjet_prove.proof.source import proof_study
 
-_WHERE = {
+_WHERE = {  # module of each lazily imported name
     "Campaign": "store",
     "LocalWorkers": "workers.local",
     "Study": "study.study",

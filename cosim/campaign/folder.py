@@ -32,17 +32,17 @@ from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.spec.vehicle import is_aircraft_path, is_file
 
-STUDY, SCENARIO = "study.toml", "scenario.toml"
+STUDY, SCENARIO = "study.toml", "scenario.toml"  # files in a campaign's folder
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
-REFEREE = "referee.json"  # what JSBSim says of flights on arrays
-# What the first flight was asked for: study and scenario once more, hashes of their files, and what was installed.
+REFEREE = "referee.json"  # JSBSim's check of flights on arrays
+# What the campaign was started with: study, scenario, file hashes and installed versions.
 RECORD = "asked.toml"
-# The table of what a command asks beside the study, and the key of the command's name in it.
+# Table of what a command adds to the study, and its key with the command's name.
 PLAN, COMMAND = "plan", "command"
-SWEEP = "hexjet sweep"
-# Keys of study and scenario that no row depends on: what they are called, and where values are from.
-WORDS = ("title", "description", "changed")
-CAMPAIGN_FILES = (
+SWEEP = "hexjet sweep"  # command of a folder that names none
+# Keys of study and scenario that no result depends on: titles and the origin of values.
+DESCRIPTIVE_KEYS = ("title", "description", "changed")
+CAMPAIGN_FILES = (  # files that campaigns write
     *(STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS, REFEREE),
     *("search.toml", "search.json", "search.html", "rare.toml", "rare.json", "rare.html"),
 )
@@ -132,7 +132,7 @@ def read_asked(folder: Path) -> dict[str, Any]:
 
 def fingerprint(asked: Mapping[str, Any]) -> str:
     """Return the hash of what all flights of a folder have in common: scenario, files, program and what is judged."""
-    scenario = {key: value for key, value in asked[SCENARIO].items() if key not in WORDS}
+    scenario = {key: value for key, value in asked[SCENARIO].items() if key not in DESCRIPTIVE_KEYS}
     judged = [asked[STUDY].get(key) for key in ("success", "autopilot", "case", "batch")]
     flown = json.dumps([scenario, asked["file"], asked["installed"], judged], sort_keys=True, default=str)
     return sha256(flown.encode()).hexdigest()
@@ -154,7 +154,7 @@ def _differences(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterat
     for name in (STUDY, SCENARIO, "file", PLAN):
         unstated = defaults if name == STUDY else {}
         for key, was, now in _compare_tables("", unstated | asked[name], unstated | current[name]):
-            if key.partition(".")[0] not in WORDS:
+            if key.partition(".")[0] not in DESCRIPTIVE_KEYS:
                 yield f"{name}: {key}", _format_value(was), _format_value(now)
 
 

@@ -15,9 +15,9 @@ from cosim.base.plugins.entry_points import GROUP, HOOKS
 from cosim.base.storage.paths import data_folder
 from cosim.results.summary import versions
 
-PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # determine a flight's numbers
-KINDS = ("*.py", "*.c", "*.h", "*.toml", "*.xml")
-FILES = "files of aircraft, engines and program"  # compared by their contents
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # versions of these change results
+KINDS = ("*.py", "*.c", "*.h", "*.toml", "*.xml")  # files whose hash is the version
+FILES = "files of aircraft, engines and program"  # name of this hash among the versions
 
 
 @cache

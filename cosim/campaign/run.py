@@ -32,7 +32,7 @@ from cosim.spec.scenario import scenario_names
 
 # Called with the tally, the number of finished flights and their total (0: unknown).
 Progress = Callable[[Tally, int, int], None]
-R = TypeVar("R")
+R = TypeVar("R")  # what a sampler returns
 # A generator that yields the flights it wants next, is sent their rows in that order, as far as they were flown, and
 # returns what it found. The rows come as an iterator that reads while flights go on; it need not be exhausted.
 Sampler = Generator[Iterable[Flight], Iterator[Row], R]

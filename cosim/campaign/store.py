@@ -51,12 +51,12 @@ from cosim.campaign.workers.flight_row import KEY, Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
 from cosim.results.log.tables import NamedColumns
 
-PART_ROWS = 4096  # 2 MB
-WRITE_S = 15.0  # s; replacing the last part takes 50 ms
+PART_ROWS = 4096  # rows per part, 2 MB
+WRITE_S = 15.0  # s between writes, which take 50 ms
 SYNC_S = 1.0  # s of flights that a power cut may cost
-_PARTS = "part-*.parquet"
-_TALLIED = ("flight", "controller", "success", "outcome")
-_NOTHING: Row = {}  # shared: there may be millions
+_PARTS = "part-*.parquet"  # names of the parts
+_TALLIED = ("flight", "controller", "success", "outcome")  # columns that the tally needs
+_NOTHING: Row = {}  # shared, as there may be millions
 
 
 class Tally:

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import (
-    OUTPUT,
     RESOURCE_ERRNOS,
+    STDOUT_NAME,
     FlightError,
     InputError,
     Notice,
@@ -203,10 +203,10 @@ def _explain(error: InputError | FlightError | OSError | MemoryError) -> tuple[s
 
 def _machine_trouble(error: OSError) -> str:
     """Return in words what the machine has no more of; what standard output did not take is dropped."""
-    if error.filename != OUTPUT:
+    if error.filename != STDOUT_NAME:
         return f"{error.strerror}; temporary files are in {tempfile.gettempdir()}"
     _drop_output()
-    return f"{OUTPUT}: {error.strerror}"
+    return f"{STDOUT_NAME}: {error.strerror}"
 
 
 def _drop_output() -> None:

@@ -10,7 +10,7 @@ import signal
 import sys
 from typing import Any
 
-from cosim.base.errors import OUTPUT
+from cosim.base.errors import STDOUT_NAME
 from cosim.base.runtime.kernels import set_for_command
 
 
@@ -58,7 +58,7 @@ class _Output(io.FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            raise OSError(error.errno, error.strerror, OUTPUT) from None
+            raise OSError(error.errno, error.strerror, STDOUT_NAME) from None
 
 
 def named_output() -> io.TextIOWrapper:

@@ -13,8 +13,8 @@ from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-# Thrust is not raised further for a lean beyond 60 degrees.
-LEAST_UPRIGHT: Final = 0.5
+# Cosine of the lean up to which thrust is raised to hold height: 60 degrees.
+MIN_UPRIGHT: Final = 0.5
 
 
 class AltitudeController:
@@ -82,8 +82,8 @@ class AltitudeController:
             integral = self._integral + self._i * error
             self._integral = clamp(integral, limit)
         cosine = upright(measured.attitude)
-        if cosine < LEAST_UPRIGHT:
-            cosine = LEAST_UPRIGHT
+        if cosine < MIN_UPRIGHT:
+            cosine = MIN_UPRIGHT
         acceleration = GRAVITY + self._velocity * error + self._integral
         if self._fade is not None:
             acceleration += self._fade_change(self._fade, height_error, measured.velocity[2], acceleration)

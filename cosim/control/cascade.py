@@ -32,7 +32,7 @@ from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
 from cosim.spec.vehicle import Vehicle
 
-_FLY: Final = EngineState.FLY
+_FLY: Final = EngineState.FLY  # direct access in compiled code
 _SIGNALS: Final = ControlSignals  # direct access in compiled code
 
 

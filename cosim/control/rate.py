@@ -15,7 +15,7 @@ from cosim.control.lead import Lead
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.spec.vehicle import EngineLead, RateGains
 
-_NOTHING: Diagnostics = (nan, nan, nan)
+_NOTHING: Diagnostics = (nan, nan, nan)  # diagnostics of no predictor
 
 
 class _Law(NamedTuple):

@@ -17,8 +17,8 @@ from typing import NamedTuple
 from cosim.base.limits import clip
 from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains
 
-# Gains change when the level has moved by this fraction of the schedule's range.
-FINE = 1e-3
+# Gains change when thrust has moved by this fraction of the schedule's range.
+SCHEDULE_RESOLUTION = 1e-3
 
 
 class Factors(NamedTuple):
@@ -47,7 +47,7 @@ class GainSchedule:
         self._roll = [_nominal_factors(level.roll, bool(leads and leads.roll)) for level in schedule.level]
         self._altitude = [_nominal_factors(level.altitude, bool(leads and leads.altitude)) for level in schedule.level]
         self._filter_gain = 1.0 - exp(-step / schedule.filter_s)
-        self._resolution = FINE * (self._levels[-1] - self._levels[0])
+        self._resolution = SCHEDULE_RESOLUTION * (self._levels[-1] - self._levels[0])
         self.reset(self._levels[-1])
 
     def reset(self, thrust_fraction: float) -> Scheduled:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cosim.engine.spec import EngineSpec as EngineSpec
     from cosim.engine.spec import file_label as file_label
 
-_MODULES = {
+_MODULES = {  # module of each lazily imported name
     "Air": "fmu.air", "CheckReport": "check_report", "EngineBank": "bank", "EngineSource": "source",
     "EngineSpec": "spec", "IsolatedBank": "isolated", "build_engines": "source", "check_fmu": "check",
     "file_label": "spec", "find_source": "source", "list_engine_names": "source", "load_engine": "load_checked",

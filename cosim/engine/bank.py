@@ -23,7 +23,7 @@ def make_log_columns(specs: Sequence[EngineSpec]) -> tuple[Column, ...]:
         *(
             Column(f"{name}_{number}", unit, "jet", f"engine {number}: {meaning}, as it gives it")
             for number, spec in enumerate(specs, start=1)
-            for port, (name, unit, meaning) in ASIDE_COLUMNS.items()
+            for port, (name, unit, meaning) in SIDE_LOAD_COLUMNS.items()
             if spec.has_port(port)
         ),
         *(
@@ -39,7 +39,7 @@ def make_log_columns(specs: Sequence[EngineSpec]) -> tuple[Column, ...]:
     )
 
 
-ASIDE_COLUMNS = {
+SIDE_LOAD_COLUMNS = {  # log columns of loads beside thrust
     "force_forward": ("force_forward_N", "N", "force across the jet, forward while it is upright"),
     "force_right": ("force_right_N", "N", "force across the jet, to the right"),
     "torque": ("torque_Nm", "N m", "torque on the airframe about the jet's axis, right-handed along its thrust"),

@@ -27,7 +27,7 @@ from cosim.engine.isolated import LIMITS, EngineHost, IsolatedBank, measure_in
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement
 from cosim.engine.response import (
-    NO_CHANGE,
+    REST_TOLERANCE,
     Response,
     ResponseError,
     find_crossing,
@@ -40,11 +40,11 @@ from cosim.engine.response import (
 from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
 from cosim.engine.spec import EngineSpec
 
-# s by the clock, of a check.
+# s of wall time for a check.
 TIME_LIMIT_S = 120.0
-# Of each flight that is compared with the first.
+# Steps of each flight that are compared with the first flight.
 COMPARED_STEPS = 500
-# Samples between the dead times up and down: a step of the throttle meets the FMU's own step anywhere.
+# Attributes of a variable in reports.
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
@@ -187,7 +187,7 @@ class _Check:
         report.throttle, report.thrust = list(measured.curve.throttle), list(measured.curve.thrust)
         rest = archive.starting.rest_n
         report.notes += note_flat_ends(measured.curve, measured.ripple, rest)
-        if measured.ripple > NO_CHANGE:
+        if measured.ripple > REST_TOLERANCE:
             report.notes.append(f"its thrust ripples at rest; it counts as steady within {measured.ripple:g} of itself")
         for problem in find_curve_problems(measured.curve, measured.ripple, rest):
             self._fail("responds", problem)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-# What is asked of an engine, each by a short flight.
+# Tests of an engine, each a short flight.
 QUESTIONS = ("loads", "runs", "is finite", "responds", "repeats", "runs six at once", "resets")
 
 

@@ -54,11 +54,11 @@ class HostLimits(NamedTuple):
     max_request_bytes: int = 2**32
 
 
-LIMITS = HostLimits()
+LIMITS = HostLimits()  # limits of the engines' process
 
 
 Moment = str | tuple[int, float]  # phase in words, or step and time [s]
-_SERVE = "from cosim.engine.isolated import serve; serve()"
+_SERVE = "from cosim.engine.isolated import serve; serve()"  # code of the engines' process
 
 
 class EngineHost:

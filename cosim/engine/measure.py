@@ -14,8 +14,8 @@ from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.response import (
-    LITTLE_CHANGE,
-    NO_CHANGE,
+    REST_TOLERANCE,
+    SOLVER_TOLERANCE,
     Curve,
     Hold,
     Response,
@@ -83,9 +83,9 @@ def measure(
     Raises InstanceError or ResponseError if it fails, never settles or never answers.
     """
     try:
-        return _measure(archive, settings, start, step, NO_CHANGE, air, small)
+        return _measure(archive, settings, start, step, REST_TOLERANCE, air, small)
     except RestlessError:
-        return _measure(archive, settings, start, step, LITTLE_CHANGE, air, small)
+        return _measure(archive, settings, start, step, SOLVER_TOLERANCE, air, small)
 
 
 def _measure(

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 Hold = Callable[[float, int], Sequence[float]]
 
-# s to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE.
+# s: a real turbojet, closed, needs 95 s until its thrust is constant to NO_CHANGE.
 MAX_SETTLING_S = 180.0
-# Fraction of the thrust, or of 1 N if that is more, within which it is at rest; then the usual tolerance of solvers,
-# for an FMU whose own solver goes on trembling at rest.
-NO_CHANGE = 1e-10
-LITTLE_CHANGE = 1e-6
-# Change of the mean from window to window, as a fraction of what counts as rest; chosen by us.
+# Fraction of the thrust, or of 1 N if that is more, within which it is constant; the second is for FMUs whose solver
+# has the usual tolerance.
+REST_TOLERANCE = 1e-10
+SOLVER_TOLERANCE = 1e-6
+# Chosen by us: change of the mean between windows over the tolerance of rest, small enough to exclude a slow lag.
 MAX_DRIFT = 0.1
 
 
@@ -65,7 +65,7 @@ def settle(
     throttle: float,
     window: int,
     step: float,
-    ripple: float = NO_CHANGE,
+    ripple: float = REST_TOLERANCE,
     rest: float = 0.0,
     span: float = 0.0,
 ) -> float:
@@ -103,7 +103,7 @@ def measure_step_response(
     before: float,
     throttle: float,
     step: float,
-    ripple: float = NO_CHANGE,
+    ripple: float = REST_TOLERANCE,
     rest: float = 0.0,
     longest_delay_s: float = 10.0,
 ) -> Response:
@@ -144,7 +144,7 @@ def settling_window(delay: int) -> int:
 
 
 def measure_static_curve(
-    hold: Hold, window: int, step: float, ripple: float = NO_CHANGE, rest: float = 0.0, points: int = 21
+    hold: Hold, window: int, step: float, ripple: float = REST_TOLERANCE, rest: float = 0.0, points: int = 21
 ) -> Curve:
     """Measure the steady thrust at evenly spaced throttles, from full throttle down."""
     throttles = [k / (points - 1) for k in range(points)]
@@ -155,7 +155,7 @@ def measure_static_curve(
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
-def find_curve_problems(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+def find_curve_problems(curve: Curve, ripple: float = REST_TOLERANCE, rest: float = 0.0) -> list[str]:
     """Return the problems of a static curve, measured to within ``ripple`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
     tolerance = _tolerance(thrust, ripple, rest)
@@ -180,7 +180,7 @@ def _tolerance(thrust: Sequence[float], ripple: float, rest: float) -> float:
     return max(rest, 10.0 * ripple * max(1.0, *map(abs, thrust)))
 
 
-def trim_flat_ends(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+def trim_flat_ends(curve: Curve, ripple: float = REST_TOLERANCE, rest: float = 0.0) -> Curve:
     """Return a static curve without the flat parts at its ends: a dead band, or full thrust before full throttle.
 
     Beyond an end of the remaining curve the engine gives the thrust of that end.
@@ -194,7 +194,7 @@ def trim_flat_ends(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -
     return Curve(throttle[first : last + 1], thrust[first : last + 1])
 
 
-def note_flat_ends(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+def note_flat_ends(curve: Curve, ripple: float = REST_TOLERANCE, rest: float = 0.0) -> list[str]:
     """Return notes on the flat parts at the ends of a static curve."""
     throttle, thrust = trim_flat_ends(curve, ripple, rest)
     text = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"

@@ -30,8 +30,8 @@ class FlameOutLaw(NamedTuple):
     relight_s: float = 0.0  # s from the start command to idle
 
 
-MODELLED = FlameOutLaw(is_modelled=True)
-ELECTRIC = FlameOutLaw(is_electric=True)
+MODELLED = FlameOutLaw(is_modelled=True)  # the FMU models flame-outs itself
+ELECTRIC = FlameOutLaw(is_electric=True)  # fans, without a flame
 
 
 def make_flame_out_law(table: Mapping[str, float]) -> FlameOutLaw:

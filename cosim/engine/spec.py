@@ -17,7 +17,7 @@ from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.library import FMI2_SUFFIX
-from cosim.engine.response import NO_CHANGE, Curve, SmallStep, trim_flat_ends
+from cosim.engine.response import REST_TOLERANCE, Curve, SmallStep, trim_flat_ends
 from cosim.engine.rundown import FlameOutLaw
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ class EngineSpec:
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
     settling_window: int = field(repr=False)  # communication steps after the delay
-    ripple: float = field(default=NO_CHANGE, repr=False)  # relative ripple of steady thrust
+    ripple: float = field(default=REST_TOLERANCE, repr=False)  # relative ripple of steady thrust
     air: Air = STANDARD_AIR  # air in which the curve was measured
     isolated: bool = False  # True: runs in a process of its own
     small_step: SmallStep | None = None  # response to a small step

@@ -31,7 +31,7 @@ from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
-# Requests that are sent continuously, of which only the last one counts.
+# Continuous requests, of which only the latest counts.
 _STREAMS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosition)
 
 

@@ -22,7 +22,7 @@ from cosim.control.autopilot.requests import Answer, Result, SetParameter
 from cosim.groundstation.exchange import GroundRequest, PendingRequest
 from cosim.groundstation.parameter_store import FORCE, ParameterStore
 
-T = TypeVar("T")
+T = TypeVar("T")  # type of a judged value
 
 
 class StabilityChecker(Protocol):

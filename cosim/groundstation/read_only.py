@@ -15,7 +15,7 @@ from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Exchange, FlightInfo
-from cosim.groundstation.session_flight import PUBLISH_EVERY, forward_messages, make_flight_info, make_snapshot
+from cosim.groundstation.session_flight import PUBLISH_INTERVAL_S, forward_messages, make_flight_info, make_snapshot
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
@@ -41,7 +41,7 @@ class ReadOnlyObserver:
     def observe(self, sample: Sample) -> None:
         """Publish the flight as it is after a step, not more often than anybody looks."""
         now = time.monotonic()
-        if now - self._last < PUBLISH_EVERY:
+        if now - self._last < PUBLISH_INTERVAL_S:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot

@@ -42,8 +42,8 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.spec.scenario import Scenario
 
-# Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
-_REQUESTS_PER_STEP = 8  # requests
+# Chosen by us: a request takes about 10 us, a new predictor 3 ms, and stepping takes a tenth of a step's 4 ms.
+_MAX_REQUESTS_PER_STEP = 8  # requests
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Session:
             in_air = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
             return Ending("completed", f"{self._stopping}{' in the air' if in_air else ''}")
         until = 0.0
-        for _ in range(_REQUESTS_PER_STEP):
+        for _ in range(_MAX_REQUESTS_PER_STEP):
             taken = self.exchange.take_requests(1)
             if not taken:
                 break
@@ -278,7 +278,7 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             deadline = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (deadline is None or time.monotonic() < deadline):
-            for waiting in [w for w in exchange.take_requests(_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
+            for waiting in [w for w in exchange.take_requests(_MAX_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
                 answer = rq.Answer(False, rq.Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     answer = self._end_or_restart(waiting.request, waiting.sender, is_armed=False)

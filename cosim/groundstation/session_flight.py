@@ -28,9 +28,9 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 
-# Chosen by us: twice as often as steps at 250 Hz; a flight at full speed publishes less.
-PUBLISH_EVERY = 2e-3  # s of wall time
-# Two hours of flight at 250 Hz; chosen by us.
+# Chosen by us: s of wall time, half a step at 250 Hz; flights at full speed publish fewer steps.
+PUBLISH_INTERVAL_S = 2e-3  # s of wall time
+# Two hours of flight at 250 Hz.
 MAX_LOG_MB = 2000.0
 
 
@@ -201,7 +201,7 @@ class Publisher:
 
     def observe(self, sample: Sample) -> None:
         now = time.monotonic()
-        if now - self._last < PUBLISH_EVERY:
+        if now - self._last < PUBLISH_INTERVAL_S:
             return
         self._last = now
         self._flight.publish(sample, None)

@@ -13,11 +13,11 @@ from cosim.base.storage.files import check_results_folder, map_os_errors, write_
 if TYPE_CHECKING:
     from cosim.results.report.cards import Page
 
-# Every identification leaves this file: a folder without it is somebody else's.
+# Written by every identification: a folder without it belongs to someone else.
 RECORD = "identification.json"
-PICTURE = "measured.svg"
-ENGINE = ("engine.toml", "engine.fmu", "README.md", PICTURE)
-FILES = ("report.html", "response.csv", "model.toml", *ENGINE)
+PICTURE = "measured.svg"  # curve of an engine's README
+ENGINE_FILES = ("engine.toml", "engine.fmu", "README.md", PICTURE)  # files of an identified engine
+FILES = ("report.html", "response.csv", "model.toml", *ENGINE_FILES)  # other files of an identification
 _NAMES = {"response": "response.csv", "model": "model.toml", "engine": "engine.toml", "readme": "README.md"}
 
 
@@ -27,7 +27,7 @@ def write_identification(
     page: Page,
     texts: Mapping[str, str],
     others: Mapping[str, str | bytes] | None = None,
-    removed: Iterable[str] = ENGINE,
+    removed: Iterable[str] = ENGINE_FILES,
 ) -> dict[str, Path]:
     """Write the ``record`` as JSON, ``texts`` by their kind, ``others`` by their name, and the page.
 

@@ -13,9 +13,9 @@ from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, Judgement
 from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
-# First column of a table of parameters.
+# head of the first column
 WITH_BOUNDS = "with 95 % bounds"
-_BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
+_BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}  # badge of each verdict
 
 
 def judged_page(judgement: Judgement, page: Page) -> Page:

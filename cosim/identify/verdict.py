@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-EXPLAINED: Final = "explained"
-NOT_EXPLAINED: Final = "not explained"
-NOT_TOLD: Final = "not told"  # by this log or sweep
+EXPLAINED: Final = "explained"  # the model explains the data
+NOT_EXPLAINED: Final = "not explained"  # the model does not explain the data
+NOT_TOLD: Final = "not told"  # the data do not determine it
 
 
 class Judgement(NamedTuple):

@@ -17,9 +17,9 @@ from cosim.results.metrics import wrap
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
-_EULER = "body to NED"  # angles: difference the short way
-# Of a step: times that are nearer are the same, k * dt being rounded.
-_SLACK = 1e-6
+_EULER = "body to NED"  # angles: differences go the short way
+# In steps: closer times are the same, because k * dt is rounded.
+_TIME_TOLERANCE = 1e-6
 
 
 class ComparedFlight(NamedTuple):
@@ -92,11 +92,11 @@ def make_time_base(first: Log, second: Log) -> TimeBase:
     """
     times = (first[TIME], second[TIME])
     steps = tuple(median_step(series) for series in times)
-    which = 1 if steps[1] < (1.0 - _SLACK) * steps[0] else 0
+    which = 1 if steps[1] < (1.0 - _TIME_TOLERANCE) * steps[0] else 0
     none = np.empty(0, np.intp)
     if not (times[0].size and times[1].size):
         return TimeBase(np.empty(0), none, none, 0)
-    slack = _SLACK * min(steps)
+    slack = _TIME_TOLERANCE * min(steps)
     other = times[1 - which]
     begins = max(times[0][0], times[1][0]) - slack
     rows = np.flatnonzero((times[which] >= begins) & (times[which] < other[-1] + steps[1 - which] - slack))
@@ -137,7 +137,7 @@ def _pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
     signals = tuple(_signals(first.log, second.log, common, base)) if base.times.size else ()
     is_whole = base.times.size == len(first.log) == len(second.log) and columns_first == columns_second
     times = is_whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
-    finer = median_step(second.log[TIME]) < (1.0 - _SLACK) * median_step(first.log[TIME])
+    finer = median_step(second.log[TIME]) < (1.0 - _TIME_TOLERANCE) * median_step(first.log[TIME])
     return LogComparison(
         first.label,
         second.label,

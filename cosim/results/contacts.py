@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.protocols import Columns
 
-CONTACTS = ("leaves the ground", "touches the ground")  # by whether a leg touches
+CONTACTS = ("leaves the ground", "touches the ground")  # event when a leg stops, begins to touch
 
 
 def find_contact_rows(log: Columns) -> NDArray[np.bool_]:

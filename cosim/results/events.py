@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
-MAX_EVENTS = 500  # of one kind; the log has all
+MAX_EVENTS = 500  # events of one kind; the log has all
 PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # what carries the vehicle
-ON_JETS, ON_WING = 0.05, 0.5  # fractions of the weight on the wing
+ON_JETS, ON_WING = 0.05, 0.5  # fractions of weight on the wing
 
 
 class Event(Record):

@@ -21,8 +21,8 @@ from cosim.results.log.columns import COLUMNS
 from cosim.results.run import LOG, RUN_FILES, Run, open_run
 from cosim.results.summary import Summary
 
-GROUP = "hexjet.exporters"
-_DESCRIBED = {column.name: column for column in COLUMNS}
+GROUP = "hexjet.exporters"  # entry points of further formats
+_DESCRIBED = {column.name: column for column in COLUMNS}  # unit and frame of the log's columns
 
 
 def list_endings() -> dict[str, tuple[str, ...]]:
@@ -87,7 +87,7 @@ def export_parquet(run: Run, path: Path) -> None:
     write_log(path, describe_columns(run), run.log.blocks(run.log.columns), run_properties(run.summary))
 
 
-_OWN: dict[str, Callable[..., None]] = {"csv": export_csv, "parquet": export_parquet}
+_OWN: dict[str, Callable[..., None]] = {"csv": export_csv, "parquet": export_parquet}  # built-in formats
 
 
 def run_properties(summary: Summary) -> dict[str, str]:

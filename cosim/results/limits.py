@@ -26,27 +26,27 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
     from cosim.spec.vehicle import Vehicle
 
-# Chosen by us, in spans of the vehicle and in its Froude speed sqrt(g span), so that a vehicle and its scaled copy are
-# held to the same.  A span is 0.4 m on the prototype: a height error of 2 m, which no shipped disturbance causes (a
-# tenth of the weight taken up at once included); a position error of 4 m, for a GNSS that is off by a metre and the
-# first gust before the estimate of the wind has it; a drift of 10 m, which nobody would call a hover; 4 m/s.
-HEIGHT_SPANS = 5.0
-POSITION_SPANS = 10.0
-DRIFT_SPANS = 25.0
-SPEEDS = 2.0
-# Most of its time in the air a vehicle is to have what its controllers ask for.
-SATURATED_PERCENT = 50.0
+# Chosen by us, in spans of the vehicle and in its Froude speed sqrt(g span), so that limits scale with the vehicle. The
+# prototype's span is 0.4 m: a height error of 2 m, which no shipped disturbance causes (a tenth of the weight taken up
+# at once included); a position error of 4 m, for a GNSS error of a metre and the first gust before the wind is
+# estimated; a drift of 10 m, which nobody would call a hover; 4 m/s.
+MAX_HEIGHT_SPANS = 5.0
+MAX_POSITION_SPANS = 10.0
+MAX_DRIFT_SPANS = 25.0
+MAX_FROUDE_SPEEDS = 2.0
+# Most of the time in the air a vehicle must get what its controllers command.
+MAX_SATURATED_PERCENT = 50.0
 
-# Of the steps of any second, on which a command may turn back.  One that alternates, in a loop that oscillates at half
-# the control rate, does so on all; white noise on 2/3, its differences on 73 % (1/2 + asin(2/3) / pi), and by chance on
-# 8 % more in a second of 250 steps.
-ALTERNATING_PERCENT = 90.0
+# Percent of the steps of any second on which a command may change direction. An oscillation at half the control rate
+# does so on all steps; white noise on 2/3 and its differences on 73 % (1/2 + asin(2/3) / pi), by chance 8 % more in a
+# second of 250 steps.
+MAX_ALTERNATING_PERCENT = 90.0
 
-AXIS_LIMITED = {  # those that limit a metric of every axis
+AXIS_LIMITED = {  # metric of each axis by key of [limits]
     "settling_s": "settling_time_s",
     "oscillation_rad": "oscillation_rad",
 }
-LIMITED = {  # metrics by key of [limits]
+LIMITED = {  # metric by key of [limits]
     "height_error_m": "altitude.max_abs_error_m",
     "place_error_m": "position.max_abs_error_m",
     "drift_m": "position.drift_m",
@@ -59,7 +59,7 @@ LIMITED = {  # metrics by key of [limits]
 }
 
 
-NEVER_SETTLED = ".settling_time_s"  # None where a step has not settled
+NEVER_SETTLED = ".settling_time_s"  # None if a step has not settled
 
 
 class LimitInputs(Record):
@@ -110,17 +110,17 @@ def note_small_steps(scenario: Scenario, measure: LimitInputs) -> list[str]:
 def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
     """Return the most that each limited metric may be in this flight, by the metric's name.
 
-    The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
-    beyond the way that the commanded leans explain, the speed ``SPEEDS`` beyond the speed that they explain.  There is
-    none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
+    The height's error may be ``MAX_HEIGHT_SPANS`` beyond what the height law leaves by itself; drift and speed
+    ``MAX_DRIFT_SPANS`` and ``MAX_FROUDE_SPEEDS`` beyond what the commanded leans explain.  There is none
+    on drift where a place is commanded, none on drift and speed where a pilot flies or body rates are commanded.
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
     # One function each, so that no columns are held while another reads its own: an hour's are 7 MB each.
     merged: dict[str, float | None] = {
-        "height_error_m": HEIGHT_SPANS * measure.span_m
+        "height_error_m": MAX_HEIGHT_SPANS * measure.span_m
         + height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s),
-        "saturated_percent": SATURATED_PERCENT,
-        "alternating_percent": ALTERNATING_PERCENT,
+        "saturated_percent": MAX_SATURATED_PERCENT,
+        "alternating_percent": MAX_ALTERNATING_PERCENT,
         **_motion_limits(measure, log, step_s),
         **measure.stated,
     }
@@ -130,11 +130,11 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
 
 def _motion_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
     """Return the limits of position, drift and speed by their keys."""
-    span, speed = measure.span_m, SPEEDS * sqrt(GRAVITY * measure.span_m)
+    span, speed = measure.span_m, MAX_FROUDE_SPEEDS * sqrt(GRAVITY * measure.span_m)
     limits: dict[str, float] = {}
     placed = commands_position(log)
     if placed:
-        limits["place_error_m"] = POSITION_SPANS * span
+        limits["place_error_m"] = MAX_POSITION_SPANS * span
     if not measure.piloted:
         if placed:
             limits["speed_m_s"] = speed + track_speed(log[POSITION_SETPOINT[0]], log[POSITION_SETPOINT[1]], step_s)
@@ -143,7 +143,7 @@ def _motion_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[st
             start = (log["velocity_north_m_s"][:1], log["velocity_east_m_s"][:1])
             lean = lean_motion(roll, pitch, yaw, start, step_s)
             if lean is not None:
-                limits |= {"drift_m": DRIFT_SPANS * span + lean[0], "speed_m_s": speed + lean[1]}
+                limits |= {"drift_m": MAX_DRIFT_SPANS * span + lean[0], "speed_m_s": speed + lean[1]}
     return limits
 
 

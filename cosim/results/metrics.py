@@ -25,19 +25,19 @@ from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
-# A smaller offset at the start is trim or noise, not a command; chosen by us.
+# Chosen by us: smaller offsets at the start are trim or noise and not a command.
 MIN_STEP_RAD = 1e-3
 SETTLING_BAND = 0.05  # of the step's size, as is common
-FINAL_S = 1.0  # end of the flight
-REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
-POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")
-WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")
-# Columns of what acts from outside beside the wind begin with these.
+FINAL_WINDOW_S = 1.0  # window at the end of the flight
+REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")  # columns of what was not allocated
+POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")  # columns
+WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")  # columns
+# Columns of disturbances other than wind begin with these.
 UPSETS = ("disturbance_", "payload_kg", "fault_")
-WAYPOINTS_LEFT = "waypoints_left"  # of a script with waypoints
-THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
-TILT = "tilt_{}_command_rad"
-DEFLECTION = "deflection_{}_command"
+WAYPOINTS_LEFT = "waypoints_left"  # column of scripts with waypoints
+THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # columns of a jet
+TILT = "tilt_{}_command_rad"  # column of a tilt servo's command
+DEFLECTION = "deflection_{}_command"  # column of a surface's command
 
 
 class Record(BaseModel):
@@ -322,7 +322,7 @@ def alternating_percent(
     for a flight of less than a second and where no range is known.  ``reversal``: of a command's range: 10 us of a
     pulse that spans 1000, several dead bands of a servo.
     """
-    rows, worst = round(FINAL_S / step_s), None
+    rows, worst = round(FINAL_WINDOW_S / step_s), None
     for command, least, most in commands:
         if most <= least or command.size < rows + 2 or not np.all(np.isfinite(command)):
             continue
@@ -456,7 +456,7 @@ def _span(low: float | None, high: float | None) -> str:
 
 def _last(values: Array, step_s: float) -> Array:
     """Return the finite values of the last second."""
-    last = values[-round(FINAL_S / step_s) :]
+    last = values[-round(FINAL_WINDOW_S / step_s) :]
     return last[np.isfinite(last)]
 
 

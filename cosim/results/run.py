@@ -32,17 +32,17 @@ from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric, make_unavailable_metric
 from cosim.spec.scenario import Scenario
 
-SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
+SUMMARY, SCENARIO, LOG, STREAM, REPORT = (  # files in a run's folder
     "summary.json",
     "scenario.toml",
     "flight.parquet",
     "flight.arrows",
     "report.html",
 )
-TELEMETRY = "telemetry.tlog"
-AUTOPILOT = "autopilot.jsonl"
-REQUESTS = "requests.jsonl"
-RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)
+TELEMETRY = "telemetry.tlog"  # recorded MAVLink frames
+AUTOPILOT = "autopilot.jsonl"  # states and messages of the autopilot
+REQUESTS = "requests.jsonl"  # requests to the autopilot
+RUN_FILES = (SUMMARY, SCENARIO, LOG, STREAM, REPORT, TELEMETRY, AUTOPILOT)  # all files of a run
 
 
 @dataclass(frozen=True, repr=False)

@@ -37,7 +37,7 @@ from cosim.spec.controller_name import file_name, label
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
 from cosim.spec.vehicle import is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import describe_profile
-from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
+from cosim.vehicle.airframe import AIR_METHOD, GROUND_METHOD, METHODS, POSITIONS
 
 
 def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
@@ -140,11 +140,11 @@ def describe_integration(scenario: Scenario) -> Integration:
     return Integration(
         runs=scenario.substeps,
         run_s=scenario.step_s / scenario.substeps,
-        rates=METHODS[IN_THE_AIR],
-        velocities=METHODS[IN_THE_AIR],
+        rates=METHODS[AIR_METHOD],
+        velocities=METHODS[AIR_METHOD],
         attitude=METHODS[POSITIONS["rotational"]],
         position=METHODS[POSITIONS["translational"]],
-        on_ground=METHODS[ON_THE_GROUND],
+        on_ground=METHODS[GROUND_METHOD],
     )
 
 

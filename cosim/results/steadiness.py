@@ -19,7 +19,7 @@ from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.contacts import find_contact_rows
 from cosim.results.metrics import (
-    FINAL_S,
+    FINAL_WINDOW_S,
     MIN_STEP_RAD,
     SETTLING_BAND,
     UPSETS,
@@ -31,13 +31,13 @@ from cosim.results.metrics import (
     wrap,
 )
 
-# An attitude law that takes longer than a quarter of an hour is none.
+# An attitude law slower than a quarter of an hour is no attitude law.
 MIN_GAIN_1_S = 1e-3
 
 
-# Half peak-to-peak that an axis may have while the wind changes to the end.  Chosen by us: the gusts of the scenarios
-# that ship leave less than 1 deg.
-SWING_IN_WIND_RAD = radians(10.0)
+# Half peak-to-peak that an axis may have if the wind changes until the end. Chosen by us: gusts of shipped scenarios
+# cause less than 1 deg.
+MAX_SWING_IN_WIND_RAD = radians(10.0)
 
 
 class AxisLimitInputs(Record):
@@ -154,19 +154,19 @@ def _oscillation(
 ) -> float | None:
     """Return the limit on the residual oscillation (rad); None where the end of the flight cannot tell.
 
-    It is ``SETTLING_BAND`` of the last step, or the noise floor if that is more, or ``SWING_IN_WIND_RAD`` while the
+    It is ``SETTLING_BAND`` of the last step, or the noise floor if that is more, or ``MAX_SWING_IN_WIND_RAD`` while the
     wind changes, and beyond it what is left of how the set-point moved since the axis had time to settle before the
     last second.
     """
     if axis.gain_1_s < MIN_GAIN_1_S:
         return None
-    last = setpoint.size - round(FINAL_S / step_s)
-    first = setpoint.size - round((settling_limit(axis) + FINAL_S) / step_s)
+    last = setpoint.size - round(FINAL_WINDOW_S / step_s)
+    first = setpoint.size - round((settling_limit(axis) + FINAL_WINDOW_S) / step_s)
     recent = setpoint[max(first, 0) :]
     if first < 0 or not np.all(np.isfinite(recent)) or upsets.has_any_but_wind(first, setpoint.size):
         return None
     band = SETTLING_BAND * abs(steps[-1].size) if steps else 0.0
-    wind = SWING_IN_WIND_RAD if upsets.has_wind_change(first, setpoint.size) else 0.0
+    wind = MAX_SWING_IN_WIND_RAD if upsets.has_wind_change(first, setpoint.size) else 0.0
     if steps:
         rest = _residual_of_steps([step for step in steps if step.first > first], last, settling_limit(axis) / step_s)
     else:

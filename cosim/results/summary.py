@@ -40,12 +40,12 @@ from cosim.results.requirements import (
 from cosim.results.verdict import describe_end, judge
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric
-from cosim.spec.controller_name import SHORT, describe_controller
+from cosim.spec.controller_name import HASH_LETTERS, describe_controller
 from cosim.spec.scenario import Expectation
 
-_TITLED = ("aircraft", "engine", "controller", "design", "models")  # stated by the title
-_AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"
-PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
+_TITLED = ("aircraft", "engine", "controller", "design", "models")  # keys shown in the title already
+_AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"  # note on the scenario's own text
+PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")  # packages whose versions are recorded
 
 
 class DelayRow(Record):
@@ -189,7 +189,7 @@ class Setup(BaseModel):
     def engine_shown(self) -> str:
         """The engine for people, one that is not of the library with its file and the first letters of its hash."""
         files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
-        return self.engine + "".join(f" ({name} {value[:SHORT]})" for name, value in files.items() if name)
+        return self.engine + "".join(f" ({name} {value[:HASH_LETTERS]})" for name, value in files.items() if name)
 
     def retitled(self) -> Self:
         """Return the same under a title of what flies, where it is not what the scenario's file states.

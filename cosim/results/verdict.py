@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from cosim.base.outcomes import Outcome, RunVerdict, Verdict
 
-# How each is shown on a page: the class of its badge.
+# CSS class of each verdict's badge.
 BADGES: dict[RunVerdict, str] = {
     Verdict.AS_PLANNED: "met",
     Verdict.NOTHING_CHECKED: "none",
@@ -20,7 +20,7 @@ BADGES: dict[RunVerdict, str] = {
     Verdict.BEYOND_LIMITS: "unmet",
 }
 
-NOTHING_EXPECTED = "Nothing was expected of it, so that nothing but its limits was checked."
+NOTHING_EXPECTED = "Nothing was expected of it, so that nothing but its limits was checked."  # sentence on a page
 
 
 def judge(

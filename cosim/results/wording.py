@@ -31,7 +31,7 @@ UNITS = (
     ("_m", "m", 1.0),
     ("_s", "s", 1.0),
 )
-WORDS = {
+METRIC_WORDS = {  # words for the parts of metrics' names
     "rmse": "RMSE",
     "max_abs_error": "largest error",
     "rate_rmse": "rate RMSE",
@@ -41,7 +41,7 @@ WORDS = {
     "touchdown": "touchdown speed",
     "fuel_burnt": "fuel burnt",
 }
-WHOLE_FLIGHT = {  # neither of an axis nor said by its parts
+WHOLE_FLIGHT = {  # words for metrics of no axis
     "position.drift_m": "drift from the start",
     "position.final_drift_m": "drift at the end",
     "speed.max_m_s": "largest ground speed",
@@ -90,7 +90,7 @@ def metric(name: str) -> Metric:
     for end, unit, factor in UNITS:
         if last.endswith(end):
             base = last.removesuffix(end)
-            words = WHOLE_FLIGHT.get(name) or " ".join([*axis, WORDS.get(base, base.replace("_", " "))])
+            words = WHOLE_FLIGHT.get(name) or " ".join([*axis, METRIC_WORDS.get(base, base.replace("_", " "))])
             return Metric(name, words, unit, factor)
     return Metric(name, WHOLE_FLIGHT.get(name) or " ".join([*axis, last.replace("_", " ")]), "", 1.0)
 

@@ -21,12 +21,12 @@ from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.spec.controller_name import describe_controller
 
-INDEX = "index.html"
-GENERATOR = "hexjet open"  # in the title of the page
-TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"
-RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
-SCENARIO = "scenario.toml"
-LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of other flight controllers
+INDEX = "index.html"  # file name of the page
+GENERATOR = "hexjet open"  # marks the page as ours, in its title
+TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"  # template of the page
+RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"  # kinds of results
+SCENARIO = "scenario.toml"  # file of a run that was not completed
+LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # logs of other flight controllers
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
 

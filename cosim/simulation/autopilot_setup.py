@@ -17,7 +17,7 @@ from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Fault
 from cosim.spec.vehicle import PredictorTuning
 
-_FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}
+_FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}  # fault class by kind
 
 
 def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:

@@ -10,8 +10,8 @@ with their engines, or servos with their banks or hinges.  Where different ones 
 their mean, weighted by their shares: in that limit this is the delay of the axis, while the slowest alone would state
 more than can be measured.
 
-What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`MINOR` of the
-axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))``, 3 deg, of the sum at every frequency.
+What thrusts give beside servos, or servos beside thrusts, is not in the sum up to :data:`MINOR_SHARE` of the axis:
+ with a share ``w`` of it the phase is within ``asin(w / (1 - w))``, 3 deg, of the sum at every frequency.
 Where both give more the delay of the axis is another one at every frequency, and there is no sum.
 
 The angular momentum of rotors that hinges turn, or that change their speed with the thrust, acts by the rate of the
@@ -46,9 +46,9 @@ from cosim.simulation.engine_reference import SmallStepResponse, measure_small_s
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
 
-MINOR = 0.05  # of an axis: chosen by us, see above
-MEASURED = ", measured with a small step around half throttle"
-AT_HOVER = ", measured with small steps around the throttle of hover"
+MINOR_SHARE = 0.05  # of an axis, listed but not summed up
+MEASURED = ", measured with a small step around half throttle"  # how an engine's delay was measured
+AT_HOVER = ", measured with small steps around the throttle of hover"  # how an engine's delay was measured
 
 
 @dataclass(frozen=True)
@@ -138,10 +138,10 @@ class _Hover:
         if not by_thrust and not by_servo:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
         rotors = self._rotors(axis, turned)
-        if by_servo <= MINOR:
+        if by_servo <= MINOR_SHARE:
             rows = [*self._by_thrust(turned.thrusts), *rotors]
             return [*rows, *_minor_share_rows("servos give", by_servo, "tilt servos")]
-        if by_thrust <= MINOR:
+        if by_thrust <= MINOR_SHARE:
             rows = [*self._by_servos(turned.servos), *rotors]
             return [*rows, *_minor_share_rows("engines give", by_thrust, _owner(self._engines))]
         why = (

@@ -11,9 +11,9 @@ from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineSpec, make_bank
 
-_OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
-# s of stepping, by which an answer is over; and the fraction of a change that is none.
-_LONGEST_S, _NO_CHANGE = 20.0, 1e-6
+_OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # throttle steps where lags may differ
+# s of a step response, after which it has settled; and the fraction of a change that counts as none.
+_MAX_RESPONSE_S, _NO_CHANGE = 20.0, 1e-6
 
 
 class SmallStepResponse(NamedTuple):
@@ -92,7 +92,7 @@ def _remaining_change(bank: Engines, first: float, then: float, step: float) -> 
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
     course, quiet = [], 0
-    for k in range(round(_LONGEST_S / step)):
+    for k in range(round(_MAX_RESPONSE_S / step)):
         remaining_fraction = (after - bank.step(k, (then,)).thrust[0]) / change
         course.append(remaining_fraction)
         quiet = quiet + 1 if abs(remaining_fraction) < _NO_CHANGE else 0
@@ -135,10 +135,10 @@ def _measure_response(bank: Engines, first: float, then: float, step: float) -> 
     after = bank.reset(then).thrust[0]
     before = bank.reset(first).thrust[0]
     begin = None
-    for k in range(round(_LONGEST_S / step)):
+    for k in range(round(_MAX_RESPONSE_S / step)):
         fraction = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
         if begin is None and abs(fraction) > _NO_CHANGE:
             begin = k
         if begin is not None and fraction >= 1.0 - exp(-1.0):
             return (k + 1 - begin) * step, begin * step
-    return _LONGEST_S, 0.0
+    return _MAX_RESPONSE_S, 0.0

@@ -38,8 +38,8 @@ from cosim.spec.scenario import (
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
-LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")
-TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # the columns of a track
+LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")  # signals that command a lean
+TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # columns of a track
 
 
 class GuidedPilot:

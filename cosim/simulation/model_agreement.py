@@ -55,7 +55,7 @@ from cosim.spec.vehicle import RateModel, Vehicle
 # Frequencies [rad/s], and the response of thrust to command there, relative to the static gain.
 Response = tuple[Array, Complex]
 
-NOTABLE = 0.15  # relative, of gain, delay or lag
+MIN_REPORTED = 0.15  # relative, of gain, delay or lag
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class ModelAgreement:
     @property
     def distance(self) -> float:
         """The difference in units of the threshold of a note."""
-        return self._excess(1.0 + NOTABLE, NOTABLE, NOTABLE)
+        return self._excess(1.0 + MIN_REPORTED, MIN_REPORTED, MIN_REPORTED)
 
     def _excess(self, gain: float, delay: float, lag: float, least_samples: float = 2.0) -> float:
         """Return the largest of the three differences, over its limit; a model of the other sign is beyond any.
@@ -118,7 +118,7 @@ class ModelAgreement:
             f"({self.ratio:.2f} times); all delay {self.model_delay:.1f} samples, and "
             f"{self.vehicle_delay:.1f} by engine, servos and gyro (at {self.hertz:.2g} Hz)"
         )
-        if self.lag_misfit > NOTABLE:
+        if self.lag_misfit > MIN_REPORTED:
             said += f"; {100.0 * self.lag_misfit:.0f} % off at twice that frequency, as lags of another length are"
         return said
 

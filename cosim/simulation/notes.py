@@ -8,8 +8,8 @@ from cosim.engine import EngineSpec
 from cosim.spec.scenario import SUBSTEPS, Scenario, StepErrors, list_differing_keys, measured_errors
 from cosim.spec.vehicle import Vehicle
 
-# Below this height JSBSim's MIL-F-8785C takes its strength from the wind, well above from the severity.
-BY_WIND_M = 300.0
+# m: below, JSBSim's MIL-F-8785C takes its intensity from the wind, well above from the severity.
+LOW_M = 300.0
 
 
 def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
@@ -73,7 +73,7 @@ def note_incomplete_turbulence(scenario: Scenario) -> list[str]:
         ]
     if severity and not wind:
         return [
-            f"no turbulence below {BY_WIND_M:g} m: environment.turbulence_severity = {severity} switches it on, and "
+            f"no turbulence below {LOW_M:g} m: environment.turbulence_severity = {severity} switches it on, and "
             "its strength there is turbulence_wind_m_s, which is 0"
         ]
     return []
@@ -83,7 +83,7 @@ def note_varied_turbulence(scenario: Scenario, keys: Collection[str]) -> list[st
     """Return a line where ``keys``, which a study varies, change the turbulence by nothing or by a switch alone."""
     wind, severity = "environment.turbulence_wind_m_s", "environment.turbulence_severity"
     if severity in keys:
-        return [f"below {BY_WIND_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
+        return [f"below {LOW_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
     if wind in keys and not scenario.environment.turbulence_severity:
         return [f"turbulence is off: {wind} acts with a {severity} of 1 to 7"]
     return note_incomplete_turbulence(scenario) if wind not in keys else []

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-# Chosen by us.  A stall shorter than this is caught up with by stepping without pause, so that flight time stays with
-# the clock; after a longer one the schedule moves instead: a ground station would see the vehicle race, and sticks and
-# set-points, which are a fifth of a second old then, would act at the wrong time.
+# Chosen by us: s of wall time. Shorter stalls are caught up by stepping without pause, so that flight time follows the
+# clock; after longer ones the schedule moves. Otherwise a ground station would see the vehicle race, and sticks and
+# set-points would act a fifth of a second late.
 MAX_CATCH_UP_S = 0.1  # s of wall time
 
 

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import numpy as np
 
 PREFIX = "own."  # prefix of a custom metric's name
-TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")
-# Streams of random numbers; 0 and 1 are those of the built-in sensors.
+TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")  # columns of a table of wind
+# Random streams of plug-ins; 0 and 1 are those of the built-in sensors.
 _KEYS = {"observer": 2, "sensors": 3, "wind": 4}
 
 

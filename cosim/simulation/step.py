@@ -26,11 +26,11 @@ from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.propulsion import Propulsion
 from cosim.vehicle.sensors import FaultySensors
 
-_FLY: Final = EngineState.FLY
+_FLY: Final = EngineState.FLY  # direct access in compiled code
 _OFF: Final = EngineState.OFF
 _IDLE: Final = EngineState.IDLE
 _START: Final = EngineState.START
-_NOTHING: Final[tuple[float, ...]] = ()
+_NOTHING: Final[tuple[float, ...]] = ()  # shared empty tuple
 _SAMPLE: Final = Sample  # direct access in compiled code
 
 Between = Callable[[int], Ending | None]  # called with the number of the next step

@@ -8,7 +8,7 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.base.trust import Code, need_trust, program_code
-from cosim.engine.make.controller_fmu import MAPPING
+from cosim.engine.make.controller_fmu import MAPPING_SUFFIX
 from cosim.engine.source import find_source
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
@@ -62,7 +62,7 @@ def list_block_code(name: str, folder: Path) -> list[Code]:
         code = [program_code(path, parsed.after)]
     elif parsed.after or path.suffix.lower() == ".fmu":
         code = [Code(path)]
-    elif path.name.lower().endswith(MAPPING):
+    elif path.name.lower().endswith(MAPPING_SUFFIX):
         with suppress(InputError, OSError, KeyError, TypeError):
             fmu = path.parent / read_toml(path)["fmu"]
             code = [Code(fmu, (path, fmu))]

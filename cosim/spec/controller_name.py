@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-# Letters of a hash that tell two files of one name apart for people.
-SHORT = 8
+# Letters of a hash that tell two files of one name apart.
+HASH_LETTERS = 8
 
-_NAMED = re.compile(
+_NAMED = re.compile(  # parts of a controller's name
     r"(?P<before>process:)(?P<program>[^ ]+)(?P<arguments>( .*)?)"
     r"|(?P<python>.+\.py)(?P<object>:[A-Za-z_]\w*)"
     r"|(?P<whole>.+\.(fmu|toml|csv))",
@@ -104,7 +104,7 @@ def short_name(controller: str) -> str:
 
 def describe_file(file: str, sha256: str) -> str:
     """Return a parameter file's name without folder and suffix, followed by the first letters of its hash."""
-    return f"{Path(file).stem} {sha256[:SHORT]}"
+    return f"{Path(file).stem} {sha256[:HASH_LETTERS]}"
 
 
 def describe_controller(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
@@ -112,7 +112,7 @@ def describe_controller(law: str, sha256: str, files: Iterable[FlownFile]) -> st
 
     ``law`` is the controller's label and ``sha256`` the hash of its files, or empty; it is left out of a bare name.
     """
-    text = f"{law} {sha256[:SHORT]}" if sha256 and set(law) & {".", ":"} else law
+    text = f"{law} {sha256[:HASH_LETTERS]}" if sha256 and set(law) & {".", ":"} else law
     for file in files:
         words = describe_file(file.file, file.sha256) + (", changed" if file.changed else "")
         text = f"{words} ({text})" if file.kind == "design" else f"{text}, models {words}"

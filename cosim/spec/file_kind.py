@@ -20,7 +20,7 @@ class FileKind(NamedTuple):
         return any(key in table for key in self.keys)
 
 
-SCENARIO = FileKind("a scenario", ("duration_s",))
+SCENARIO = FileKind("a scenario", ("duration_s",))  # each kind with keys that only it has
 DESIGN = FileKind("a controller file of hexjet design", ("design",))
 STUDY = FileKind("a study", ("vary", "scenario"))
 AIRCRAFT = FileKind("an aircraft", ("jets", "scaled"))

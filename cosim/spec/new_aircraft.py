@@ -12,6 +12,7 @@ from cosim.base.storage.files import map_os_errors
 from cosim.base.storage.toml import toml_text
 from cosim.spec.vehicle import VEHICLE, aircraft_names, engine_of, find_aircraft, is_file, load_vehicle, read_tables
 
+# comment at the top of the new file
 HEAD = """\
 # {name}: begun as a copy of {base}.  Every number here is yours to change; hexjet aircraft check looks it over.
 # Units are SI, or in the key's name.  Body frame: x forward, y right, z down, origin at the centre of gravity of the
@@ -21,6 +22,7 @@ HEAD = """\
 """
 
 
+# comment on models of the base
 MODELS = """\
 # Under [identified] are models of {base}: those of this vehicle as long as its inertia, jets, sensors and engine are.
 # hexjet aircraft check compares them, and so does every flight with a predictor; hexjet identify roll makes another.

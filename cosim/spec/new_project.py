@@ -10,8 +10,8 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.trust import remember_written
 from cosim.spec.new_aircraft import new_aircraft
 
-TEMPLATES = Path(__file__).parent / "templates" / "project"
-FILES = ("engine/engine.toml", "flight.toml", "study.toml", "compare.py", "notebook.ipynb")
+TEMPLATES = Path(__file__).parent / "templates" / "project"  # folder of the template
+FILES = ("engine/engine.toml", "flight.toml", "study.toml", "compare.py", "notebook.ipynb")  # files of a new project
 
 
 def new_project(name: str, out: str | Path | None = None) -> Path:

@@ -13,15 +13,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-# Exponents of L.  A torque command in throttle or tilt turns the vehicle by an acceleration that falls with L.
+# Exponents of L. A torque command in throttle or tilt gives an angular acceleration that falls with L.
 _LENGTH, _TIME, _MASS = 1.0, 0.5, 3.0
-_RATE, _SPEED = -_TIME, _LENGTH - _TIME
-_P, _I, _D = _LENGTH - _TIME, _LENGTH - 2 * _TIME, _LENGTH  # command per rad/s, per rad, per rad/s^2
+_RATE, _SPEED = -_TIME, _LENGTH - _TIME  # 1/s, m/s
+_P, _I, _D = _LENGTH - _TIME, _LENGTH - 2 * _TIME, _LENGTH  # command per rad/s, rad, rad/s^2
 
-_LEAD = {"natural_rad_s": _RATE, "pole_rad_s": _RATE}
-_AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH}
-_PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}
-_LAW: dict[str, Any] = {
+_LEAD = {"natural_rad_s": _RATE, "pole_rad_s": _RATE}  # exponents of an engine's lead
+_AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH}  # of an airflow
+_PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}  # exponents of a PID's gains
+_LAW: dict[str, Any] = {  # exponents of L by key of a vehicle
     "inertia_kg_m2": _MASS + 2 * _LENGTH,
     "products_kg_m2": _MASS + 2 * _LENGTH,
     "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},

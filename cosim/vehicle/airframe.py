@@ -5,7 +5,7 @@ itself.  One control step is ``substeps`` runs of JSBSim with every input held.
 
 JSBSim moves the state first and evaluates forces after, so a force that is written before a step is first felt in the
 run after the next: the method from acceleration to velocity makes up half a run of this (Adams and Bashforth) or none
-(rectangular rule).  The rest is corrected here: in the first of several runs forces carry :data:`EXTRAPOLATION`
+(rectangular rule).  The rest is corrected here: in the first of several runs forces carry :data:`FORCE_EXTRAPOLATION`
 of their change on top, which gives the velocities the impulse of forces that act from the step's beginning, exactly and
 within the step.  With a single run a step there is no first run to correct, and a force acts half a run late, which the
 delay ledger lists.
@@ -28,13 +28,7 @@ import numpy as np
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.frames import cross, from_euler, rotate
-from cosim.base.signals import (
-    ZERO3,
-    Disturbance,
-    PerServo,
-    State,
-    Vector3,
-)
+from cosim.base.signals import ZERO3, Disturbance, PerServo, State, Vector3
 from cosim.base.storage.scratch import scratch
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
@@ -46,32 +40,32 @@ from cosim.vehicle.mass_change import MassChange, PointMass, find_centre
 from cosim.vehicle.model_file import read_model
 from cosim.vehicle.model_trial import check_model_loads
 
-# JSBSim's methods, by the end of their property's name and its number for them
+# JSBSim's numbers of integration methods.
 RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
 ADAMS_BASHFORTH_3: Final = 4.0
 BUSS_2: Final = 7.0  # exact for a constant rate
-METHODS: Final = {  # names in a run's summary and report
+METHODS: Final = {  # names in summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
     ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
     BUSS_2: "Buss 2",
 }
-POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}
-RATES: Final = ("rotational", "translational")
-IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
-# JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
-# method would take half as much again and leave the rates swinging from run to run, for good.
-ON_THE_GROUND: Final = RECTANGULAR  # of both rates, with a contact
-# A surface is moved by this share of its range, for so many seconds, to see what it does; chosen by us: small beside
-# where tables bend, long beside actuators
-SETTLING: Final = (0.05, 2.0)
-# Share of the change of a force that its first run carries on top, by method: see the module's text.
-EXTRAPOLATION: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
+POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}  # integration of attitude and position
+RATES: Final = ("rotational", "translational")  # kinds of rates in property names
+AIR_METHOD: Final = ADAMS_BASHFORTH_2  # for both rates
+# JSBSim's friction is the force that stops a contact within one run of the rectangular rule. Adams and Bashforth's
+# method would apply half as much again, and rates would oscillate from run to run for ever.
+GROUND_METHOD: Final = RECTANGULAR  # of both rates, with a contact
+# A surface is moved by this fraction of its range, for this many s, to measure its effect. Chosen by us: small compared
+# with bends of the tables, long compared with actuators.
+SURFACE_TEST: Final = (0.05, 2.0)
+# Fraction of a force's change that the first run adds, by method: see the module's text.
+FORCE_EXTRAPOLATION: Final = {AIR_METHOD: 0.5, GROUND_METHOD: 1.0}
 
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
-_NED = ("north", "east", "down")
-_NONE: Final[Any] = ZERO3  # one shared object
+_NED = ("north", "east", "down")  # axes of NED
+_ZERO: Final[Any] = ZERO3  # a shared object
 _STATE: Final = State  # direct access in compiled code
 _number = itertools.count()  # counts the airframes of this process
 
@@ -177,7 +171,7 @@ class Airframe:
             self._set(name, seed)
         for kind, position_method in POSITIONS.items():
             self._set(f"simulation/integrator/position/{kind}", position_method)
-        self._use(IN_THE_AIR)
+        self._use(AIR_METHOD)
 
     def _bind(self) -> None:
         node = self._node
@@ -301,8 +295,8 @@ class Airframe:
         ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
         Raises FlightError when JSBSim stops or the state is no longer finite.
         """
-        if self._touching != (self._method == ON_THE_GROUND):
-            self._use(ON_THE_GROUND if self._touching else IN_THE_AIR)
+        if self._touching != (self._method == GROUND_METHOD):
+            self._use(GROUND_METHOD if self._touching else AIR_METHOD)
         old: Payload | None = None  # the previous payload, if it differs
         if disturbance is not self._disturbance:
             if disturbance.payload != self._disturbance.payload:
@@ -352,11 +346,11 @@ class Airframe:
         self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
         self._mass_change.shift_centre(rotate(self._read().attitude, shift))
         self._mass_change.evaluate(self._run)
-        self._use(ON_THE_GROUND)
+        self._use(GROUND_METHOD)
         self._act(forces, push, twist)
         goes_on = self._run()
         if not self._touching:
-            self._use(IN_THE_AIR)
+            self._use(AIR_METHOD)
         return goes_on
 
     def _find_centre(self, payload: Payload) -> Vector3:
@@ -374,7 +368,7 @@ class Airframe:
         """Set the integration methods from acceleration to velocity, of both kinds, from the next run on."""
         for set_method in self._methods:
             set_method(method)
-        self._method, self._extrapolation = method, EXTRAPOLATION[method]
+        self._method, self._extrapolation = method, FORCE_EXTRAPOLATION[method]
 
     def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
         """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
@@ -420,8 +414,8 @@ class Airframe:
     def prepare_step(self, momentum: Vector3, burnt: float, tilt: PerServo = ()) -> None:
         """Set the rotors' ``momentum`` [kg m^2/s, body], the ``burnt`` fuel [kg] and the surfaces of the next step.
 
-        Momentum and fuel act from its beginning, as forces do: the first of several runs has :data:`EXTRAPOLATION` of
-        their change on top.  ``tilt``: the angles of all servos; the last are those of the surfaces.
+        Momentum and fuel act from its beginning, as forces do: the first run has :data:`FORCE_EXTRAPOLATION` of their
+        change on top.  ``tilt``: the angles of all servos; the last are those of the surfaces.
         """
         if self._surfaces:
             first = len(tilt) - len(self._surfaces)
@@ -512,11 +506,11 @@ class Airframe:
             motion[3],
             motion[4],
             height,
-            _NONE if self._still else self._wind.get(),
+            _ZERO if self._still else self._wind.get(),
             self._mass,
             on_ground,
             hull_contact,
-            self._air_rate.get() if self._turbulent else _NONE,
+            self._air_rate.get() if self._turbulent else _ZERO,
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
@@ -558,7 +552,7 @@ class Airframe:
         effects = []
         for surface in self._vehicle.surfaces:
             ends = []
-            size = SETTLING[0] * max(-surface.range[0], surface.range[1])
+            size = SURFACE_TEST[0] * max(-surface.range[0], surface.range[1])
             for deflection in (size, -size):
                 flying = Initial(altitude_m=100.0, velocity_ned_m_s=(surface.at_m_s, 0.0, 0.0))
                 self.reset(flying, [ZERO3] * len(self._vehicle.jets), ZERO3)
@@ -566,7 +560,7 @@ class Airframe:
                     self._set(f"simulation/integrator/rate/{kind}", 0.0)
                     self._set(f"simulation/integrator/position/{kind}", 0.0)
                 self._set(surface.property, deflection)
-                for _ in range(round(SETTLING[1] / self._dt)):
+                for _ in range(round(SURFACE_TEST[1] / self._dt)):
                     self._fdm.run()
                 force, moment = self.aerodynamic_wrench()
                 ends.append((*force, *moment))

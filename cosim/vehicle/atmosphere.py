@@ -6,8 +6,8 @@ from math import exp
 
 from cosim.base.constants import GRAVITY
 
-# U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), with two numbers of JSBSim's FGStandardAtmosphere, so that an
-# engine is measured in the air in which it will fly: the standard has 101325 Pa and 28.9644 kg/kmol.
+# U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), with two numbers of JSBSim's FGStandardAtmosphere (the standard has
+# 101325 Pa and 28.9644 kg/kmol), so that an engine is measured in the air in which it will fly.
 _MOLAR_MASS = 28.9645  # kg/kmol
 _GAS_CONSTANT = 8314.32  # J/(kmol K)
 _HYDROSTATIC = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m

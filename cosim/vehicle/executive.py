@@ -21,18 +21,18 @@ import jsbsim
 from cosim.base.errors import FlightError, InputError, notify
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
-from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
+from cosim.vehicle.model_file import ACTING_PROPERTIES, find_acting_property, find_line
 
 Property = jsbsim.FGPropertyNode
-VERSION: Final[str] = jsbsim.__version__
-_DEBUG: Final = "JSBSIM_DEBUG"
+VERSION: Final[str] = jsbsim.__version__  # version of JSBSim
+_DEBUG: Final = "JSBSIM_DEBUG"  # variable that sets JSBSim's messages
 # JSBSim's exceptions, and C++ exceptions that its binding converts.
 Complaint: Final = RuntimeError
-# A name that JSBSim can look for: any other ends the process
+# A property name that JSBSim can look up: others end the process.
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
-_MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
-_NUMBER: Final = re.compile(rb">-?[0-9][0-9.e+-]*<")
+_MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")  # JSBSim's message
+_NUMBER: Final = re.compile(rb">-?[0-9][0-9.e+-]*<")  # a number between XML tags
 _property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
@@ -86,7 +86,7 @@ class Executive:
         self._manager = fdm.get_property_manager()
         fdm.set_debug_level(0)
         fdm.set_aircraft_path(".")
-        for forbidden in filter(None, map(self._manager.get_node, ACTING)):
+        for forbidden in filter(None, map(self._manager.get_node, ACTING_PROPERTIES)):
             forbidden.set_attribute(jsbsim.Attribute.WRITE, False)  # applies to all aliases of the property
         try:
             if not fdm.load_model(file.stem, add_model_to_path=False):  # returns False instead of raising

@@ -20,7 +20,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
 from cosim.vehicle.model_file import find_line, parse, read_model
 
-MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # body; our own property in the model
+MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # our own property in the model, body
 
 
 class _Template(NamedTuple):
@@ -34,15 +34,15 @@ class _Template(NamedTuple):
 
 
 _templates: RecentCache[_Template] = RecentCache(64)
-# In place of units: of a property of the model, and of a part of a location.
+# Marks instead of units: a property of the model, and a part of a location.
 _CONSTANT, _POSITION = "constant", "position"
-PAYLOAD = "payload"
-PRODUCTS = ("ixy", "ixz", "iyz")
-# What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in
-# its structural axes, x aft and z up (negated_crossproduct_inertia="true", the default).
+PAYLOAD = "payload"  # name of the payload's point mass
+PRODUCTS = ("ixy", "ixz", "iyz")  # products of inertia in JSBSim
+# Sign of JSBSim's products relative to the integrals of x y, x z and y z in body axes: JSBSim reads minus the integrals
+# in its structural axes, x aft and z up (negated_crossproduct_inertia="true", the default).
 PRODUCT_SIGN = {"ixy": 1.0, "ixz": -1.0, "iyz": 1.0}
-_INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # per unit of JSBSim's for positions
-# Parts in the order in which JSBSim's schema has them; it reads them in any.
+_INCHES = {"IN": 1.0, "FT": 12.0, "M": 1.0 / INCH}  # inches per unit of positions
+# Parts of a model in the order of JSBSim's schema.
 _PARTS = (
     "metrics", "mass_balance", "ground_reactions", "external_reactions", "propulsion", "flight_control", "aerodynamics",
 )  # fmt: skip

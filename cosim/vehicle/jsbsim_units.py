@@ -10,5 +10,5 @@ POUND_FORCE: Final = 4.4482216152605  # N, exact
 SLUG: Final = POUND_FORCE / FOOT  # kg
 SLUG_FT2: Final = SLUG * FOOT**2  # kg m^2
 POUND_FOOT: Final = POUND_FORCE * FOOT  # N m
-# The constant with which JSBSim turns weights into masses.
+# Constant with which JSBSim converts weights to masses.
 JSBSIM_POUNDS_PER_SLUG: Final = 32.174049

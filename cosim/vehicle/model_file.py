@@ -1,7 +1,7 @@
 """A user's JSBSim model file: read with the files that it names, without the parts that act beside the flight.
 
 JSBSim's language has parts that write files, send to hosts and open ports.  None of them is a part of what flies: of
-a model only :data:`FLOWN` is handed on, and what else stands in it is left out with a note.
+a model only :data:`FLOWN_PARTS` is handed on, and what else stands in it is left out with a note.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from cosim.base.errors import InputError, notify
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
 
-# The parts of which JSBSim makes what flies, in the order in which it reads them
-FLOWN: Final = (
+# Parts that JSBSim builds the flown model from, in the order in which it reads them.
+FLOWN_PARTS: Final = (
     "fileheader", "planet", "metrics", "mass_balance", "ground_reactions", "external_reactions", "buoyant_forces",
     "propulsion", "system", "autopilot", "flight_control", "aerodynamics",
 )  # fmt: skip
-# Properties that do something when they are written: the first three write files, and the others end or disturb a run
-ACTING: Final = tuple(
+# Properties that act when written: the first three write files, others end or disturb a run.
+ACTING_PROPERTIES: Final = tuple(
     f"simulation/{name}"
     for name in (
         "write-state-file", "do_linearization", "force-output", "do_simple_trim", "reset", "terminate", "pause",
         "jsbsim-debug",
     )
 )  # fmt: skip
-# Of one file; the largest of JSBSim's own aircraft has 0.4.
+# Of one file; the largest of JSBSim's own aircraft has 0.4 MB.
 MAX_MB: Final = 64.0
-_NONE: Final = b"<fdm_config/>"
-# May name other files, or has an encoding or definitions that hide it.
+_EMPTY_MODEL: Final = b"<fdm_config/>"
+# May refer to other files, or has an encoding or definitions that hide this.
 _HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)
 _cache: RecentCache[bytes] = RecentCache(64)  # contents of files that name no others
@@ -48,7 +48,7 @@ def read_model(model: Path | None) -> bytes:
     for a file that cannot be read and for a model that writes a property that acts.
     """
     if model is None:
-        return _NONE
+        return _EMPTY_MODEL
     text = read_file(model, MAX_MB)
     if _names_others.get(text, lambda: _HIDES.search(text) is not None):
         return _strip_model(model, text)
@@ -77,7 +77,7 @@ def _strip_model(model: Path, text: bytes) -> bytes:
     root = parse(model, text)
     if root.tag != "fdm_config":
         return text  # refused when it is to fly
-    foreign = [part for part in root if part.tag not in FLOWN]
+    foreign = [part for part in root if part.tag not in FLOWN_PARTS]
     references = [part for part in root if "file" in part.attrib and part not in foreign]
     if any(part.tag == "child" for part in foreign):
         raise InputError(f"{model}, {_at(text, 'child')}: child: one vehicle flies here; leave it out")
@@ -125,7 +125,7 @@ def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
 
 def _named_files(model: Path) -> list[Path]:
     root = parse(model, read_file(model, MAX_MB))
-    return [_find_file(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN]
+    return [_find_file(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN_PARTS]
 
 
 def _refuse_acting(root: ET.Element, model: Path) -> None:
@@ -143,7 +143,7 @@ def find_acting_property(text: str) -> str:
     if "simulation" not in text:
         return ""
     path = posixpath.normpath(re.sub(r"\[0*\]", "", text.strip().removeprefix("-")))
-    return next((name for name in ACTING if path == name or path.endswith(f"/{name}")), "")
+    return next((name for name in ACTING_PROPERTIES if path == name or path.endswith(f"/{name}")), "")
 
 
 def _words(text: str) -> list[str]:

@@ -17,9 +17,9 @@ from cosim.base.storage.files import write_if_possible
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
 from cosim.vehicle.executive import VERSION, Complaint, Executive
-from cosim.vehicle.model_file import FLOWN, find_line
+from cosim.vehicle.model_file import FLOWN_PARTS, find_line
 
-_CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"
+_CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"  # code of the trial process
 
 
 def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
@@ -68,7 +68,7 @@ def _find_failure(xml: bytes, cpu_s: int = 20, megabytes: int = 4096) -> str:
 
 def _blame(root: ET.Element, model: Path) -> str:
     """Return the user's file, and the part with which JSBSim, which reads them in its own order, began to crash."""
-    for part in sorted(root, key=lambda part: FLOWN.index(part.tag), reverse=True):
+    for part in sorted(root, key=lambda part: FLOWN_PARTS.index(part.tag), reverse=True):
         root.remove(part)
         if not _find_failure(ET.tostring(root)):
             name = part.get("name", "")

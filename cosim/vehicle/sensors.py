@@ -19,11 +19,11 @@ from cosim.spec.scenario import SensorBias, SensorDropout, SensorFault
 from cosim.spec.vehicle import Sensors as SensorSettings
 from cosim.vehicle._noise import Noise
 
-T = TypeVar("T")
+T = TypeVar("T")  # type of a delayed value
 Fix = tuple[Any, Any]  # vectors of position and velocity
 
-# Steps drawn at once, each of 13 standard normals: gyro 3, attitude 3, position 3, velocity 3, height 1; and 3 of the
-# accelerometer.
+# Steps drawn at once, and normal numbers per step: gyro 3, attitude 3, position 3, velocity 3, height 1; accelerometer
+# 3.
 _DRAWS, _FORCE_DRAWS = (256, 13), (256, 3)
 _MEASURED: Final = Measured  # direct access in compiled code
 

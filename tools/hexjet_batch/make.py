@@ -16,7 +16,7 @@ from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.schedule import FINE, GainSchedule
+from cosim.control.schedule import SCHEDULE_RESOLUTION, GainSchedule
 from cosim.engine import EngineSpec, find_source
 from cosim.simulation.controllers.models import make_predictors, make_thrust_map
 from cosim.simulation.engines import flown_engines, load_engines
@@ -226,7 +226,7 @@ def _schedule(vehicle: Vehicle, step: float, rows: int = 1001) -> ScheduleNumber
         leads = [_lead(lead, step) or (0.0,) * 5 for lead in (roll.lead, height.lead)]
         table.append((roll.angle, roll.p, roll.i, roll.d, height.angle, height.p, height.i, *leads[0], *leads[1]))
     gain = 1.0 - exp(-step / control.schedule.filter_s)
-    return ScheduleNumbers(low, high, gain, FINE * (high - low), np.array(table))
+    return ScheduleNumbers(low, high, gain, SCHEDULE_RESOLUTION * (high - low), np.array(table))
 
 
 def _lead(settings: Any, step: float) -> tuple[float, ...] | None:

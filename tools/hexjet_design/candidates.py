@@ -19,7 +19,7 @@ from hexjet_design.loop.firmware import Firmware
 from hexjet_design.loop.limit import need_solver
 from hexjet_design.loop.tuning import Tuning, candidates, designable
 
-WITH_LEAD = " + lead"
+WITH_LEAD = " + lead"  # suffix of a candidate with a lead
 
 
 def candidate_names(controller: str, start: Path | None) -> Sequence[str]:

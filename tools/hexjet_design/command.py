@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hexjet_design.design import Design
 
 
-# columns at a fuel level; the report has every column
+# Columns of tables at a fuel level; the report has all columns.
 AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
 
 

@@ -28,15 +28,9 @@ from cosim.spec.vehicle import (
     read_models,
 )
 from hexjet_design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
-from hexjet_design.candidates import (
-    WITH_LEAD,
-    candidate_names,
-    design_axis_at_limit,
-    find_simplest,
-    names_for_servos,
-)
+from hexjet_design.candidates import WITH_LEAD, candidate_names, design_axis_at_limit, find_simplest, names_for_servos
 from hexjet_design.levels import (
-    DESIGNED,
+    DESIGN_FUELS,
     THRUST_AXES,
     Level,
     follow,
@@ -65,7 +59,7 @@ from hexjet_design.loop.tuning import Tuning
 from hexjet_design.proof.result import Proof
 from hexjet_design.tune import TuningResult, settle, tune, tune_near
 
-CHANNELS = (*AXES, "altitude")
+CHANNELS = (*AXES, "altitude")  # what a design has gains for
 
 
 @dataclass(frozen=True)
@@ -274,7 +268,7 @@ def _design_levels(
         {axis: assess(level.channels[axis], full[axis], needs[axis]) for axis in THRUST_AXES} for level in levels
     ]
     level_tunings = {axis: dict((begin or {}).get(axis, {})) for axis in THRUST_AXES}
-    designed = {*DESIGNED, *(fuel for of in level_tunings.values() for fuel in of)}
+    designed = {*DESIGN_FUELS, *(fuel for of in level_tunings.values() for fuel in of)}
     while True:
         plan: Schedule | None = None
         if scheduled and not fits and not law:

@@ -21,10 +21,10 @@ from hexjet_design.loop.criteria import fine_loop, is_acceptable
 from hexjet_design.loop.tuning import Tuning, round_gain
 from hexjet_design.tune import tune_near
 
-DESIGNED = (1.0, 0.5, 0.0)  # of the fuel, at first
-# Where a requirement is missed between the designed levels, one is designed there too.
-PROVED = (1.0, 0.75, 0.5, 0.25, 0.0)
-# Engines answer these alone: a tilt means the same moment at every thrust.
+DESIGN_FUELS = (1.0, 0.5, 0.0)  # fuel fractions designed first
+# Fuel fractions at which requirements are checked; if one is missed, that level is designed too.
+PROOF_FUELS = (1.0, 0.75, 0.5, 0.25, 0.0)
+# Axes that engines drive: a tilt gives the same moment at every thrust.
 THRUST_AXES = ("roll", "altitude")
 
 
@@ -47,7 +47,7 @@ def make_levels(
     Of an axis that hinges give they are those of a full tank: allocation turns more where there is less to turn.
     """
     designed: list[Level] = []
-    for fuel in PROVED:
+    for fuel in PROOF_FUELS:
         there = vehicle.with_fuel(fuel)
         level_channels = channels(scenario, there, spec, dynamics(there))
         full = designed[0].channels if designed else level_channels
@@ -74,7 +74,7 @@ def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
 
 def follow(
     axis: str, levels: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
-    designed: Collection[float] = DESIGNED,
+    designed: Collection[float] = DESIGN_FUELS,
 ) -> dict[float, Tuning] | None:  # fmt: skip
     """Tune each level that is ``designed`` for, by its fuel; return None where one cannot keep the requirements.
 

@@ -20,8 +20,8 @@ from hexjet_design.loop.criteria import excesses, fine_loop
 from hexjet_design.loop.tuning import Tuning
 from hexjet_design.tune import TuningResult, tune
 
-GAINS = 7  # in the grid of the tolerance
-BISECTIONS = 5
+GAIN_COUNT = 7  # gains tried within the tolerance
+BISECTIONS = 5  # steps to find an allowance
 
 Say = Callable[[str], None]  # is told the progress of the search
 
@@ -50,12 +50,12 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
     wide = need.delay_samples(channel.transport_samples)
     middle = channel.actuator_delay
     delays = sorted({max(0.0, middle - wide), middle, middle + wide, *_whole_numbers(middle - wide, middle + wide)})
-    gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAINS)
+    gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAIN_COUNT)
     checks = {}
     checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
         _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
         for delay in delays
-        for gain in (gains if channel.identified is None else gains[GAINS // 2 : GAINS // 2 + 1])
+        for gain in (gains if channel.identified is None else gains[GAIN_COUNT // 2 : GAIN_COUNT // 2 + 1])
     )
     if channel.identified is None:
         checks[f"lags of the {_actuator_name(channel)} 0.7 and 1.3 times"] = all(

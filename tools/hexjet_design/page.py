@@ -8,13 +8,13 @@ from hexjet_design.figures import design_figures
 from hexjet_design.proof.comparison import WORSE, WORSE_WORDS, comparison_columns, comparison_rows
 from hexjet_design.result import COLUMNS, answer_lines, detail_lines, row_lines, rows
 
-FIGURES = (
+FIGURES = (  # figures of each channel and their titles
     ("bode", "open loop"),
     ("nyquist", "Nyquist"),
     ("sensitivity", "sensitivity and closed loop"),
     ("step", "steps of set-point and load"),
 )
-TOLERATED = (
+TOLERATED = (  # note on tolerances
     "The loop is broken at the plant's input with attitude and rate loop closed. Tolerated: how many times the "
     "tolerances ({:.0f} % of the delay and {:.0f} % of the gain, both ways, together) make the loop unstable. The "
     "height is in metres where the others are in radians."

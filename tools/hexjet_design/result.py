@@ -19,14 +19,11 @@ from hexjet_design.design import Design
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import window_s
 from hexjet_design.loop.firmware import Firmware
-from hexjet_design.proof.comparison import (
-    comparison_lines,
-    worse_lines,
-)
+from hexjet_design.proof.comparison import comparison_lines, worse_lines
 from hexjet_design.proof.result import Proof
 
-NOT_PROVED = "NOT PROVED"  # written although its proof failed
-OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # what allows a design whose proof failed
+NOT_PROVED = "NOT PROVED"  # mark of a design whose proof failed
+OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # options that may allow a failed design
 
 
 def write(design: Design, file: Path) -> dict[str, Path]:
@@ -361,7 +358,7 @@ def _allowing_lines(design: Design) -> list[str]:
     return lines
 
 
-COLUMNS = (
+COLUMNS = (  # heads of the table of channels
     "channel",
     "controller",
     "attitude 1/s",

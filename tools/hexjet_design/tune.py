@@ -15,21 +15,21 @@ from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead, RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import FINE, excess, fine_loop, is_acceptable, objective
+from hexjet_design.loop.criteria import FINE_POINTS, excess, fine_loop, is_acceptable, objective
 from hexjet_design.loop.tuning import Tuning
 
-UNSTABLE = 1e3
-PENALTY = 100.0  # cost of missing by 100 %, a logarithm
-GENERATIONS = 40
-ROUNDS = 200  # evaluations of a search
-# The requirements may be missed by this, relatively, where a search begins at its own answer.
-CLOSE = 0.02
-ROUNDING_POINTS = 1500  # points of the circle for rounding
-MIN_GAIN = 1e-6  # of the objective, to change a digit
-MAX_PASSES = 1000  # over all numbers, so that a search ends
-# The search stays inside the requirements by this, for what lies between its points.
-SPARE = 0.004
-PREDICTOR = "predictor."  # before a predictor's own parameters
+UNSTABLE = 1e3  # objective of unstable loops
+PENALTY = 100.0  # cost per relative excess, logarithmic
+MAX_GENERATIONS = 40  # of the global search
+MAX_EVALUATIONS = 200  # of a simplex search
+# Relative excess over the requirements with which a search may begin at its own answer.
+MAX_EXCESS = 0.02
+ROUNDING_POINTS = 1500  # frequencies to round numbers
+MIN_STEP = 1e-6  # of the objective, to change a digit
+MAX_PASSES = 1000  # over all numbers, so that it ends
+# The search keeps requirements by this relative margin, for what lies between its frequencies.
+MARGIN = 0.004
+PREDICTOR = "predictor."  # prefix of a predictor's parameters
 
 
 Digits = tuple[int, int]  # digits 100 to 999, power of ten
@@ -140,7 +140,7 @@ def tune(
             if closed.unstable_poles:
                 return UNSTABLE + float(np.sum(x))  # towards smaller gains
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
-            value, missed = objective(closed), excess(closed, need, SPARE) + out
+            value, missed = objective(closed), excess(closed, need, MARGIN) + out
         except (InputError, ValueError, ArithmeticError):
             # A predictor with an unstable response is not feasible.
             return UNSTABLE + float(np.sum(x))
@@ -152,7 +152,7 @@ def tune(
         cost,
         list(zip(bounds.low, bounds.high, strict=True)),
         popsize=6,
-        maxiter=GENERATIONS,
+        maxiter=MAX_GENERATIONS,
         init="sobol",
         # A fixed seed makes designs repeatable.
         rng=np.random.default_rng(1),
@@ -160,7 +160,7 @@ def tune(
         tol=1e-4,
     )
     x = _descend(cost, searched.x, float(searched.fun))
-    fine = FrequencyGrid(channel, close=FINE)
+    fine = FrequencyGrid(channel, close=FINE_POINTS)
     for point in (x, feasible[1]):
         if point is not None:
             closed = ClosedLoop(fine, bounds.tuning(point))
@@ -176,7 +176,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
     # A simplex that collapsed at a bound is restarted.
     for size in (0.1, 0.03):
         simplex = np.vstack([x, x + size * np.eye(len(x))])
-        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+        options = {"maxfev": MAX_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
         optimum = minimize(cost, x, method="Nelder-Mead", options=options)
         if optimum.fun < value:
             x, value = optimum.x, float(optimum.fun)
@@ -185,7 +185,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 
 def _cost(closed: ClosedLoop, need: Requirements) -> float:
     """Return the objective of a loop with a penalty for what it misses of the requirements."""
-    return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
+    return objective(closed) + PENALTY * excess(closed, need, MARGIN) if not closed.unstable_poles else UNSTABLE
 
 
 def settle(
@@ -212,7 +212,7 @@ def settle(
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
-                if (value := cost(trial)) < best - MIN_GAIN:
+                if (value := cost(trial)) < best - MIN_STEP:
                     values, best, moved = trial, value, True
         if not moved:
             break
@@ -248,7 +248,7 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
-            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_GAIN:
+            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_STEP:
                 values, best, moved = trial, value, True
         if not moved:
             break
@@ -277,8 +277,10 @@ def tune_near(
     x = _descend(cost, x, cost(x))
     there = settle(channel, at(x), need, predictor, level)
     # Far from the requirements, rounding digit by digit would take long.
-    fine = FrequencyGrid(channel, close=FINE)
-    here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
+    fine = FrequencyGrid(channel, close=FINE_POINTS)
+    here = (
+        settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < MAX_EXCESS else None
+    )
     if here is None or there is None:
         return here or there
     # Improvement of the objective below which a restart is useless: a search from its own answer gains this much.

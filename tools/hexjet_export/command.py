@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cosim.commands import Command
 
-_OPTIONS = {"scenario": "--scenario"}
-_METAVARS = {"engine": "[N=]NAME|FILE", "name": "NAME"}
+_OPTIONS = {"scenario": "--scenario"}  # options named unlike their argument
+_METAVARS = {"engine": "[N=]NAME|FILE", "name": "NAME"}  # placeholders in the help
 
 controller = Command(
     "export controller",

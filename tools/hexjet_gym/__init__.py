@@ -29,15 +29,14 @@ except ModuleNotFoundError as error:
         "hexjet_gym needs gymnasium, which is not installed: pip install gymnasium", name="gymnasium"
     ) from None
 
-ACTS = ("actuators", "rates", "attitude")  # what an action is
-# rad of roll and pitch that an action of 1 asks for; chosen by us, three times the paper's doublet.
-LEAN = pi / 6.0
-CLIMB = 10.0  # m per 1 of an action; chosen by us
-# An observation is bounded, as libraries for learning want it; what is beyond is shown as the bound.  Chosen by us, far
-# from where a flight goes that is not lost.
-MOST_SPEED, MOST_HEIGHT = 200.0, 10_000.0  # m/s, m
-# Of the reward: how far from what is asked for it falls to 1/e.  Chosen by us: a doublet's half, and half a metre.
-ANGLE, HEIGHT = radians(5.0), 0.5
+ACTS = ("actuators", "rates", "attitude")  # kinds of actions
+# rad of roll and pitch at action 1; chosen by us: three times the paper's doublet.
+MAX_LEAN = pi / 6.0
+MAX_CLIMB = 10.0  # m of height at an action of 1
+# Bounds of observations, which libraries for learning need; chosen by us: far from any flight that is not lost.
+MAX_SPEED, MOST_HEIGHT = 200.0, 10_000.0  # m/s, m
+# Errors at which the reward falls to 1/e, rad and m; chosen by us: half of a doublet, half a metre.
+ANGLE_SCALE, HEIGHT = radians(5.0), 0.5
 
 
 class Signal(NamedTuple):
@@ -79,7 +78,7 @@ def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
         return 0.0
     turn = multiply(conjugate(from_euler(*command.attitude)), flight.state.attitude)
     angle, height = 2.0 * acos(min(abs(turn[0]), 1.0)), flight.state.altitude - command.altitude
-    return flight.scenario.step_s * exp(-((angle / ANGLE) ** 2) - (height / HEIGHT) ** 2)
+    return flight.scenario.step_s * exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT) ** 2)
 
 
 class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types where it is not installed
@@ -157,17 +156,17 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             ]
             return (*rates, Signal("collective", "throttle", "", 0.0, 1.0))
         if self._act == "attitude":
-            scales = (LEAN, LEAN, pi)
+            scales = (MAX_LEAN, MAX_LEAN, pi)
             angles = [
                 Signal(axis, "rad", "NED to body", -1.0, 1.0, most) for axis, most in zip(AXES, scales, strict=True)
             ]
-            return (*angles, Signal("height_above_start", "m", "up", -1.0, 1.0, CLIMB))
+            return (*angles, Signal("height_above_start", "m", "up", -1.0, 1.0, MAX_CLIMB))
         throttles = [Signal(f"throttle_{jet}", "throttle", "", 0.0, 1.0) for jet in range(1, len(vehicle.jets) + 1)]
         return (*throttles, *_servo_signals(vehicle, ""))
 
     def _observations(self, memory: int) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
-        rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MOST_SPEED, MOST_HEIGHT
+        rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MAX_SPEED, MOST_HEIGHT
         signals = [
             *[Signal(f"rate_{name}", "rad/s", "body", -rate, rate) for name in "pqr"],
             *[Signal(f"attitude_{name}", "1", "body to NED", -1.0, 1.0) for name in "wxyz"],

@@ -22,7 +22,7 @@ from math import cos, exp, sin, sqrt
 
 from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
-DAMPING = 0.55
+DAMPING = 0.55  # of the reference model
 
 
 class SecondOrder:

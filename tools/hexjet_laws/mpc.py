@@ -25,7 +25,7 @@ from cosim import FlightError, InputError
 from cosim.laws import Array, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 from hexjet_laws.lqg import discrete_model, kalman_filter
 
-BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps of each command
+BLOCK_STEPS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is held
 
 
 def osqp() -> Any:
@@ -43,7 +43,7 @@ class MpcAxis:
     def __init__(self, axis: Axis, speed: float, observer: float, room: float) -> None:
         A, B, C, samples = discrete_model(axis)
         self._filter, self._room, self._samples = kalman_filter(axis, observer), room, samples
-        horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCKS), len(A)
+        horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCK_STEPS), len(A)
         weight = axis.gain**2 / (speed**4 * axis.step**2)
         # Predict the state at which the next command acts, from the present state and the commands in transport.
         powers = [np.eye(n)]
@@ -53,7 +53,7 @@ class MpcAxis:
         self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
         # Response of y to a unit command at each step.
         responses = np.array([C @ power @ B for power in powers[:horizon]])
-        block = np.minimum(np.searchsorted(np.cumsum(BLOCKS), np.arange(horizon), side="right"), moves - 1)
+        block = np.minimum(np.searchsorted(np.cumsum(BLOCK_STEPS), np.arange(horizon), side="right"), moves - 1)
         forced_response = np.zeros((horizon, moves))
         for j in range(horizon):
             for m in range(j + 1):

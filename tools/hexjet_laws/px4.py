@@ -18,7 +18,7 @@ from math import cos, exp, inf, pi, radians, sqrt, tan
 
 from cosim.laws import Axis, AxisLaw, RateLaw, attitude_gain_parameter, clamp, positive_parameter
 
-FADES = radians(400.0)  # rad/s of error: integration ends
+MAX_INTEGRATED_ERROR = radians(400.0)  # rad/s: no integration beyond it
 
 
 class LowPass:
@@ -70,7 +70,7 @@ class Px4Axis:
         error, residual = demand - measured, self._command - applied
         self._command = self._p * error + self._integral - self._d * slope + self._forward * demand
         if residual * error <= 0.0:
-            factor = max(0.0, 1.0 - (error / FADES) ** 2)
+            factor = max(0.0, 1.0 - (error / MAX_INTEGRATED_ERROR) ** 2)
             self._integral = clamp(self._integral + factor * self._i * error, self._limit)
         return self._command
 

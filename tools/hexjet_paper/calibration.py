@@ -21,7 +21,7 @@ from hexjet_paper.linear import STATE_AS_PRINTED
 from hexjet_paper.loops import LOW_END_HZ, gain_at, open_loop, unstable_poles
 from hexjet_paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
-START = Calibration(
+START = Calibration(  # where the fit begins
     p=0.05,
     i=0.08,
     d=0.0,
@@ -99,8 +99,8 @@ class Stage(NamedTuple):
         return sum(((values[key] - numbers.value(key)) / scale) ** 2 for key, scale in self.targets.items())
 
 
-# Scales are chosen by us: 2 % of the cut-off, 10 % of the phase margin and of the table.  The gain margin lies where a
-# sweep is weakest, and the gain at the low end is printed as "approximately" and without its frequency.
+# Scales chosen by us: 2 % of the cut-off, 10 % of phase margin and table. A sweep is weakest at the gain margin, and
+# the gain at the low end is printed as "approximately" and without frequency.
 STAGES: list[Stage] = [
     Stage(
         "rate gains",

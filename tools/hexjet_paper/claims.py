@@ -28,30 +28,30 @@ from hexjet_paper.loops import LOW_END_HZ
 from hexjet_paper.numbers import Basis, Record
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]
-NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")
+NO_EVIDENCE: tuple[Basis, ...] = ("calibrated", "chosen by us")  # agreement on these grounds shows nothing
 
-# Percent of spread or growth that counts as little, and of overshoot that is not distinct; chosen by us.
+# Chosen by us, in percent: spread or growth that counts as little, and overshoot that is not distinct.
 SIMILAR = 15.0
 DISTINCT = 10.0
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 WAITING = "holds if the wait itself is left out: the answer comes 20 samples later and is otherwise no worse"
 SEEN_BY_PREDICTOR = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
-FITTED_ORDER = (
+FITTED_ORDER = (  # condition of a claim
     "the numbers of baseline, Smith and the printed matrices with 5 samples are eight of the nine to which attitude "
     "gain, length of the disturbance, observer and payload are fitted"
 )
-ATTITUDE_CLOSED = (
+ATTITUDE_CLOSED = (  # condition of a claim
     "with the attitude loop closed round it, which the paper does not say of this rate experiment; see which delay "
     "breaks the rate loop alone"
 )
-PAYLOAD_SIGN = (
+PAYLOAD_SIGN = (  # condition of a claim
     "on the linear plant the payload raises the gain, as the state predictor's printed errors ask for; in six degrees "
     "of freedom the same mass lowers it: opposite signs"
 )
-HEXJET_GAINS = (
+HEXJET_GAINS = (  # condition of a claim
     "the gains are not printed; those of vehicle.toml were chosen so that the baseline is lost in the doublet"
 )
-STICKS = (
+STICKS = (  # condition of a claim
     "the pilot's sticks and the gains are not printed: ours are calm, there is no wind, and the printed errors are "
     "taken for what was expected"
 )
@@ -315,16 +315,16 @@ def _same_gain_at_rest(e: Evidence, state: str) -> Answer:
     return spread < 1.0, ", ".join(f"{c} {v:.2f} dB" for c, v in gains.items()) + f", spread {spread:.2f} dB"
 
 
-_UNSEEN_GROWTH = _all(
+_UNSEEN_GROWTH = _all(  # disturbance unknown to the predictor
     _grows("rmse", "disturbance-10-unseen.smith", "disturbance-5-unseen.smith", SIMILAR),
     _grows("max", "disturbance-10-unseen.smith", "disturbance-5-unseen.smith", SIMILAR),
 )
-_SEEN_GROWTH = _all(
+_SEEN_GROWTH = _all(  # disturbance known to the predictor
     _grows("rmse", "disturbance-10.smith", "disturbance-5.smith", SIMILAR),
     _grows("max", "disturbance-10.smith", "disturbance-5.smith", SIMILAR),
 )
 
-CLAIMS: list[Claim] = [
+CLAIMS: list[Claim] = [  # claims of the paper
     Claim("tracking-similar", "with 5 samples the three controllers track alike", numbers.TRACKING,
           f"spread of the RMSE below {SIMILAR:g} %", _similar_tracking, about_state=True),
     Claim("tracking-no-overshoot", "with 5 samples none overshoots distinctly", numbers.TRACKING,

@@ -27,7 +27,7 @@ from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
 from hexjet_paper.numbers import Basis, Record
 
 Origin = Basis | Literal["given", "derived"]
-TITLES = {
+TITLES = {  # names of the controllers
     "baseline": "baseline",
     "smith": "Smith predictor",
     "state": "state predictor, G_n(z) realised",
@@ -127,11 +127,11 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     )
 
 
-_READ: dict[str, Callable[[Metrics], float | None]] = {
+_READ: dict[str, Callable[[Metrics], float | None]] = {  # metric of a flight by the key's end
     "rmse": lambda m: m.rmse if m.stable else None,
     "max": lambda m: m.max if m.stable else None,
 }
-_DERIVED: dict[str, Callable[[], float]] = {
+_DERIVED: dict[str, Callable[[], float]] = {  # numbers that follow from printed ones
     "turbojet.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("turbojet.pole")),
     "edf.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("edf.pole")),
     "turbojet.delay": lambda: numbers.value("hexjet.delay") * numbers.value("hexjet.step"),
@@ -139,17 +139,17 @@ _DERIVED: dict[str, Callable[[], float]] = {
     "quadrotor.payload_percent": lambda: 100.0 * numbers.value("quadrotor.payload") / numbers.value("quadrotor.mass"),
 }
 _INPUT_PREFIXES = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
-_STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"
-_TWO = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'
-# Computed from what we chose: gains and lengths, the sticks; in flight the lags and inertia behind the roll response.
+_STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"  # note on the manual flight
+_RMSE_AND_MAE = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'  # note on pitch and yaw
+# Computed from our choices: gains, lengths and sticks; in flight also lags and inertia behind the roll response.
 _CHOSEN, _CHOSEN_IN_FLIGHT = ("hexjet-doublet.", "hexjet-manual."), ("roll.", "hexjet.delay")
-_NOTES = {
+_NOTES = {  # note on a number, by key
     "frequency.dc_gain": "ours at 1 Hz: with an integral the gain has no end towards 0 Hz",
     "hexjet-doublet.smith.rmse": "gains, and length of doublet and record, not printed: chosen; see the conditions",
     "hexjet-doublet.smith.max": f"{radians(2.0 * numbers.value('hexjet.amplitude')):.4f} rad is the height of the "
     "middle step: the largest error of any loop that has settled before it",
     **{f"hexjet-manual.{axis}.{what}": _STICKS for axis in ("roll", "pitch", "yaw") for what in ("rmse", "rate_rmse")},
-    **{f"hexjet-manual.{axis}.rmse": _STICKS + _TWO for axis in ("pitch", "yaw")},
+    **{f"hexjet-manual.{axis}.rmse": _STICKS + _RMSE_AND_MAE for axis in ("pitch", "yaw")},
     "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
     "hexjet.thrust": "six times the EDF's gain at rest",
     "hexjet.delay": "identified on the roll axis beside the paper's lag",

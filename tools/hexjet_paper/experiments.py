@@ -25,10 +25,10 @@ Kind = Literal["step", "disturbance", "hexjet-doublet"]
 Gains = Literal["calibrated", "vehicle"]
 
 CONTROLLERS = ("baseline", "smith", "state", STATE_AS_PRINTED, "filtered-smith", "state-model", "state-disturbance")
-COMPARED = ("baseline", "smith", "state", STATE_AS_PRINTED)  # of the paper
+COMPARED = ("baseline", "smith", "state", STATE_AS_PRINTED)  # the paper's controllers
 
-# Length of either half and of the run, s; neither is printed.  At the vehicle's gains as in the scenario roll-doublet,
-# at the calibrated ones long enough for the baseline to settle, whose settling time is printed.
+# Length of either half and of the run, s; the paper states neither. At the vehicle's gains as in the scenario
+# roll-doublet; at calibrated gains long enough for the baseline to settle, whose settling time is printed.
 HEXJET_LENGTHS: dict[Gains, tuple[float, float]] = {"vehicle": (3.0, 12.0), "calibrated": (6.0, 22.0)}
 PAYLOAD_POSITION = [0.0, 0.0, 0.03]  # m, body: below the frame; chosen by us
 

@@ -20,10 +20,10 @@ from hexjet_paper.loops import LoopMap, controllers_response, predictor_response
 from hexjet_paper.numbers import Record
 
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
-HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
+HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")  # flown on the Hex-Jet
 # Peak sensitivity that a careful designer allows.
-ROBUST = 1.7
-_POINTS = 1200  # of the unit circle
+MAX_SENSITIVITY = 1.7
+_POINTS = 1200  # frequencies on the unit circle
 
 
 class RobustnessMap(Record):
@@ -363,6 +363,6 @@ def _bandwidth(axis: Axis, responses: tuple[Complex, Complex, Complex], beat: fl
     fraction = (closed[k - 1] - level) / (closed[k - 1] - closed[k])
     turn = float(np.angle(z[k - 1]) + fraction * (np.angle(z[k]) - np.angle(z[k - 1])))
     bandwidth = turn / (2.0 * pi * axis.step)
-    if bandwidth <= beat or loop.peak_sensitivity(1.0, axis.delay_samples) > ROBUST:
+    if bandwidth <= beat or loop.peak_sensitivity(1.0, axis.delay_samples) > MAX_SENSITIVITY:
         return None
     return None if loop.unstable_poles(1.0, axis.delay_samples) else bandwidth

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.files import read_toml, validate
 
-FILE = Path(__file__).with_name("calibration.toml")
+FILE = Path(__file__).with_name("calibration.toml")  # the calibration that is kept
 
 
 class Calibration(BaseModel):

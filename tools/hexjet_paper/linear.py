@@ -40,9 +40,9 @@ Response = Callable[[Complex], Complex]  # function of ``z``, upper unit circle
 Pair = tuple[Complex, Complex]
 PairResponse = Callable[[Complex], Pair]  # (``P_y``, ``P_u``) over ``z``
 Signal = Callable[[int], float]
-LARGEST = 1e6  # rad/s, of an unstable loop
+MAX_RATE = 1e6  # rad/s, then a loop counts as unstable
 
-# The state predictor run with the printed matrices, 1/3660 of the plant's gain.
+# State predictor with the printed matrices, 1/3660 of the plant's gain.
 STATE_AS_PRINTED = "state-as-printed"
 
 
@@ -159,7 +159,7 @@ def simulate(
 
     ``r_k = limit(K (phi_sp - phi_k)) + r_added``; ``u_k`` from :class:`cosim.control.rate.RateAxis`;
     ``y_k+1 = plant(z^-d (u_k + w_k))``; ``phi_k+1 = phi_k + T/2 (y_k + y_k+1)``; the gyro adds white noise to ``y``.
-    Ends early once the rate is beyond ``LARGEST``.
+    Ends early once the rate is beyond ``MAX_RATE``.
     """
     tap = _WithDisturbance(predictor(axis.controller).predictor(axis.model, axis.tuning))
     rate_loop = RateAxis(axis.gains, tap, axis.step)
@@ -190,7 +190,7 @@ def simulate(
         after = plant(line.update(u + w)) * gain
         angle += half * (rate + after)
         rate = after
-        if not -LARGEST < rate < LARGEST:
+        if not -MAX_RATE < rate < MAX_RATE:
             break
     return record
 

@@ -30,8 +30,8 @@ from cosim.loops import (
 from hexjet_paper.linear import Array, Axis, Complex, Pair, PairResponse, Plant, Response, predictor, simulate
 from hexjet_paper.numbers import Record
 
-BY_IMPULSE = ("state-model", "state-disturbance")  # the paper's own, not a closed form
-# Taken for the low end of the paper's Bode diagrams: with an integral there is no gain at 0 Hz.
+BY_IMPULSE = ("state-model", "state-disturbance")  # the paper's own, without closed form
+# Low end of the paper's Bode diagrams, as read: with an integral there is no gain at 0 Hz.
 LOW_END_HZ = 1.0
 
 

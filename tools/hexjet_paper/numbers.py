@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import RateModel
 
-SOURCE = (
+SOURCE = (  # the paper
     "J. Liang, H. Zheng, Y. Zhang, Y. Gao, W. Dong, X. Lyu, “Predictor-Based Time Delay Control of A Hex-Jet "
     "Unmanned Aerial Vehicle”, accepted January 2025."
 )
@@ -41,13 +41,13 @@ class Printed(NamedTuple):
     meaning: str
 
 
-SETUP = "Experimental verification in quadrotor platform"
-TRACKING, FREQUENCY = "Tracking performance", "Frequency response"
-DISTURBANCE, TABLE_DISTURBANCE = "Disturbance rejection", "Table of disturbance rejection"
+SETUP = "Experimental verification in quadrotor platform"  # section of the paper
+TRACKING, FREQUENCY = "Tracking performance", "Frequency response"  # sections of the paper
+DISTURBANCE, TABLE_DISTURBANCE = "Disturbance rejection", "Table of disturbance rejection"  # sections of the paper
 PAYLOAD, TABLE_PAYLOAD = "Robustness to additional load", "Table of disturbance rejection with payload"
 FLIGHT, IDENTIFICATION, SPECIFICATION = "Flight test on the Hex-Jet", "Identification", "Table of specifications"
 
-_ROWS: list[Printed] = [
+_ROWS: list[Printed] = [  # printed numbers by section
     # Vehicles.
     Printed("hexjet.mass", 5.525, "kg", SPECIFICATION, "take-off weight of the scaled Hex-Jet"),
     Printed("hexjet.thrust", 12.0, "kgf", SPECIFICATION, "maximum thrust"),
@@ -129,10 +129,10 @@ _ROWS: list[Printed] = [
     Printed("hexjet-manual.pitch.rate_rmse", 0.2103, "rad/s", FLIGHT, "manual flight, pitch rate"),
     Printed("hexjet-manual.yaw.rate_rmse", 0.3217, "rad/s", FLIGHT, "manual flight, yaw rate"),
 ]
-PRINTED: dict[str, Printed] = {row.key: row for row in _ROWS}
+PRINTED: dict[str, Printed] = {row.key: row for row in _ROWS}  # printed numbers by key
 
-# As printed.  The poles are those of G_n(z), the gain from command to the first state is 1/3660 of it: a predictor that
-# is run with this pair sees next to nothing of the commands that are on their way.
+# As printed. The poles are those of G_n(z), but the gain from command to first state is 1/3660 of it: a predictor with
+# this pair hardly sees the commands in transport.
 A_D = ((0.9991, 0.0023), (-0.6953, 0.8777))
 B_D = (0.0, 0.0234)
 

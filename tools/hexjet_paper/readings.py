@@ -26,9 +26,9 @@ from hexjet_paper.linear import Axis, Plant
 from hexjet_paper.loops import unstable_poles
 from hexjet_paper.numbers import Record
 
-# Raised gains over the fitted ones, 8 % past the limit of the baseline, as those of "delay only" in vehicle.toml.
-ABOVE = 1.35
-COMPARED = ("baseline", "smith")
+# Factor on the fitted gains, 8 % past the baseline's limit, as those of "delay only" in vehicle.toml.
+RAISED_GAINS = 1.35
+COMPARED = ("baseline", "smith")  # controllers of this comparison
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def thrust_at_rest(engine: str) -> float:
     return numbers.value(f"{engine}.gain") / (1.0 - numbers.value(f"{engine}.pole"))
 
 
-DELAY_ONLY = Reading("delay", "delay only", "edf-as-flown", 1.0)
-READINGS: dict[str, Reading] = {
+DELAY_ONLY = Reading("delay", "delay only", "edf-as-flown", 1.0)  # the printed model has the delay only
+READINGS: dict[str, Reading] = {  # possible meanings of the printed model
     reading.key: reading
     for reading in (
         DELAY_ONLY,
@@ -131,7 +131,7 @@ def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
         return
     p, attitude = calibration.corrected_p / reading.gain, calibration.corrected_attitude_gain_1_s
     yield Gains(name="fitted", p=p, attitude_gain_1_s=attitude)
-    yield Gains(name="raised", p=ABOVE * p, attitude_gain_1_s=ABOVE * attitude)
+    yield Gains(name="raised", p=RAISED_GAINS * p, attitude_gain_1_s=RAISED_GAINS * attitude)
 
 
 def largest_gains(reading: Reading, controller: str, calibration: Calibration) -> float:
@@ -255,7 +255,7 @@ def _loss_time(result: Result) -> float | None:
 
 # --- the model that the predictor is given, off ----------------------------------------------------------------------
 
-DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; of the printed gain
+DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; factors on the printed gain
 
 
 class ModelError(Record):

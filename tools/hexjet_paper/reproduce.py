@@ -50,9 +50,9 @@ from hexjet_paper.report.result import (
 if TYPE_CHECKING:
     from cosim.identify import FrequencyResponse
 
-FLIGHT_LOOPS = ("baseline", "smith", "state")
-OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
-SCENARIOS = "scenarios"
+FLIGHT_LOOPS = ("baseline", "smith", "state")  # loops measured in flight
+OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))  # compared by offset
+SCENARIOS = "scenarios"  # folder of the flown scenarios
 
 Say = Callable[[str, int, int], None]  # label, done, total
 Task = tuple[Callable[..., Any], tuple[Any, ...]]  # function and its arguments

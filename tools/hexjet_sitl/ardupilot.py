@@ -29,7 +29,7 @@ from cosim.spec.vehicle import Vehicle
 from hexjet_identify.logs.dataflash import read_notes
 from hexjet_sitl.lockstep import (
     LOCAL,
-    STICKS_S,
+    MAX_STICKS_INTERVAL_S,
     ActuatorOutputs,
     AnswerTimer,
     Autopilot,
@@ -44,22 +44,22 @@ from hexjet_sitl.lockstep import (
     to_pulse,
 )
 
-PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
-# Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
-# holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
-# once throttle is raised.  Full stick: ATC_ANGLE_MAX, and PILOT_Y_RATE as it ships.
+PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10  # first ports; spacing of instances
+# Its estimator accepts GNSS about 44 s after its start and only then has a level and a position: 60 s chosen by us. It
+# holds the motors for 2 s (ARMING_DELAY_SEC) after arming and releases them within 1 s (twice MOT_SPOOL_TIME) after
+# throttle is raised. Full stick: ATC_ANGLE_MAX and PILOT_Y_RATE as shipped.
 START_TIMING = StartTiming(
     before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, stick_moves_heading=True
 )
-_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # TCP by default; 3 and 4 are for GNSS
-# Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
-_RATE_SETTLING = 2400
-# Raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix.
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports on TCP; 3 and 4 are GNSS
+# Its frame rate starts at 1200 and approaches SIM_RATE_HZ by about one per frame.
+_RATE_SETTLING_FRAMES = 2400
+# Raised if the vehicle's GNSS fails: RC16_OPTION 65, with which ArduPilot has no fix.
 GNSS_CHANNEL = 16
-MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
+MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # channel 5 selects the mode, 7 arms
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by magic: rate, count, pulses [us]
-_STICKS = Struct("<16H")
-# One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
+_STICKS = Struct("<16H")  # channels of a stick packet
+# A line between two line ends; its parser needs no blank after a colon, and one after a comma.
 _STATE = (
     b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
@@ -67,9 +67,9 @@ _STATE = (
 
 
 Release = tuple[int, int]
-NEWEST: Release = (4, 8)
-FLOWN: tuple[Release, ...] = ((4, 6), (4, 8))  # dev of October 2024 and April 2026
-_TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")
+NEWEST_RELEASE: Release = (4, 8)  # assumed if the release is unknown
+FLOWN_RELEASES: tuple[Release, ...] = ((4, 6), (4, 8))  # dev of October 2024 and April 2026
+_TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")  # release in the program's output
 
 
 def read_release(program: Path | None) -> tuple[Release, str]:
@@ -78,14 +78,14 @@ def read_release(program: Path | None) -> tuple[Release, str]:
     The newest for one that states none, or is started by hand.
     """
     if program is None:
-        return NEWEST, ""
-    named = f"parameters are named as of {NEWEST[0]}.{NEWEST[1]}"
+        return NEWEST_RELEASE, ""
+    named = f"parameters are named as of {NEWEST_RELEASE[0]}.{NEWEST_RELEASE[1]}"
     title = _TITLE.search(program.read_bytes())
     if title is None:
-        return NEWEST, f"{program}: states no version of ArduCopter: its {named}"
+        return NEWEST_RELEASE, f"{program}: states no version of ArduCopter: its {named}"
     release = int(title[1]), int(title[2])
-    flown = " and ".join(f"{major}.{minor}" for major, minor in FLOWN)
-    return release, "" if release in FLOWN else f"{title[0].decode()} was not flown here; {flown} were"
+    flown = " and ".join(f"{major}.{minor}" for major, minor in FLOWN_RELEASES)
+    return release, "" if release in FLOWN_RELEASES else f"{title[0].decode()} was not flown here; {flown} were"
 
 
 class TransmitterChannel(NamedTuple):
@@ -141,7 +141,7 @@ class ArduPilot(Autopilot):
         self._out = self._open_sender()
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
-        self._sticks_every = max(1, round(STICKS_S / step))
+        self._sticks_every = max(1, round(MAX_STICKS_INTERVAL_S / step))
         self._count = -1  # number of the last packet
 
     @property
@@ -180,7 +180,7 @@ class ArduPilot(Autopilot):
 
     def _check_rate(self, rate: int) -> None:
         """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
-        if self.counts.frames == _RATE_SETTLING and abs(rate * self._step - 1.0) > 0.01:
+        if self.counts.frames == _RATE_SETTLING_FRAMES and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
                 f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"

@@ -44,20 +44,20 @@ from hexjet_sitl.lockstep import (
 )
 from hexjet_sitl.parameters import refuse_effectiveness
 
-STATE, RC, CONSOLE = 2, 3, 10  # offsets from the first port
-# Of the raw outputs, by Betaflight's convention; an instance has fourteen ports from there on.
+STATE, RC, CONSOLE = 2, 3, 10  # port offsets from the first one
+# First port of raw outputs, by Betaflight's convention; an instance has fourteen ports from there.
 PORT = 9001
-PORT_SPACING = 20
+PORT_SPACING = 20  # ports from one instance to the next
 # Time, rates, force, quaternion, velocity, position, pressure.
 _STATE = struct.Struct("<18d")
-_STICKS = struct.Struct("<d16H")
-_RAW = struct.Struct("<H2x16f")
-_READY = b"HJREADY\0"
-# s until its console answers on a busy machine; chosen by us.
-_CONSOLE_S = 20.0
-# What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
-# moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
-# loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
+_STICKS = struct.Struct("<d16H")  # time and channels
+_RAW = struct.Struct("<H2x16f")  # count and outputs
+_READY = b"HJREADY\0"  # first packet of our build
+# Chosen by us: s until its console answers, on a busy machine.
+_MAX_CONSOLE_START_S = 20.0
+# Functions that change gains in flight are off, so that the designed gains act: more P and I while throttle moves, less
+# of all at high throttle, more D in quick turns, less I while the rate set-point moves (which an attitude loop does all
+# the time), a gyro filter that follows the throttle; and the derivative has one first-order filter.
 _CONSTANT_GAINS = (
     "set anti_gravity_gain = 0",
     "set tpa_rate = 0",
@@ -68,17 +68,17 @@ _CONSTANT_GAINS = (
     "set dterm_lpf1_dyn_min_hz = 0",
     "set dterm_lpf2_static_hz = 0",
 )
-_REFUSALS = ("ERROR", "Invalid", "UNKNOWN")
-MAX_MOTORS = 8
-MAX_GAIN = 250
-# Of pitch and yaw on the outputs that carry the tilts; chosen by us, see make_mixer_settings.
+_REFUSALS = ("ERROR", "Invalid", "UNKNOWN")  # words in the console's refusals
+MAX_MOTORS = 8  # motors in its mixer
+MAX_GAIN = 250  # largest gain of its console
+# Of pitch and yaw on the outputs for tilts; chosen by us, see make_mixer_settings.
 TILT_WEIGHT = 0.1
-# Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
-# scenarios lean, with room.
+# Before the flight: 5 s of grace time after its start, and its gyro's calibration. Full stick is chosen by us: more
+# than what scenarios lean.
 START_TIMING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
 _FULL_SUM = 500.0  # pidsum_limit: the range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
-# src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
+# One unit of a gain in its console, per deg/s, deg and deg/s^2: src/main/flight/pid.h.
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 
@@ -212,7 +212,7 @@ class Betaflight(Autopilot):
         environment = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
         discard_packets(self._in)
         self._program = Program([str(self.program)], self._folder, log, environment)
-        timer = AnswerTimer(self.name, _CONSOLE_S, self._program)
+        timer = AnswerTimer(self.name, _MAX_CONSOLE_START_S, self._program)
         while self._packet(timer) != _READY:
             pass
 
@@ -315,7 +315,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
 
     Raises InputError for what it refuses, UnansweredError where it falls silent.
     """
-    end = monotonic() + _CONSOLE_S
+    end = monotonic() + _MAX_CONSOLE_START_S
     session = ""
     with _console(program, port, end) as console:
         console.settimeout(0.2)
@@ -330,7 +330,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
                 except TimeoutError:
                     data = None
                 if data == b"" or program.end_description or monotonic() > end:
-                    silence = f"did not answer {text.strip()!r} within {_CONSOLE_S:g} s"
+                    silence = f"did not answer {text.strip()!r} within {_MAX_CONSOLE_START_S:g} s"
                     raise UnansweredError(f"betaflight: its console {silence}")
                 reply += (data or b"").decode(errors="replace")
             session += reply

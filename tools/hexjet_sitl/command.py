@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from cosim.commands import Command, echo
 
-_METAVARS = {
+_METAVARS = {  # placeholders in the help
     "engine": "[N=]NAME|FILE", "binary": "PATH", "parameters": "NAME=VALUE", "magnetic_field": "N,E,D",
     "defaults": "FILE.parm", "channels": "N=PULSE[@S]", "station": "PORT",
 }  # fmt: skip
-_BETAFLIGHT, _ARDUPILOT = ("lines", "port"), ("defaults", "channels", "station")
-_BY_PARAMETERS = ("instance", "parameters", "hold_from_s", "hands_off")
+_BETAFLIGHT, _ARDUPILOT = ("lines", "port"), ("defaults", "channels", "station")  # options of this autopilot alone
+_BY_PARAMETERS = ("instance", "parameters", "hold_from_s", "hands_off")  # options that Betaflight does not have
 
 
 def _fly(autopilot: str, example: str, about: str, gains: str, hidden: tuple[str, ...]) -> Command:

@@ -16,7 +16,7 @@ from cosim.simulation.axis_chain import is_turned_by_throttle
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.vehicle import Vehicle
-from hexjet_sitl.ardupilot import NEWEST, Release
+from hexjet_sitl.ardupilot import NEWEST_RELEASE, Release
 from hexjet_sitl.betaflight import (
     MAX_GAIN,
     compute_gain_units,
@@ -43,19 +43,19 @@ from hexjet_sitl.pilot import find_hover_throttle
 if TYPE_CHECKING:
     from hexjet_design.loop.firmware import Firmware
 
-# The files of a design: of each the target, and what follows the stem of the controller file's name.
+# Files of a design: the target, and what follows the stem of the controller file's name.
 DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
     "betaflight": {"board_parameters": ("board", ".board.txt"), "stand_parameters": ("sitl", ".stand.txt")},
     "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
     "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
 }
-_STAND = "For the stand, hexjet sitl {}, and for no board: {}."
-_BOARD = (
+_STAND = "For the stand, hexjet sitl {}, and for no board: {}."  # text for SITL
+_BOARD = (  # text for a board
     "For a board that flies: {} stay as they are. {} makes its raw gyro as late as the vehicle's, with which the gains "
     "were designed; where it is not here the vehicle states no filter."
 )
-_RADIO = "it has the radio's mapping and all flight modes"
-_TARGET_TEXTS = {
+_RADIO = "it has the radio's mapping and all flight modes"  # phrase on what a file contains
+_TARGET_TEXTS = {  # text of each target
     "betaflight": {
         "sitl": _STAND.format("betaflight", "arming checks are off, switches are mapped"),
         "board": _BOARD.format("mixer and gains; its receiver, switches and checks", "gyro_lpf1_static_hz"),
@@ -70,7 +70,7 @@ _TARGET_TEXTS = {
         "board": _BOARD.format("its radio, modes and arming checks", "INS_GYRO_FILTER"),
     },
 }
-# ArduPilot reads lines of 98 characters.
+# ArduPilot reads lines of at most 98 characters.
 TARGET_NOTES = {
     autopilot: {target: wrap(text, 96) for target, text in texts.items()} for autopilot, texts in _TARGET_TEXTS.items()
 }
@@ -111,7 +111,7 @@ def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -
 
 
 def format_firmware_parameters(
-    autopilot: str, scenario: Scenario, step: float, target: str = "sitl", release: Release = NEWEST
+    autopilot: str, scenario: Scenario, step: float, target: str = "sitl", release: Release = NEWEST_RELEASE
 ) -> str:
     """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``, for a scenario's vehicle.
 

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 from fastcrc import crc16
 
-MAGIC, HEADER, CHECKSUM = 0xFD, 10, 2
-MAGIC_1, HEADER_1 = 0xFE, 6
-_HEAD = Struct("<BBBBBBBHB")
+MAGIC, HEADER, CHECKSUM = 0xFD, 10, 2  # MAVLink 2: first byte, sizes
+MAGIC_1, HEADER_1 = 0xFE, 6  # of a MAVLink 1 frame
+_HEAD = Struct("<BBBBBBBHB")  # MAVLink 2 header
 
 
 class MessageFormat(NamedTuple):
@@ -28,14 +28,14 @@ class MessageFormat(NamedTuple):
     extra: int
 
 
-HEARTBEAT = MessageFormat(0, Struct("<IBBBBB"), 50)
+HEARTBEAT = MessageFormat(0, Struct("<IBBBBB"), 50)  # id, fields and CRC_EXTRA of each
 RC_CHANNELS = MessageFormat(65, Struct("<I18HBB"), 118)
 HIL_ACTUATOR_CONTROLS = MessageFormat(93, Struct("<QQ16fB"), 47)  # time_usec, flags, controls, mode
 HIL_SENSOR = MessageFormat(107, Struct("<Q13fIB"), 108)
 HIL_GPS = MessageFormat(113, Struct("<QiiiHHHhhhHBBBH"), 124)
 HIL_STATE_QUATERNION = MessageFormat(115, Struct("<Q4f3fiiihhhHHhhh"), 4)
 RAW_RPM = MessageFormat(339, Struct("<fB"), 199)
-FORMATS = {
+FORMATS = {  # formats by message id
     kind.number: kind
     for kind in (HEARTBEAT, RC_CHANNELS, HIL_ACTUATOR_CONTROLS, HIL_SENSOR, HIL_GPS, HIL_STATE_QUATERNION, RAW_RPM)
 }

@@ -25,7 +25,7 @@ from cosim.spec.vehicle import Vehicle
 
 LOCAL = "127.0.0.1"
 _TIMEVAL = Struct("@ll")  # seconds and microseconds
-# The longest wait between two checks of the program, chosen by us.
+# s between two checks of the program, so that its end is noticed at once.
 CHECK_S = 0.25
 
 
@@ -40,8 +40,8 @@ class StickPositions(NamedTuple):
     holds_place: bool = False  # True: position hold; False: manual
 
 
-# Longest time between two messages of the sticks: as often as a receiver sends them.
-STICKS_S = 0.02
+# As often as a receiver sends sticks.
+MAX_STICKS_INTERVAL_S = 0.02
 
 
 def to_pulse(fraction: float) -> int:
@@ -116,8 +116,8 @@ class FirmwareReport(NamedTuple):
     messages: Sequence[tuple[float, int, str]] = ()  # s since its first frame, severity, text
 
 
-# Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
-# goes into environments, scripts and files of other programs.
+# Sixteen characters, as in PX4 (PARAM_NAME_MAX of its generator) and ArduPilot (AP_MAX_NAME_SIZE). Names go into
+# environments, scripts and files of other programs.
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 
 
@@ -163,9 +163,9 @@ def describe_unknown(names: Sequence[str], existing: Collection[str], program: s
     return f"parameter {', '.join(names)}: this {program} has none of that name{suggestion}"
 
 
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
-# Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
-_TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of a terminal
+# Linux ends the program together with the thread that started it; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
+_END_WITH_PARENT = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
 
 
 class Program:
@@ -174,7 +174,7 @@ class Program:
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
         if sys.platform == "linux":
-            command = [sys.executable, "-I", "-S", "-c", _TIED, *command]
+            command = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, *command]
         try:
             with log.open("ab") as output:
                 self.process = Host(

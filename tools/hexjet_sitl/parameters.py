@@ -19,7 +19,7 @@ from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
 from cosim.files import read_text
 from cosim.spec.vehicle import RateGains, Vehicle
-from hexjet_sitl.ardupilot import GNSS_CHANNEL, NEWEST, START_TIMING, Release
+from hexjet_sitl.ardupilot import GNSS_CHANNEL, NEWEST_RELEASE, START_TIMING, Release
 from hexjet_sitl.lockstep import PARAMETER_NAME
 
 # Not every release has these, nor needs them.  From 1.16: a low-pass of yaw's torque, of 2 Hz as shipped, which no
@@ -192,7 +192,7 @@ def px4_hover(throttle: float) -> dict[str, float]:
     return {"MPC_THR_HOVER": clip(throttle, *_HOVER_RANGE)}
 
 
-PX4_TARGETS = ("sitl", "hil", "board")
+PX4_TARGETS = ("sitl", "hil", "board")  # what PX4 parameters are made for
 
 
 def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
@@ -227,8 +227,8 @@ _QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
     0: ("plus", {(0, 1, 1): 1, (0, -1, 1): 2, (1, 0, -1): 3, (-1, 0, -1): 4}),
     6: ("plus, reversed", {(0, 1, -1): 1, (0, -1, -1): 2, (1, 0, 1): 3, (-1, 0, 1): 4}),
 }
-# Sticks as hexjet sitl sends them, not as the transmitters that ArduPilot takes by itself: 1100 to 1900 us, and dead
-# zones of 20 and 30 us.  The seventh channel arms, the last takes its GNSS away.  Full stick is that of START_TIMING.
+# Sticks as hexjet sitl sends them, unlike ArduPilot's defaults for transmitters: 1100 to 1900 us, and dead zones of 20
+# and 30 us. The seventh channel arms, the last disables GNSS. Full stick is that of START_TIMING.
 _ARDUPILOT_STICKS: dict[str, float] = {
     **{f"RC{n}_{key}": value for n in range(1, 5) for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))},
     **{f"RC{n}_TRIM": 1000 if n == 3 else 1500 for n in range(1, 5)},
@@ -239,8 +239,8 @@ _ARDUPILOT_STICKS: dict[str, float] = {
     f"RC{GNSS_CHANNEL}_OPTION": 65,
     "ARMING_SKIPCHK": -1,
 }
-# Until ArduCopter 4.6: the name, and how much of its unit is one of today's.  What was checked was stated until then,
-# and not what is left out; all of that is left out here.
+# Names up to ArduCopter 4.6, and how many of their units one of today's is. ARMING_CHECK listed the checks to make, as
+# ARMING_SKIPCHK lists those to skip: all are skipped.
 _UNTIL_4_6: dict[str, tuple[str, float]] = {
     "ATC_ANGLE_MAX": ("ANGLE_MAX", 100.0),
     **{f"ATC_ACC_{axis}_MAX": (f"ATC_ACCEL_{axis}_MAX", 100.0) for axis in "RPY"},
@@ -257,7 +257,7 @@ def _name_as_of(release: Release, parameters: Mapping[str, float]) -> dict[str, 
     return {name: unit * value + 0.0 for (name, unit), value in older}
 
 
-def ardupilot_sticks(release: Release = NEWEST) -> dict[str, float]:
+def ardupilot_sticks(release: Release = NEWEST_RELEASE) -> dict[str, float]:
     """Return ArduPilot's parameters for the sticks and switches of :class:`hexjet_sitl.ardupilot.Transmitter`."""
     return _name_as_of(release, _ARDUPILOT_STICKS)
 
@@ -344,11 +344,11 @@ def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
     return parameters
 
 
-ARDUPILOT_TARGETS = ("sitl", "board")
+ARDUPILOT_TARGETS = ("sitl", "board")  # what ArduPilot parameters are made for
 
 
 def ardupilot_parameters(
-    vehicle: Vehicle, step: float, release: Release = NEWEST, target: str = "sitl"
+    vehicle: Vehicle, step: float, release: Release = NEWEST_RELEASE, target: str = "sitl"
 ) -> dict[str, float]:
     """Return ArduPilot's parameters of a vehicle for its SITL, or for a board that flies: frame, gains, filters.
 
@@ -420,7 +420,7 @@ def read_parameters(path: Path) -> dict[str, float]:
     return parameters
 
 
-NOTES = {
+NOTES = {  # differences between firmware and design
     "px4": (
         "The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",
         "its derivative has one filter for all axes, here roll's, and its integral a limit of its own (MC_RR_INT_LIM).",

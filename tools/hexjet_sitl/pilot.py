@@ -10,14 +10,14 @@ from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
 from cosim.laws import Belief, wrap
-from hexjet_sitl.lockstep import STICKS_S, StickPositions
+from hexjet_sitl.lockstep import MAX_STICKS_INTERVAL_S, StickPositions
 
-# Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed, if its height is
-# below its span.  A hover is as still, where the autopilot holds a height of its own.
+# Chosen by us: a vehicle commanded below the ground has landed if it was this still for this many s at a height below
+# its span. In a hover it may be as still, if the autopilot holds a height of its own.
 STILL_SPEED, STILL_TIME = 0.1, 1.0
-# Where the autopilot holds place and height: climb that full throttle stick asks for, and the fraction of a stick below
-# which a pilot lets go of it, which is the autopilots' own dead zone.
-CLIMB, LET_GO = 3.0, 0.1
+# If the autopilot holds position and height: climb rate of full throttle stick, and the stick fraction that counts as
+# released, which is the autopilots' own dead zone.
+MAX_CLIMB, LET_GO = 3.0, 0.1
 
 
 def find_hover_throttle(belief: Belief) -> float:
@@ -58,11 +58,11 @@ class StickPilot:
             gains.altitude, vehicle.mass_kg, belief.thrust_map.collective, belief.step_s
         )
         self._heading = gains.attitude.gain_1_s[2]
-        self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
+        self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / MAX_CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._span = vehicle.aero.span_m
         self._stick_moves_heading, self._turned = stick_moves_heading, 0.0
-        self._held_steps = max(1, round(STICKS_S / belief.step_s))
+        self._held_steps = max(1, round(MAX_STICKS_INTERVAL_S / belief.step_s))
         # Headings [rad]: the set-point that the autopilot holds after the stick's turns, and the heading to which its
         # loop should have turned by now.
         self._target: tuple[float, float] | None = None

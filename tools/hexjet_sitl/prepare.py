@@ -31,27 +31,27 @@ from hexjet_sitl.parameters import (
 )
 from hexjet_sitl.pilot import find_hover_throttle
 
-# Ports above this stand for instance numbers; chosen by us: nobody uses them.
-INSTANCE_PORTS = 32_760
-MAX_INSTANCES = 250  # as hexjet sitl takes
-VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: programs
+# Ports above it represent instance numbers; chosen by us: nothing else uses them.
+FIRST_INSTANCE_PORT = 32_760
+MAX_INSTANCES = 250  # limit of hexjet sitl
+VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # variables with the path of a program
 PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names on the path
 # How their makers build them, and where they say so.
 BUILDS = {
     "px4": "make px4_sitl, and have a package in their releases; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }
-AUTOPILOTS: dict[str, type[Autopilot]] = {
+AUTOPILOTS: dict[str, type[Autopilot]] = {  # class of each autopilot
     each.name: each for each in (betaflight.Betaflight, px4.Px4, ardupilot.ArduPilot)
 }
-# Faults of sensors that do not reach an autopilot as what they are, and why.
+# Faults of sensors that an autopilot would not get as such, and why.
 _BOTH = ("sensor_dropout", "sensor_bias")
-_ATTITUDE = {
+_ATTITUDE = {  # reason for autopilots that estimate it
     ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _BOTH
 }
 _NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
-_HEIGHT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"
-_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {
+_HEIGHT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"  # reason of a refusal
+_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # reason by autopilot, sensor and fault
     "betaflight": {("gnss", kind): _NO_POSITION for kind in _BOTH},
     "px4": _ATTITUDE,
     "ardupilot": _ATTITUDE | {("barometer", "sensor_dropout"): _HEIGHT},
@@ -68,7 +68,7 @@ def reserve_instance() -> Iterator[int]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
         for number in range(1, MAX_INSTANCES + 1):
             try:
-                reserved.bind((LOCAL, INSTANCE_PORTS + number))
+                reserved.bind((LOCAL, FIRST_INSTANCE_PORT + number))
             except OSError:
                 continue
             yield number

@@ -28,7 +28,7 @@ from hexjet_sitl import hil
 from hexjet_sitl.instruments import compute_earth_field, to_body_field
 from hexjet_sitl.lockstep import (
     COLOUR,
-    STICKS_S,
+    MAX_STICKS_INTERVAL_S,
     ActuatorOutputs,
     AnswerTimer,
     Autopilot,
@@ -43,10 +43,10 @@ from hexjet_sitl.lockstep import (
     to_pulse,
 )
 
-PORT = 4560
-# EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  After it was armed it holds the
-# throttle down for 1 s (COM_SPOOLUP_TIME), and then lets it up by half of its range in a second: 3 s to full throttle.
-# Full stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship.
+PORT = 4560  # first port of PX4's simulator interface
+# EKF2 needs some 10 s of GNSS, and arming checks 10 s of health: 30 s chosen by us. After arming it holds the throttle
+# down for 1 s (COM_SPOOLUP_TIME) and then raises it by half of its range per second: 3 s to full throttle. Full stick:
+# MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as shipped.
 START_TIMING = StartTiming(
     before_s=30.0,
     arming_s=4.0,
@@ -55,11 +55,11 @@ START_TIMING = StartTiming(
     turn_deg_s=150.0,
     unarmed="; one that you start needs the parameters of hexjet sitl params px4, and says why in its log",
 )
-_IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
-_MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
-_START_S = 60.0  # until it connects, on a busy machine
-_UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
-_SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
+_IMU, _MAG, _BARO = 7 | 56, 448, 6656  # bits of fields_updated
+_MAG_INTERVAL_S, _BARO_EVERY = 0.008, 0.02  # s between measurements
+_MAX_START_S = 60.0  # s until it connects, on a busy machine
+_UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")  # PX4's message on an unknown parameter
+_SINCE_1_17 = "MAN_DEADZONE"  # parameter that older releases lack
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release
 
 
@@ -120,9 +120,9 @@ class Px4(Autopilot):
         self.details |= {"hold_from_s": setup.hold_from_s, "parameters": setup.parameters}
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
-        self._mag_every = max(1, round(_MAG_EVERY / step))
+        self._mag_every = max(1, round(_MAG_INTERVAL_S / step))
         self._baro_every = max(1, round(_BARO_EVERY / step))
-        self._last_sticks, self._sticks_every = StickPositions(), max(1, round(STICKS_S / step))
+        self._last_sticks, self._sticks_every = StickPositions(), max(1, round(MAX_STICKS_INTERVAL_S / step))
         self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
         self._link: socket.socket | None = None
 
@@ -144,7 +144,7 @@ class Px4(Autopilot):
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
-        timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
+        timer = AnswerTimer(self.name, _MAX_START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             try:
                 server.settimeout(timer.remaining())

@@ -32,7 +32,7 @@ from hexjet_sitl.block import AutopilotBlock, StationarySensors
 from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts, Setup
 from hexjet_sitl.prepare import MAX_INSTANCES, describe_missing, find_program, prepare
 
-LOCKSTEP = "lockstep.json"  # in a run's folder: what was counted
+LOCKSTEP = "lockstep.json"  # file with counts, in a run's folder
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from cosim.base.errors import InputError, nearest
 if TYPE_CHECKING:
     import inspect
 
-P = ParamSpec("P")
-R = TypeVar("R")
-_SHOWN = 40  # characters of a wrong value
+P = ParamSpec("P")  # parameters of the wrapped function
+R = TypeVar("R")  # its return type
+_MAX_SHOWN = 40  # characters of a wrong value in a message
 
 
 class Limits(NamedTuple):
@@ -121,7 +121,7 @@ def _valid(
             valid = adapter.validate_python((value,))
     except ValidationError as error:
         shown = repr(value)
-        shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
+        shown = shown if len(shown) <= _MAX_SHOWN else f"{shown[: _MAX_SHOWN - 3]}..."
         wrong = error.errors(include_url=False)
         listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
         names = listed[0].split("'")[1::2] if listed else []  # pydantic's text: 'a', 'b' or 'c'

@@ -14,10 +14,10 @@ from cosim.base.errors import InputError, describe_error
 from cosim.base.plugins.execute import import_trusted
 from cosim.base.trust import CodeRefusedError
 
-GROUP = "hexjet.plugins"
-API = "hexjet.api"
-HOOKS = "hexjet.hooks"
-GROUPS = {  # of one kind each, beside GROUP
+GROUP = "hexjet.plugins"  # entry points of all kinds of plug-ins
+API = "hexjet.api"  # entry points added to the Python API
+HOOKS = "hexjet.hooks"  # entry points called at given moments
+GROUPS = {  # further groups, of one kind each
     "predictor": "hexjet.predictors",
     "controller": "hexjet.controllers",
     "metric": "hexjet.metrics",

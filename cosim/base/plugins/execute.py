@@ -29,7 +29,7 @@ from cosim.base.storage.scratch import scratch
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import Code, CodeRefusedError, is_code_forbidden, need_trust
 
-_PREFIX = "hexjet_controller_"  # modules that were made of files here
+_PREFIX = "hexjet_controller_"  # of modules made from users' files
 
 
 def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:

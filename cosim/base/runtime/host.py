@@ -25,13 +25,13 @@ from cosim.base.runtime.pipes import Pipes, require_poll
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-T = TypeVar("T")
+T = TypeVar("T")  # result type of a call
 
-# Environment variable: which of our processes a process comes from, each behind its parent.
-_MARK = "HEXJET_PROCESS"
+# Environment variable with the chain of our processes that started a process.
+_LINEAGE_VARIABLE = "HEXJET_PROCESS"
 _SILENT: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-# A lower limit may be there, or the system has none.
-_LIMIT = """
+# Sets resource limits in the child; errors pass, because a lower limit may be set or the system has none.
+_LIMIT_CODE = """
 try:
     import resource
     for what, most in ((resource.RLIMIT_CPU, {seconds}), (resource.RLIMIT_AS, {size}), (resource.RLIMIT_CORE, 0)):
@@ -61,7 +61,7 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
     home = str(PACKAGE.parent)
     places += [] if home in places else [home]
     size = None if megabytes is None else int(megabytes * 2**20)
-    limit = "" if seconds is None else _LIMIT.format(seconds=seconds, size=size)
+    limit = "" if seconds is None else _LIMIT_CODE.format(seconds=seconds, size=size)
     return [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {places!r}\n{limit}{code}", *arguments]
 
 
@@ -80,9 +80,9 @@ class Host(subprocess.Popen[bytes]):
     _exchanges = 0
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str] | None = None, **how: Any) -> None:
-        self._mark = f"{os.environ.get(_MARK, '')}/{token_hex(8)}"
+        self._mark = f"{os.environ.get(_LINEAGE_VARIABLE, '')}/{token_hex(8)}"
         inherited = os.environ if environ is None else environ
-        super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
+        super().__init__(command, env={**inherited, _LINEAGE_VARIABLE: self._mark}, process_group=0, **how)
 
     @classmethod
     def open(
@@ -195,7 +195,7 @@ class Host(subprocess.Popen[bytes]):
                 self.wait(patience)
         end_group(self)
         if sys.platform == "linux":
-            _kill_marked(f"{_MARK}={self._mark}".encode())
+            _kill_marked(f"{_LINEAGE_VARIABLE}={self._mark}".encode())
 
 
 def run_to_end(

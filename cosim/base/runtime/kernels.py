@@ -19,11 +19,11 @@ from typing import Any
 
 from cosim.base.errors import notify
 
-VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
-_NEEDED = {b"avx2", b"fma"}  # x86 processors have both since 2013
-_MAPS = "/proc/self/maps"
+VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"  # OpenBLAS's choice of kernel, and ours
+_NEEDED = {b"avx2", b"fma"}  # features of x86 processors since 2013
+_MAPS = "/proc/self/maps"  # lists the libraries of the process
 _warnings: list[str] = []  # warnings given so far by this process
-_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
+_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")  # name the kernel
 
 
 def can_use_reference(cpuinfo: str = "/proc/cpuinfo", enough_bytes: int = 8192) -> bool:

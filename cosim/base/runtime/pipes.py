@@ -16,9 +16,9 @@ from typing import Final
 
 from cosim.base.errors import InputError
 
-_LENGTH: Final = struct.Struct("<I")  # before a message
-_CHUNK: Final = 65536  # bytes, read at once
-# How often ``watch`` is called while nothing comes.
+_LENGTH: Final = struct.Struct("<I")  # length before each message
+_READ_BYTES: Final = 65536  # bytes of one read
+# Interval between calls of ``watch`` while nothing arrives.
 _WATCH_S: Final = 0.25
 
 
@@ -120,7 +120,7 @@ class Pipes:
         """Return what comes next, as soon as something has come."""
         if end is not None:
             self._sleep(self._poll, end)
-        data = os.read(self._reader, _CHUNK)
+        data = os.read(self._reader, _READ_BYTES)
         if not data:
             raise EOFError
         return data

@@ -116,7 +116,7 @@ def _parse_finite(digits: str) -> float:
     return number if isfinite(number) else _refuse_constant(digits[:40])
 
 
-_FINITE: dict[str, Any] = {"parse_constant": _refuse_constant, "parse_float": _parse_finite}
+_FINITE: dict[str, Any] = {"parse_constant": _refuse_constant, "parse_float": _parse_finite}  # refuse NaN and infinity
 
 
 def write_all(file: int, data: bytes) -> None:

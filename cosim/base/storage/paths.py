@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-_PACKAGE = Path(__file__).resolve().parents[2]
-_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent
+_PACKAGE = Path(__file__).resolve().parents[2]  # folder of the package
+_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent  # folder of aircraft, engines, scenarios
 
 
 def data_folder(name: str) -> Path:

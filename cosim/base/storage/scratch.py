@@ -17,8 +17,8 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, try_lock
 
-_PREFIX = "hexjet-scratch-"
-_LOCK = "lock"
+_PREFIX = "hexjet-scratch-"  # beginning of temporary folders' names
+_LOCK = "lock"  # file locked while its process lives
 _made: dict[int, Path] = {}  # by process id, as a fork needs its own
 
 

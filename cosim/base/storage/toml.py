@@ -32,7 +32,7 @@ class _OwnNames(ModelMetaclass):
         return sorted({*super().__dir__(), *vars(self).get("__pydantic_fields__", ())} - _PYDANTIC)
 
 
-_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("__"))
+_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("__"))  # pydantic's, hidden in dir()
 
 
 class Model(BaseModel, metaclass=_OwnNames):
@@ -101,7 +101,7 @@ Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
 M = TypeVar("M", bound=BaseModel)
 
-_DOTTED_NAMES = re.compile(
+_DOTTED_NAMES = re.compile(  # names that may contain dots
     r"(?P<head>(?:mismatch\.)?engine_parameters|stations\.[^.]+\.parameters|mismatch\.stations\.[^.]+)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )

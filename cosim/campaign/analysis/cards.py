@@ -21,37 +21,37 @@ from cosim.campaign.analysis.table import KINDS, FlightTable
 from cosim.campaign.store import read_referee
 from cosim.results.report.cards import Card, code
 
-NONE = "–"
+NONE = "–"  # shown where there is no number
 GRID_SHARES = "Shares of the grid's points and not probabilities: every combination counts alike, however likely it is."
-BOUNDS = (
+BOUNDS = (  # note on the two kinds of intervals
     "Thick is Wilson's interval, which holds 95 % on average; thin is Clopper and Pearson's exact one, which never "
     "holds less: quote it where a requirement must be shown to hold."
 )
 ENDINGS = "Missed: flew to its end, outside what counts as success. Failed: not flown to a verdict; no success."
-PAIR_COLUMNS = (
+PAIR_COLUMNS = (  # heads of the comparison in pairs
     "second against first", "draws", "both succeed", "only the second", "only the first", "neither",
     "difference [points]", "95 %, paired", "p, McNemar",
 )  # fmt: skip
 SAME_DRAWS = "Only draws that both controllers have flown count: the same numbers, noise and turbulence."
-TESTS = (
+TESTS = (  # note on the tests in pairs
     "The interval is Newcombe's for pairs (method 10); p, of McNemar's exact test, is corrected for the number of "
     "comparisons (Holm)."
 )
-DIFFERENCE_COLUMNS = ("metric", "draws", "median difference", "95 %", "p, Wilcoxon", "unit")
-DIFFERENCES = (
+DIFFERENCE_COLUMNS = ("metric", "draws", "median difference", "95 %", "p, Wilcoxon", "unit")  # table of differences
+DIFFERENCES = (  # note on median differences
     "Negative: the second's is smaller. Only flights that completed and have the metric count: where one controller "
     "loses the hard draws, both are compared on the easier ones. The interval is bounded by order statistics; p is not "
     "corrected for the number of metrics."
 )
 RANKING_COLUMNS = ("controller", "key", "index [%]", "95 %", "rank correlation", "95 %", "partial", "")
-FIRST_ORDER = (
+FIRST_ORDER = (  # note on first-order indices
     "First-order index: the share of the variance that would go if the key were known, for an effect of any shape, "
     "corrected for chance. Shaded is what the largest of all keys reaches by chance in 19 of 20 cases; a pale bar is "
     "not above it. A key that acts only together with others has no bar: the map shows it."
 )
 CORRELATED = "Correlated keys share what they explain; the partial correlation holds the others."
 NOT_RANKED = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
-SPREADS = (
+SPREADS = (  # note on the spread of metrics
     "Median, the span of the middle 90 %, and of how many flights: those that completed and have the metric. Where "
     "many are lost these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
     "complete, or has none."

@@ -16,7 +16,7 @@ from cosim.spec.controller_name import short_name
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
 
-WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}
+DECISION_WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}  # words on a page for each decision
 
 
 class ClaimResult(NamedTuple):
@@ -57,7 +57,7 @@ class ClaimResult(NamedTuple):
         probability = "probability of success" if self.claim.pair is None else "share of these"
         low, high = verdict.interval
         return (
-            f"{self.text} is {WORDS[verdict.decision]} by {counted}; {probability} {format_bound(verdict)} "
+            f"{self.text} is {DECISION_WORDS[verdict.decision]} by {counted}; {probability} {format_bound(verdict)} "
             f"with {100.0 * self.claim.confidence:g} % confidence; the two-sided interval of 95 % confidence is "
             f"{format_percent(low, up=False)} to {format_percent(high, up=True)}"
         )

@@ -21,7 +21,7 @@ from cosim.results.wording import Metric
 
 Figure = dict[str, Any]
 
-KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))
+KIND_COLOURS = dict(zip(KINDS, (GREEN, ORANGE, RED, MAGENTA, GREY), strict=True))  # colour of each outcome
 MAX_CURVES = 12  # most influential keys that get a curve
 
 

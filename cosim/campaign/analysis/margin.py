@@ -13,10 +13,10 @@ from cosim.campaign.workers.flight_row import LIMITS_MARGIN, MARGIN_OF, Row, stu
 from cosim.results.requirements import LOST, UNKNOWN, Lost, range_requirements
 from cosim.spec.scenario import Range
 
-MARGIN = "margin"  # a row's column that states it
-OWN_LIMITS = "the flight's own limits"
-# A flight that failed has a margin below zero by at least this, whatever else is known of it.
-SMALLEST = 1e-9
+MARGIN = "margin"  # column of a row with the margin
+OWN_LIMITS = "the flight's own limits"  # name of the last requirement
+# A failed flight has a margin of at most minus this, whatever else is known of it.
+MIN_FAILED_MARGIN = 1e-9
 
 
 def row_margin(row: Row, study: Study) -> float:
@@ -32,7 +32,7 @@ def row_margin(row: Row, study: Study) -> float:
         return -abs(_number(stated)) if stated is not None else _lost(row, study)
     stated = row.get(MARGIN)
     margin = _number(stated) if stated is not None else success_margin(row, study.success)
-    return max(margin, 0.0) if row["success"] else min(margin, -SMALLEST)
+    return max(margin, 0.0) if row["success"] else min(margin, -MIN_FAILED_MARGIN)
 
 
 def requirement_margins(study: Study) -> tuple[list[str], Callable[[Row], list[float]]]:
@@ -54,7 +54,7 @@ def requirement_margins(study: Study) -> tuple[list[str], Callable[[Row], list[f
             found[-1] = UNKNOWN
         if success:
             return [max(margin, 0.0) for margin in found]
-        return found if min(found) < 0.0 else [*found[:-1], min(whole, -SMALLEST)]
+        return found if min(found) < 0.0 else [*found[:-1], min(whole, -MIN_FAILED_MARGIN)]
 
     return [*scales, OWN_LIMITS], margins
 

@@ -26,7 +26,7 @@ from cosim.campaign.analysis.cards import (
 from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
-from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
+from cosim.campaign.analysis.stability_map import MAX_MAP_KEYS, map_tables
 from cosim.campaign.analysis.statistics import Proportion
 from cosim.campaign.analysis.summary import (
     SUCCESS,
@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.campaign.study.study import Correlation, Study, Vary
 
-DESIGNS = {
+DESIGNS = {  # phrase for each sampling
     "grid": "a grid of every combination",
     "latin-hypercube": "a Latin hypercube",
     "random": "independent random draws",
     "sobol": "scrambled Sobol points",
 }
-INTERVALS = {
+INTERVALS = {  # note on intervals for each sampling
     "random": "The draws are independent of each other, as both intervals suppose.",
     "latin-hypercube": (
         "Both intervals suppose independent draws. A Latin hypercube spreads its draws evenly over each key: as a rule "
@@ -67,14 +67,14 @@ INTERVALS = {
         "approximation, as a rule too wide."
     ),
 }
-STOPPED = (
+STOPPED = (  # note for studies stopped by a rule
     "Both suppose a number of flights that was fixed before. This study stops by its rule: what holds is what is said "
     "of its claim above."
 )
-CLASSES = "Classes of equal count, with 95 % intervals (Wilson)."
+CLASSES = "Classes of equal count, with 95 % intervals (Wilson)."  # note under curves of success
 CASES_SAY = "Each can be flown again alone and recorded in full, by its number or from its scenario file."
-NONE = "–"
-MAP = Path(__file__).parent / "templates" / "stability_map.html"
+NONE = "–"  # shown where there is no number
+MAP = Path(__file__).parent / "templates" / "stability_map.html"  # template of the stability map
 
 
 def write_campaign_report(campaign: Campaign) -> Path:
@@ -99,7 +99,7 @@ def make_page(campaign: Campaign) -> Page:
     order, fractions = order_by_influence(table, rankings[leading]), success_fractions(table)
     figures = campaign_figures(table, fractions, rankings, order)
     if len(table.keys) > 1 and table.flight.size:
-        mapped = order[:MAP_KEYS]
+        mapped = order[:MAX_MAP_KEYS]
         pair = strongest_pair(table, mapped, leading, rankings[leading])
         figures["map-tables"] = map_tables(table, mapped, pair, leading)
     finished = claim.is_finished if claim is not None else table.flight.size == campaign.of

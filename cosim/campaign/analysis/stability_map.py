@@ -18,10 +18,10 @@ from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.results.wording import Metric
 
-# With fewer flights in a cell, the interval of its share is wider than 60 points.
+# With fewer flights the interval of a cell's success rate is wider than 60 points.
 MIN_PER_CELL = 5
-MAP_KEYS = 6
-MAX_POINTS = 400  # successes, and as many other flights
+MAX_MAP_KEYS = 6  # most influential keys that get maps
+MAX_POINTS = 400  # points drawn: successes, and others
 
 
 def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:

@@ -19,8 +19,8 @@ from cosim.base.arrays import Array
 Counts = NDArray[np.intp]
 Interval = tuple[float, float]
 
-LEVEL = 0.95
-Z = float(ndtri(0.5 + LEVEL / 2.0))
+LEVEL = 0.95  # confidence of all intervals
+Z = float(ndtri(0.5 + LEVEL / 2.0))  # normal quantile for two-sided LEVEL
 
 
 class Proportion(NamedTuple):

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.spec.scenario import Range
 
-SUCCESS = "success"
-NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-BRACKETS = re.compile(r"\s*\([^()]*\)")
+SUCCESS = "success"  # name of success among the metrics
+NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")  # numbers, replaced in reasons
+BRACKETS = re.compile(r"\s*\([^()]*\)")  # parentheses, removed from reasons
 
 
 class Comparison(NamedTuple):

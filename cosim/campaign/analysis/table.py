@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 Mask = NDArray[np.bool_]
-T = TypeVar("T")
+T = TypeVar("T")  # type of a column's values
 
-# What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
+# Outcomes, best first. "missed": flew to its end, but outside its own limits or what the study requires.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
-OF_AXES = (
+AXIS_METRICS = (  # metrics shown for axes with set-points
     "overshoot_percent",
     "rmse_rad",
     "final_error_rad",
@@ -37,7 +37,7 @@ OF_AXES = (
     "settling_time_s",
     "max_abs_error_rad",
 )
-OF_THE_WHOLE = (
+FLIGHT_METRICS = (  # metrics shown for every study
     "altitude.max_abs_error_m",
     "position.max_abs_error_m",
     "position.drift_m",
@@ -216,30 +216,30 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 
 def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
-    """Return the names of the metrics to show: at most eight, and those of ``OF_THE_WHOLE``.
+    """Return the names of the metrics to show: at most eight, and those of ``FLIGHT_METRICS``.
 
     First those of the study's success, then the custom ones, then those of axes that were commanded in steps, then the
-    errors of the other axes and of height.  ``OF_THE_WHOLE`` says where the vehicles went and by what means.  A metric
+    errors of the other axes and of height.  ``FLIGHT_METRICS`` say where the vehicles went and how.  A metric
     without values, or with the same value in all flights, is left out.
     """
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
         *required,
         *(name for name in values if name.startswith(PREFIX)),
-        *(f"{axis}.{last}" for axis in stepped for last in OF_AXES),
+        *(f"{axis}.{last}" for axis in stepped for last in AXIS_METRICS),
         *(f"{axis}.max_abs_error_rad" for axis in AXES),
         "altitude.max_abs_error_m",
         "touchdown_m_s",
         *(f"{axis}.{last}" for axis in AXES for last in ("rmse_rad", "rate_rmse_rad_s")),
         "altitude.rmse_m",
-        *OF_THE_WHOLE,
+        *FLIGHT_METRICS,
     ]
     finite = {name: column[np.isfinite(column)] for name, column in values.items()}
     moving = [
         name for name in dict.fromkeys(order) if name in finite and finite[name].size and np.ptp(finite[name]) > 0.0
     ]
     max_metrics = 8  # metrics on the page; the table has all
-    return list(dict.fromkeys([*moving[:max_metrics], *(name for name in moving if name in OF_THE_WHOLE)]))
+    return list(dict.fromkeys([*moving[:max_metrics], *(name for name in moving if name in FLIGHT_METRICS)]))
 
 
 def describe_criterion(success: Mapping[str, Range]) -> str:

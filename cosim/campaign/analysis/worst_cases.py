@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.study import Study
     from cosim.spec.scenario import Scenario
 
-NONE = "–"
+NONE = "–"  # shown where there is no number
 CASE_COLUMNS = ("controller", "flight", "draw", "why", "ended", "drawn", "scenario")
 
 

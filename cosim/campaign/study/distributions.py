@@ -14,12 +14,12 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, Positive, Scalar, parse_value, validate
 
-T = TypeVar("T")
-FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")
-UNCERTAIN = "engine"  # may be drawn by its file's uncertainty
-CASE = "case"  # the key of a study's named cases
-RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
-USAGE = (
+T = TypeVar("T")  # type of a drawn value
+FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")  # keys that state a distribution
+UNCERTAIN = "engine"  # the key that "uncertainty" is for
+CASE = "case"  # key for the study's named cases
+RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}  # operators of --vary
+USAGE = (  # how to write --vary, for messages
     "write it as KEY=LO:HI, KEY=LO:HI:LEVELS, KEY=A,B,C, KEY=log(LO:HI), KEY=normal(MEAN,SD,LO,HI), "
     "KEY=lognormal(MEDIAN,SIGMA,LO,HI) or KEY=triangular(LO,MODE,HI); *= for factors, += for offsets; engine alone: by "
     "its [uncertainty]"
@@ -74,7 +74,7 @@ class Triangular(Model):
         return self
 
 
-CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}
+CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}  # written as calls
 
 
 class Correlation(Model):

@@ -22,12 +22,12 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import CASE, Vary
-from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
+from cosim.campaign.study.engine_draw import MIN_QUANTILE, EngineDraw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
-# Draws are made in blocks of a power of two, which Sobol's sequence needs.
+# draws at once, a power of 2 for Sobol
 BLOCK = 1024
 POINTS, SEEDS = 0, 1  # indices of a seed's random streams
 
@@ -41,7 +41,7 @@ class Draw:
     values: dict[str, Value]
 
 
-T = TypeVar("T")
+T = TypeVar("T")  # type of the items
 
 
 class LazySequence(Sequence[T]):
@@ -190,11 +190,11 @@ class LatinHypercube:
         if self._points is None:
             study = self._study
             points = latin_hypercube(_generator(study.seed), study.draws, self._sides)
-            self._points = reorder_points(np.maximum(points, SMALLEST), study.correlations(self._sides))
+            self._points = reorder_points(np.maximum(points, MIN_QUANTILE), study.correlations(self._sides))
         return self._points[first:end]
 
 
-DESIGNS: dict[str, Callable[[Study, int], Points]] = {
+DESIGNS: dict[str, Callable[[Study, int], Points]] = {  # sampler of each sampling
     "grid": Grid,
     "latin-hypercube": LatinHypercube,
     "random": Random,
@@ -219,7 +219,7 @@ def latin_hypercube(generator: np.random.Generator, draws: int, sides: int) -> A
 def _independent(seed: int, first: int, end: int, sides: int) -> Array:
     """Return independent points of the block that begins with the draw ``first``."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS, first // BLOCK)))
-    return np.maximum(random.random((end - first, sides)), SMALLEST)
+    return np.maximum(random.random((end - first, sides)), MIN_QUANTILE)
 
 
 def _generator(seed: int) -> np.random.Generator:
@@ -247,7 +247,7 @@ def _copula(study: Study) -> Callable[[Array], Array]:
         for row, side in enumerate(sides):
             # Summed in a fixed order: a matrix product's order of additions depends on the machine.
             together = sum(lower[row, column] * normal[:, column] for column in range(row + 1))
-            points[:, side] = np.clip(ndtr(together), SMALLEST, 1.0 - SMALLEST * 2.0)
+            points[:, side] = np.clip(ndtr(together), MIN_QUANTILE, 1.0 - MIN_QUANTILE * 2.0)
         return points
 
     return correlate

@@ -1,7 +1,7 @@
 """An engine drawn by its own ``[uncertainty]``: one draw for all engines of the vehicle, and one of spread for each.
 
 What is drawn flies and is not known to the controller: it stands under ``mismatch``.  Each parameter is normal about
-its nominal value, cut off at :data:`cosim.engine.fmu.uncertainty.CUT` standard deviations and at the FMU's limits.  The
+its nominal value, cut off at ``cosim.engine.fmu.uncertainty.MAX_SIGMA`` deviations and at the FMU's limits.  The
 common deviations are correlated through normal variables (a Gaussian copula), so that each keeps its distribution.
 """
 
@@ -26,7 +26,7 @@ from cosim.spec.scenario import Scenario
 ENGINE = "engine"  # the key that is varied so
 DRAWN_BY = "by the engine's [uncertainty]"
 # A quantile of 0 would be minus infinity under a normal distribution.
-SMALLEST = 2.0**-54
+MIN_QUANTILE = 2.0**-54
 HOW = (
     "hexjet engine from-bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary "
     "single parameters, vary mismatch.engine_parameters.NAME=LO:HI"
@@ -68,7 +68,7 @@ class EngineDraw:
     def named(self, name: str) -> dict[str, Value]:
         """Return the draw of this name by key: the same on every machine, of another name another one."""
         seed = int.from_bytes(sha256(name.encode()).digest())
-        points = np.maximum(np.random.default_rng(seed).random((1, self.sides)), SMALLEST)
+        points = np.maximum(np.random.default_rng(seed).random((1, self.sides)), MIN_QUANTILE)
         return {key.path: column[0] for key, column in zip(self.keys, self.values(points), strict=True)}
 
     def values(self, points: Array) -> list[list[Value]]:

@@ -13,15 +13,15 @@ from cosim.spec.vehicle import is_aircraft_path, is_file
 Value = float | int | str | bool
 Kind = Literal["float", "int", "bool", "choice"]
 
-# The units that the end of a name says, with _ for what stands between letters: m_s2; those with the longest end first.
+# Units at the end of a name, with _ between letters: m_s2; longest ending first.
 UNITS = (
     "kg m^2", "N m s", "N s/m", "m/s^2.5", "m/s^1.5", "rad/s", "deg/s", "m/s^3", "m/s^2", "1/s^2", "kg/s", "m/s", "1/s",
     "N m", "samples", "rad", "deg", "kg", "Hz", "dB", "m^2", "m", "N", "s",
 )  # fmt: skip
-ENDINGS = {"per_unit": "", "percent": "%"} | {
+ENDINGS = {"per_unit": "", "percent": "%"} | {  # unit by the ending of a name
     re.sub(r"[ /]", "_", unit).replace("^", "").replace(".", "").lower(): unit for unit in UNITS
 }
-ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a moment does
+ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # endings that would be read wrongly
 
 
 @dataclass(frozen=True)

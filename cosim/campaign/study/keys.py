@@ -37,9 +37,9 @@ from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
-WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries counted in steps
-LISTS = ("command", "disturbance", "fault")
-NOT_VARIED = (
+WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries counted in whole steps
+LISTS = ("command", "disturbance", "fault")  # tables of a scenario that are lists
+NOT_VARIED = (  # keys that no study may vary
     "controller_sha256",
     "controller_limit_s",
     "seed",
@@ -54,11 +54,11 @@ NOT_VARIED = (
     "engine_isolated",
     "limits",
 )
-CUSTOM_PARAMETERS = "controller_parameters."
-FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stations."
-OF_ENGINE = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)
-CUSTOM_TUNING = "vehicle.control.predictor.own."
-LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")
+CUSTOM_PARAMETERS = "controller_parameters."  # keys of a custom controller
+FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stations."  # keys of flown parameters
+OF_ENGINE = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)  # prefixes of engines' keys
+CUSTOM_TUNING = "vehicle.control.predictor.own."  # keys of predictors of plug-ins
+LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")  # index of an entry in a key
 
 
 def find_key(scenario: Scenario, text: str) -> Key:

@@ -14,8 +14,8 @@ from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
 from cosim.spec.scenario import Scenario, flown_parameters
 
-# prefixes of keys that change neither model nor stated vehicle
-UNSEEN = ("mismatch.", "command.", "controller_parameters.")
+# keys that change no model and no vehicle
+NOT_MODELLED = ("mismatch.", "command.", "controller_parameters.")
 
 
 def model_notes(study: Study) -> list[str]:
@@ -89,7 +89,7 @@ def _extreme_flights(study: Study) -> Iterator[Flight]:
     first_flights = [planned[n] for n in range(0, min(len(planned), max_flights * count), count)]
     chosen = {0}
     for key in study.drawn:
-        if not key.startswith(UNSEEN):
+        if not key.startswith(NOT_MODELLED):
             values = [flight.values[key] for flight in first_flights]
             chosen |= _extremes(values)
     for n in sorted(chosen):

@@ -21,12 +21,12 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.study.draws import Draw, inverse
-from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
+from cosim.campaign.study.engine_draw import MIN_QUANTILE, EngineDraw
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.study import Study
 
-# A coordinate beyond this maps to the value at it: 1 - 6e-16 is the last quantile below 1.
-FURTHEST = 8.0
+# Larger coordinates are clipped to it: 1 - 6e-16 is the last quantile below 1.
+MAX_SIGMA = 8.0
 
 
 class NormalSpace:
@@ -68,7 +68,7 @@ class NormalSpace:
 
         # Summed in a fixed order: a matrix product's order of additions depends on the machine.
         correlated = sum(np.outer(points[:, side], self._lower[:, side]) for side in range(self.dimension))
-        quantiles = np.clip(ndtr(np.clip(correlated, -FURTHEST, FURTHEST)), SMALLEST, 1.0 - SMALLEST * 2.0)
+        quantiles = np.clip(ndtr(np.clip(correlated, -MAX_SIGMA, MAX_SIGMA)), MIN_QUANTILE, 1.0 - MIN_QUANTILE * 2.0)
         columns = [column for transform in self._maps for column in transform(quantiles)]
         return [dict(zip(self._keys, row, strict=True)) for row in zip(*columns, strict=True)]
 

@@ -41,9 +41,9 @@ __all__ = [
 ]  # fmt: skip
 
 Design = Literal["grid", "latin-hypercube", "random", "sobol"]
-DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
+DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")  # kinds of sampling
 MAX_DRAWS = 10_000_000  # a year of one machine; more is a typo
-ROW_COLUMNS = {  # a row of the campaign has these itself
+ROW_COLUMNS = {  # columns of a row that no key may have
     "controller": "list controllers: each draw is flown with every one",
     "seed": "every draw has a seed of its own, made from the study's",
     "duration_s": "a row says under this name how long the flight lasted; set it with settings",

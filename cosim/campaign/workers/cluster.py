@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-# Chosen by us.
-CONNECT_S = 4.0  # s until a scheduler must have answered
-FIRST_WORKER_S = 10.0  # s until the scheduler must have a worker
-LOOK_S = 1.0  # s between counts of the workers
-MAX_IN_TASK = 64  # flights
+# s for a scheduler to answer
+MAX_CONNECT_S = 4.0  # s until a scheduler must have answered
+MAX_FIRST_WORKER_S = 10.0  # s until the scheduler has a worker
+CHECK_INTERVAL_S = 1.0  # s between counts of the workers
+MAX_IN_TASK = 64  # flights in one task
 
 
 class DaskWorkers:
@@ -98,13 +98,13 @@ class DaskWorkers:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                return self._dask.Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="hexjet")
+                return self._dask.Client(scheduler, timeout=MAX_CONNECT_S, set_as_default=False, name="hexjet")
             except (OSError, ValueError, TypeError) as error:
                 raise InputError(f"cluster {address}: {_line(error)}") from error
 
     def _check_workers(self) -> None:
         """Refuse workers that would fly something else."""
-        end = monotonic() + FIRST_WORKER_S
+        end = monotonic() + MAX_FIRST_WORKER_S
         while not (workers := self._threads.look()):
             if monotonic() > end:
                 option = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
@@ -181,12 +181,12 @@ class _Threads:
     def __init__(self, client: Any) -> None:
         self._client = client
         self._by_worker: dict[str, int] = {}
-        self._counted_at = -LOOK_S
+        self._counted_at = -CHECK_INTERVAL_S
         self._last_worker_at = monotonic()  # when a worker was last connected
 
     @property
     def count(self) -> int:
-        if monotonic() > self._counted_at + LOOK_S:
+        if monotonic() > self._counted_at + CHECK_INTERVAL_S:
             self.look()
         return sum(self._by_worker.values())
 
@@ -198,7 +198,7 @@ class _Threads:
     def look(self) -> dict[str, int]:
         """Ask for the number of threads by worker."""
         with suppress(OSError, TimeoutError):
-            self._by_worker = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=CONNECT_S))
+            self._by_worker = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=MAX_CONNECT_S))
         self._counted_at = monotonic()
         if self._by_worker:
             self._last_worker_at = self._counted_at
@@ -240,7 +240,7 @@ class _Tasks:
     def collect(self) -> Iterator[Row]:
         """Wait until a task ends, though not for long, and give the rows of all that have."""
         with suppress(Empty):
-            future = self._finished.get(timeout=LOOK_S)
+            future = self._finished.get(timeout=CHECK_INTERVAL_S)
             while True:
                 yield from self._rows(future)
                 future = self._finished.get_nowait()
@@ -292,7 +292,7 @@ class _Tasks:
             self._packed = None
             return
         try:
-            rows: list[Row] = future.result(timeout=CONNECT_S)
+            rows: list[Row] = future.result(timeout=MAX_CONNECT_S)
         except _dask().KilledWorker as error:
             yield from self._after_losses(batch, error)
         except (TimeoutError, CancelledError):
@@ -360,7 +360,7 @@ def _dask() -> Any:
 
 
 def _scheduler_at(address: str) -> str:
-    """Return the address of a scheduler that answers within ``CONNECT_S``.  Raises InputError if none does."""
+    """Return the address of a scheduler that answers within ``MAX_CONNECT_S``.  Raises InputError if none does."""
     if address.endswith(".json"):
         try:
             scheduler = str(read_json(Path(address))["address"])
@@ -372,7 +372,7 @@ def _scheduler_at(address: str) -> str:
 
     def ask() -> None:
         try:
-            answer.append(asyncio.run(asyncio.wait_for(_identity(scheduler), CONNECT_S)))
+            answer.append(asyncio.run(asyncio.wait_for(_identity(scheduler), MAX_CONNECT_S)))
         except Exception as error:
             answer.append(error)
 
@@ -381,7 +381,7 @@ def _scheduler_at(address: str) -> str:
     asking.join()
     if isinstance(answer[0], (OSError, TimeoutError)):
         raise InputError(
-            f"cluster {address}: no scheduler answers within {CONNECT_S:g} s; one is started with: dask scheduler"
+            f"cluster {address}: no scheduler answers within {MAX_CONNECT_S:g} s; one is started with: dask scheduler"
         ) from answer[0]
     if isinstance(answer[0], BaseException):
         hint = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""

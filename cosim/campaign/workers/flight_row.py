@@ -46,13 +46,13 @@ Value = float | int | str | bool | None
 Row = dict[str, Value]
 Kinds = dict[str, type[Value]]
 
-_FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
+_FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}  # columns before the varied keys
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
-KEY = "key"  # hash of what was flown
-MARGIN_OF = "margin_"  # and a requirement's name: its margin
-# The smallest margin of the flight's own limits and expectations, in their scales.
+KEY = "key"  # column: hash of what was flown
+MARGIN_OF = "margin_"  # prefix of columns of margins
+# Column with the smallest scaled margin of the flight's own limits and expectations.
 LIMITS_MARGIN = "limits_margin"
-_LAST: Kinds = {
+_LAST: Kinds = {  # columns after the metrics
     "controller_sha256": str,
     "controller_repeatable": bool,
     "log_sha256": str,
@@ -62,12 +62,12 @@ _LAST: Kinds = {
     "worker": str,
     KEY: str,
 }
-# the one rule for flights without a verdict: there is no such vehicle, say, or no such scenario
+# The rule for flights that cannot be flown, for example because there is no such vehicle.
 NOT_FLOWN = (
     "what cannot be flown is no success wherever flights are counted, refutes no claim, and is no failure that a "
     "search finds"
 )
-_KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
+_KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}  # column type of each kind of key
 
 
 def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:

@@ -40,14 +40,14 @@ if TYPE_CHECKING:
 Fly = Callable[["Study", "Flight"], Row]
 Failed = Callable[["Study", "Flight", str], Row]
 
-LOOK_S = 1.0  # s between checks for ended processes
-# So long after its limit a flight ends its process by itself, should nobody be there to do it.
+CHECK_INTERVAL_S = 1.0  # s between checks for ended processes
+# s after its time limit at which a worker process ends itself, if nobody else did.
 BACKSTOP_S = 10.0
-START_LIMIT_S = 60.0  # s; half a second is usual
-# Where so many processes in a row end before they are ready, something else is wrong.
+MAX_START_S = 60.0  # s; 0.5 s is usual
+# If this many processes in a row end before they are ready, something else is wrong.
 MAX_FAILED_STARTS = 8
-READY = "ready"
-_COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"
+READY = "ready"  # message of a process that is ready
+_COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1]), sys.argv[2])"  # code of a worker
 
 
 class LocalWorkers:
@@ -136,7 +136,7 @@ class LocalWorkers:
     def _patience(self, limit: float) -> float:
         busy = [process for process in self._processes if process.queued]
         ends = [process.active_since + limit for process in busy if process.active_since is not None]
-        return max(0.0, min([LOOK_S, *(end - time.monotonic() for end in ends)]))
+        return max(0.0, min([CHECK_INTERVAL_S, *(end - time.monotonic() for end in ends)]))
 
     def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
         """Put back the flights of a lost process; yield a failed row for a flight that has lost too many processes."""
@@ -234,7 +234,7 @@ class _Process:
 
     @property
     def is_alive(self) -> bool:
-        if self.active_since is None and time.monotonic() > self._begun + START_LIMIT_S:
+        if self.active_since is None and time.monotonic() > self._begun + MAX_START_S:
             return False
         return self._process.poll() is None or self.connection.poll()
 
@@ -266,7 +266,7 @@ class _Process:
         return bool(is_busy) and time.monotonic() > (self.active_since or 0.0) + limit and not self.connection.poll()
 
     def describe_end(self) -> str:
-        not_ready = f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
+        not_ready = f"was not ready after {MAX_START_S:g} s, as on a machine with too much to do"
         running = "closed its connection" if self.active_since is not None else not_ready
         return self._process.describe_end(1.0) or running
 

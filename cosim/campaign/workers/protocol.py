@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-# A flight that took so many processes with it is given up.
+# processes that a flight may crash
 MAX_LOSSES = 3
 
 

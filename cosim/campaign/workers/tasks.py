@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 from cosim.base.errors import FlightError
 from cosim.campaign.workers.local import LocalWorkers
 
-T = TypeVar("T")
-R = TypeVar("R")
+T = TypeVar("T")  # type of the tasks
+R = TypeVar("R")  # type of the results
 
 
 @dataclass(frozen=True)

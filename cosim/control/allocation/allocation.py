@@ -21,11 +21,11 @@ from cosim.base.signals import AXES, NO_JETS, ZERO3, Actuation, JetHealth, PerJe
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 
-# Fraction of hover thrust below which tilts are not enlarged further.
-LEAST_SHARE: Final = 0.25
-# A jet whose throttle changes by less than this per collective counts as constant.
+# Below this fraction of hover thrust tilts are not enlarged further.
+MIN_HOVER_FRACTION: Final = 0.25
+# A smaller change of throttle per collective counts as constant.
 _MIN_SLOPE: Final = 1e-9
-# Compiled code finds these without looking in a dictionary.
+# Compiled code calls these directly, without a look-up by name.
 _ACTUATION: Final = Actuation
 _UNALLOCATED: Final = Unallocated
 
@@ -110,8 +110,8 @@ class TiltAllocator:
         left, right = c + r, c - r
 
         thrust_ratio = (c + self._idle) / self._hover_thrust
-        if thrust_ratio < LEAST_SHARE:
-            thrust_ratio = LEAST_SHARE
+        if thrust_ratio < MIN_HOVER_FRACTION:
+            thrust_ratio = MIN_HOVER_FRACTION
         # Where everything fits the residual must be exactly 0, without rounding: integrals stop at any residual.
         limit = self._range
         p = self.pitch_sign * pitch / thrust_ratio
@@ -162,11 +162,11 @@ class TiltAllocator:
         c = collective if up >= least and extra == missing else plan.centre + above + extra
         throttle = tuple([clip(throttles[i], low, high) if frees[i] else at_roll[i] for i in jets])
 
-        thrust_ratio = max(LEAST_SHARE, (c + self._idle) / self._hover_thrust)
+        thrust_ratio = max(MIN_HOVER_FRACTION, (c + self._idle) / self._hover_thrust)
         constant, per_up, per_roll, per_boost = plan.pitch
         pitch_residual = constant + above * per_up + r * per_roll + extra * per_boost
         # The tilt balances the pitch moment that the throttles leave.
-        balance = -pitch_residual / (self._lever * max(LEAST_SHARE, self._idle + c))
+        balance = -pitch_residual / (self._lever * max(MIN_HOVER_FRACTION, self._idle + c))
         tilt = self.pitch_sign * pitch / thrust_ratio + balance
         p = clamp(tilt, self._range)
         y = clamp(yaw / thrust_ratio, self._range - abs(p))

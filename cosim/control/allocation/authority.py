@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-DOWN: Final = 2  # the row of body z in force and moment
-# Fraction of a range to a second start, where the linear programs of a climb may have no answer.
-OFFSET: Final = 0.1
+DOWN: Final = 2  # row of body z in forces and moments
+# Fraction of a range for a second start, because the linear programs may fail from the first.
+SHIFT: Final = 0.1
 
 
 class Range(NamedTuple):
@@ -198,9 +198,7 @@ class Reach:
         scale = self._weight / len(thrust)
         low, high = np.concatenate([self._least / scale, self._low]), np.concatenate([self._most / scale, self._high])
         start = np.clip(np.concatenate([thrust / scale, at]), low, high)
-        offset = (
-            start + OFFSET * (0.5 * (low + high) - start) + OFFSET**2 * (high - low) * np.cos(np.arange(len(start)))
-        )
+        offset = start + SHIFT * (0.5 * (low + high) - start) + SHIFT**2 * (high - low) * np.cos(np.arange(len(start)))
         best = self._optimise(objective, start, low, high)
         return best if best > -inf else self._optimise(objective, np.clip(offset, low, high), low, high)
 
@@ -223,7 +221,7 @@ class Reach:
 
         # Rows that nothing changes would make the program infeasible, so they are checked here directly.
         middle = 0.5 * (low + high)
-        offset = middle + OFFSET * (high - low) * np.cos(np.arange(len(middle)))
+        offset = middle + SHIFT * (high - low) * np.cos(np.arange(len(middle)))
         changes = np.hstack([rows @ wrench_of(x)[1] * (high > low) for x in (start, middle, offset)])
         sides, sizes, _ = np.linalg.svd(changes, full_matrices=False)
         active = sides[:, sizes > 1e-9 * max(sizes[0], 1e-300)].T

@@ -25,36 +25,27 @@ from typing import Final, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import Layout
-from cosim.base.signals import (
-    NO_JETS,
-    ZERO3,
-    Actuation,
-    JetHealth,
-    PerJet,
-    PerServo,
-    Unallocated,
-    Vector3,
-)
+from cosim.base.signals import NO_JETS, ZERO3, Actuation, JetHealth, PerJet, PerServo, Unallocated, Vector3
 from cosim.control.allocation._effectiveness import Solver
 
-# Indices of the rows.
+# Rows of the force and moment demand.
 ROLL: Final = 0
 PITCH: Final = 1
 LIFT: Final = 2
 YAW: Final = 3
 FORWARD: Final = 4
 RIGHT: Final = 5
-LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
-HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of the lowest priority
+LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))  # rows, most important first
+HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of lowest priority
 AHEAD: Final = ((FORWARD,),)  # row added in forward flight
-# rad, of a tilt from the force that is wanted; chosen by us: the front turned back and the rear ahead, against each
-# other, is a solution that no small step leads out of
+# rad between a tilt and the force demanded. Chosen by us: beyond it there are solutions with front and rear turned
+# against each other, from which no small step leads out.
 MAX_SWING: Final = 0.6
-# Residuals below this fraction of the weight, or times the radius of gyration, are rounding.
-EXACT: Final = 1e-10
-# Most Newton iterations in a step, where two are usual, and without a previous solution.
-PASSES: Final = 6
-FIRST_PASSES: Final = 60
+# Residuals below this fraction of weight, or of weight times radius of gyration, are rounding.
+TINY: Final = 1e-10
+# Newton iterations in a step (two are usual), and without a previous solution.
+MAX_ITERATIONS: Final = 6
+MAX_FIRST: Final = 60
 
 
 class Effector(NamedTuple):
@@ -159,7 +150,7 @@ class EffectivenessAllocator:
         ] + [(effector.upper - effector.lower) / effector.effort for effector in effectors]
         self._described = _describe_effectors(model)
         try:
-            self._solver = Solver(*self._described, self._scales, self._norms, self._weight, EXACT)
+            self._solver = Solver(*self._described, self._scales, self._norms, self._weight, TINY)
         except ValueError as error:
             raise InputError(f"{name}: jets, hinges, surfaces, control.allocation: {error}") from error
         self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
@@ -204,7 +195,7 @@ class EffectivenessAllocator:
         self._last = [even] * self._jets + [effector.rest for effector in self._effectors]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
         usual, self._levels = self._levels, [*LEVELS, *HORIZONTAL]
-        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        found, missing = self._solve(wanted, self._weight, MAX_FIRST, False)
         self._levels = usual
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
         self.is_balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
@@ -222,7 +213,7 @@ class EffectivenessAllocator:
     def trim(self, collective: float) -> PerJet:
         """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
-        found, _ = self._solve(wanted, wanted[LIFT], FIRST_PASSES, False)
+        found, _ = self._solve(wanted, wanted[LIFT], MAX_FIRST, False)
         return self._shares(found)
 
     @property
@@ -252,8 +243,8 @@ class EffectivenessAllocator:
         """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
 
         Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
-        found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
-        return found, [0.0 if -EXACT <= m * norm <= EXACT else m for m, norm in zip(missing, self._norms, strict=True)]
+        found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, MAX_FIRST, False)
+        return found, [0.0 if -TINY <= m * norm <= TINY else m for m, norm in zip(missing, self._norms, strict=True)]
 
     def unit_changes(self, axis: int) -> tuple[list[float], list[float]]:
         """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
@@ -300,7 +291,7 @@ class EffectivenessAllocator:
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
         """
         lift = self.total_thrust(collective)
-        found, missing = self._solve(self._wanted(lift, torque, added), lift, PASSES, True)
+        found, missing = self._solve(self._wanted(lift, torque, added), lift, MAX_ITERATIONS, True)
         return self._actuation(found, missing)
 
     def _wanted(self, lift: float, torque: Vector3, added: Vector3) -> list[float]:
@@ -349,7 +340,7 @@ class EffectivenessAllocator:
             self._servo_limits[tilt] = (max(low, middle - MAX_SWING), min(high, middle + MAX_SWING))
         self._preferred = self._shared(cos(along) * cos(along))
         self._levels = self._levels_ahead
-        found, missing = self._solve(wanted, whole, PASSES, True)
+        found, missing = self._solve(wanted, whole, MAX_ITERATIONS, True)
         self._neutral, self._preferred, self._servo_limits, self._levels = neutral, preferred, servo_limits, levels
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
@@ -374,7 +365,7 @@ class EffectivenessAllocator:
         """Return the actuation of a solution, from which the next step begins, with ``missing`` per axis."""
         self._last = found
         for row in range(6):
-            if -EXACT <= missing[row] * self._norms[row] <= EXACT:
+            if -TINY <= missing[row] * self._norms[row] <= TINY:
                 missing[row] = 0.0
         roll = pitch = yaw = 0.0
         if missing[ROLL] or missing[PITCH] or missing[YAW]:

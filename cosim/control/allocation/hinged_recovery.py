@@ -34,26 +34,27 @@ from typing import Final, NamedTuple
 from cosim.base.limits import clamp
 from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
-    EXACT,
-    FIRST_PASSES,
     FORWARD,
     HORIZONTAL,
     LEVELS,
     LIFT,
+    MAX_FIRST,
+    MAX_ITERATIONS,
     MAX_SWING,
-    PASSES,
     PITCH,
     RIGHT,
     ROLL,
+    TINY,
     YAW,
     AllocationModel,
     EffectivenessAllocator,
     SolverOptions,
 )
 
-# Lift deficit over the weight from which on hinges are kept near the most lift; chosen by us.
+# Lift deficit over weight from which hinges stay close to the largest lift. Chosen by us: the altitude loop corrects 1
+# %.
 MAX_LIFT_DEFICIT: Final = 0.01
-# What hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust.
+# Rows that hinges serve at reported thrusts: where they carry engines, and where they only deflect thrust.
 TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
 DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
 
@@ -130,7 +131,7 @@ class HingedRecovery(EffectivenessAllocator):
             self._short = self._lifts(servos)
             if self._short:
                 reach, stand = self._near(self._lifting), self._lifting
-        turning, missing = self._beside(wanted, servos, reach, stand, PASSES, True)
+        turning, missing = self._beside(wanted, servos, reach, stand, MAX_ITERATIONS, True)
         self._turning_on = self._turns_on(wanted, missing, turning)
         if self._carriers:
             given, enough = lift - missing[LIFT], (1.0 - MAX_LIFT_DEFICIT) * self._weight
@@ -164,7 +165,7 @@ class HingedRecovery(EffectivenessAllocator):
         ]
         wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
         options = SolverOptions(self._carrying, self._thrust_limits, [*LEVELS, *HORIZONTAL], reach, stand)
-        return self._solve(wanted, lift, PASSES, False, options)
+        return self._solve(wanted, lift, MAX_ITERATIONS, False, options)
 
     def _lifts(self, servos: list[float], unbalanced: float = 100.0) -> bool:
         """Return whether the reported thrusts cannot hold the weight in balance; then hinges follow the most lift.
@@ -172,9 +173,9 @@ class HingedRecovery(EffectivenessAllocator):
         ``unbalanced``: the cost of missing roll and pitch against missing lift, where that is searched for.
         """
         rest, weight = self._neutral, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
-        starts, passes = [self._lifting], PASSES
+        starts, passes = [self._lifting], MAX_ITERATIONS
         if not self._lifting:
-            starts, passes = [rest, servos], FIRST_PASSES
+            starts, passes = [rest, servos], MAX_FIRST
             for number in self._carriers:
                 starts += [[*rest[:number], end, *rest[number + 1 :]] for end in self._servo_limits[number]]
         found = [self._beside(weight, start, self._servo_limits, rest, passes, False) for start in starts]
@@ -213,7 +214,7 @@ class HingedRecovery(EffectivenessAllocator):
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
-        if all(-EXACT <= missing[row] * self._norms[row] <= EXACT for row in (ROLL, PITCH)):
+        if all(-TINY <= missing[row] * self._norms[row] <= TINY for row in (ROLL, PITCH)):
             return False
         lag = self._lag
         coming = [max(0.0, f + lag.delay * up) for f, up in zip(self._reported, self._rising, strict=True)]

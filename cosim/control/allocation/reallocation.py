@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-# Fraction of hover thrust kept either way for height while roll is used: 1.5 m/s^2 of climb, chosen by us; then
-# fractions of that reserve, tried in turn, since an engine that runs away leaves little room downward.
+# Chosen by us: fraction of hover thrust kept either way for height while roll is used, 1.5 m/s^2 of climb; then
+# fractions of that reserve, tried in turn, because a runaway engine leaves little room downwards.
 _RESERVE, _RESERVE_FALLBACKS = 0.15, (1.0, 0.5, 0.25, 0.1)
 
 

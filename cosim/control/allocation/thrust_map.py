@@ -10,7 +10,7 @@ from typing import NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.signals import PerJet
 
-# A curve closer to its chord than this fraction of the thrust between throttle 0 and 1 counts as a straight line.
+# A curve closer to its chord than this fraction of the thrust range counts as straight.
 MAX_BEND = 1e-9
 
 

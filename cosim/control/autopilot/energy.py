@@ -12,7 +12,7 @@ from math import hypot, log
 
 from cosim.base.protocols import Report
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.guidance.course import SLOW, Course
+from cosim.control.autopilot.guidance.course import MAX_ENTRY_M_S, Course
 from cosim.control.autopilot.guidance.descent import descent_rate
 from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
 
@@ -138,7 +138,7 @@ class Energy:
         """Return where the vehicle comes to rest if it stops now, and after how long [s]; as the set-point brakes."""
         p, fix = self._parameters, self._estimates.fix
         (north, east), (vn, ve), speed = fix.position, fix.velocity, hypot(*fix.velocity)
-        if speed < SLOW:
+        if speed < MAX_ENTRY_M_S:
             return fix.position, 0.0
         braking, rounding = speed / p["HJ_ACC_HOR"], p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"]
         seconds = braking + rounding

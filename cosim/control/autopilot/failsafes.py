@@ -17,10 +17,10 @@ from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
 
 Act = Callable[[int, str], None]  # called with an action and its reason
-OUTSIDE = "outside the fence"
-# Estimates in place of these sensors get worse with time.
+OUTSIDE = "outside the fence"  # begins the reason of the fence
+# Estimates without these sensors get worse with time.
 _LAND_AT_ONCE_ON = ("attitude lost", "gyro lost")
-_RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
+_RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3  # levels of the fuel failsafe
 
 
 class FailsafeMonitor:

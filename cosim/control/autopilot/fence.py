@@ -11,8 +11,8 @@ from math import hypot
 
 from cosim.control.autopilot.requests import FenceZone, ZoneKind
 
-_IN = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_IN_CIRCLE)
-_CIRCLES = (ZoneKind.STAY_IN_CIRCLE, ZoneKind.STAY_OUT_OF_CIRCLE)
+_IN = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_IN_CIRCLE)  # zones that the vehicle must stay inside
+_CIRCLES = (ZoneKind.STAY_IN_CIRCLE, ZoneKind.STAY_OUT_OF_CIRCLE)  # zones that are circles
 
 
 def measure_excess(zones: Sequence[FenceZone], north: float, east: float) -> tuple[float, str]:

@@ -32,7 +32,7 @@ from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
-# What failsafes do, the more cautious the later.
+# Modes of failsafes, more cautious ones later.
 _ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 
 

@@ -22,8 +22,8 @@ class Mode(Enum):
     ORBIT = "ORBIT"  # circles around the requested centre
 
 
-BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})
-DIRECT = frozenset({Mode.MANUAL, Mode.STABILIZED})
+BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})  # modes flown by sticks
+DIRECT = frozenset({Mode.MANUAL, Mode.STABILIZED})  # stick modes without height hold
 
 
 class LandedState(Enum):

@@ -17,7 +17,7 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
 
-# A gain may be at most so many times its default; chosen by us: beyond it no loop here is stable.
+# Chosen by us: largest gain over its default, because no loop here is stable beyond it.
 _MAX_GAIN_RATIO = 10.0
 
 
@@ -54,7 +54,7 @@ class Caution(NamedTuple):
     text: str
 
 
-NOTHING, HOLD, RETURN, LAND = range(4)  # what a failsafe does
+NOTHING, HOLD, RETURN, LAND = range(4)  # actions of failsafes
 _ACTIONS = (EnumValue(0, "message only"), EnumValue(1, "hold"), EnumValue(2, "return"), EnumValue(3, "land"))
 
 
@@ -105,11 +105,11 @@ class Parameters:
         self._values[name] = self.check(name, value)
 
 
-# By the level of a controller from outside the parameters of what it takes the place of: nobody would hear of a change.
+# Parameters that a custom controller replaces, by its level: changing them would have no effect.
 _PREDICTORS, _ANGLES = ("HJ_PRED_",), ("HJ_ATT_", "HJ_RLIM_")
-_RATES = tuple(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
-_HEIGHT = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN")
-_REPLACED: Mapping[str, tuple[str, ...]] = {
+_RATES = tuple(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")  # gains of the rate loops
+_HEIGHT = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN")  # parameters of the height loop
+_REPLACED: Mapping[str, tuple[str, ...]] = {  # parameters without effect, by level
     "predictor": _PREDICTORS,
     "rate": _PREDICTORS + _RATES,
     "attitude": _ANGLES,

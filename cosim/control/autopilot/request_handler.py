@@ -13,7 +13,7 @@ from cosim.control.autopilot.manoeuvres.remote import Setpoint
 from cosim.control.autopilot.modes import BY_STICK, Home, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Request, Result
 
-_MODE_REQUESTS: dict[Mode, Request] = {
+_MODE_REQUESTS: dict[Mode, Request] = {  # request that enters each mode
     Mode.TAKEOFF: rq.Takeoff(),
     Mode.LAND: rq.Land(),
     Mode.RTL: rq.ReturnHome(),
@@ -306,7 +306,7 @@ def _handle_link_return(pilot: FlightState, request: rq.LinkBack, k: int) -> Ans
     return accept()
 
 
-HANDLERS: dict[type[Any], Callable[[FlightState, Any, int], Answer]] = {
+HANDLERS: dict[type[Any], Callable[[FlightState, Any, int], Answer]] = {  # function for each type of request
     rq.Arm: _arm,
     rq.Disarm: _disarm,
     rq.Kill: _kill,

@@ -30,7 +30,7 @@ Index = Annotated[int, Bounds(0, 10_000)]
 
 # Chosen by us: more than a flight needs, and few enough to be checked within a step.
 MAX_MISSION_ITEMS = 1000
-MAX_ZONES, MAX_CORNERS, MAX_RALLY_POINTS = 50, 500, 100  # corners: of one polygon
+MAX_ZONES, MAX_CORNERS, MAX_RALLY_POINTS = 50, 500, 100  # corners are of one polygon
 
 
 class Result(Enum):
@@ -214,7 +214,7 @@ class ItemKind(Enum):
     LEFT_OUT = "left_out"
 
 
-_NEEDS = {
+_NEEDS = {  # fields that an item must have
     ItemKind.WAYPOINT: ("north", "east", "altitude"),
     ItemKind.TAKEOFF: ("altitude",),
     ItemKind.SPEED: ("speed",),
@@ -290,7 +290,7 @@ class ZoneKind(Enum):
     STAY_OUT_OF_CIRCLE = "stay_out_of_circle"
 
 
-_POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)
+_POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)  # zones that are polygons
 
 
 class FenceZone(CheckedRecord):
@@ -379,7 +379,7 @@ Request = (
     | OffboardAttitude | OffboardVelocity | OffboardPosition | MissionUpload | MissionStart | MissionSetCurrent
     | MissionClear | FenceUpload | RallyUpload | SetParameter | InjectFault | ClearFaults | LinkLost | LinkBack
 )  # fmt: skip
-_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}
+_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}  # request type by name
 
 
 def to_dict(request: Request) -> dict[str, Any]:

@@ -92,7 +92,7 @@ class LiveTuning:
         self._blocks.rate.retune(rate_gains(self._control, values), predictors)
 
 
-_RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")
+_RATE_NAMES = frozenset(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")  # gains of the rate loops
 
 
 def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]:

@@ -10,13 +10,13 @@ from cosim.base.protocols import Allocator, AttitudeLoop
 from cosim.base.signals import NO_JETS, UNKNOWN3, ZERO3, Actuation, Command, Disturbance, Measured, Unallocated, Vector3
 from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
-from cosim.control.altitude import LEAST_UPRIGHT, AltitudeController
+from cosim.control.altitude import MIN_UPRIGHT, AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.predictors.smith import DelayLine
 from cosim.control.rate import RateController
 from cosim.control.schedule import Scheduled
 
-FULLY_ALLOCATED = Unallocated(0.0, 0.0, 0.0, 0.0)
+FULLY_ALLOCATED = Unallocated(0.0, 0.0, 0.0, 0.0)  # nothing was left unallocated
 
 
 class CustomRate(Protocol):
@@ -52,7 +52,7 @@ class Demand:
     @property
     def upright(self) -> float:
         """Cosine of the lean, no less than the height loop makes up for."""
-        return max(LEAST_UPRIGHT, upright(self.measured.attitude))
+        return max(MIN_UPRIGHT, upright(self.measured.attitude))
 
 
 class Loops:

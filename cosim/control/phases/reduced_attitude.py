@@ -34,8 +34,8 @@ from cosim.spec.vehicle import Vehicle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# rad/s, spacing of the stored gains.
-_GRID: Final = 0.5
+# rad/s between the spins of stored gains.
+_SPIN_SPACING: Final = 0.5
 
 Gains = tuple[tuple[float, ...], ...]
 
@@ -132,7 +132,7 @@ class ReducedAttitude:
         predicted_direction, rate, moment = self._predict(direction, rate)
         state = (rate[0], rate[1], predicted_direction[0], predicted_direction[1], moment)
         gain = self._gains[failed]
-        position = min(abs(rate[2]) / _GRID, len(gain) - 1.001)
+        position = min(abs(rate[2]) / _SPIN_SPACING, len(gain) - 1.001)
         index = int(position)
         part = position - index
         command = 0.0
@@ -205,7 +205,7 @@ def linear_model(
 def feedback_gains(
     axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float, step: float = 0.01
 ) -> Gains:
-    """Return the feedback gains by spin, every ``_GRID`` from none to the ``last`` one, signed [rad/s].
+    """Return the feedback gains by spin, every ``_SPIN_SPACING`` from none to the ``last`` one, signed [rad/s].
 
     A lean of 1 rad weighs as much as a rate of 10 rad/s, and as a moment of 100 rad/s^2: the first lean, of less than
     half a radian, then takes less than the pair has to give beside the weight.  ``step`` of the recursion [s]: short
@@ -229,7 +229,7 @@ def feedback_gains(
         if k <= count:
             spins.append(abs(spin))
             gains.append(gain)
-    grid = np.arange(0.0, abs(last) + _GRID, _GRID)
+    grid = np.arange(0.0, abs(last) + _SPIN_SPACING, _SPIN_SPACING)
     table = np.array([np.interp(grid, spins[::-1], column[::-1]) for column in np.array(gains).T]).T
     return tuple([tuple(row) for row in table.tolist()])
 

@@ -34,21 +34,21 @@ from cosim.base.limits import clamp
 from cosim.base.protocols import Column
 from cosim.base.signals import Actuation, Command, Measured, Unallocated, Vector3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.control.altitude import MIN_UPRIGHT
 from cosim.control.phases.law import Demand, FlightLaw, Loops
 from cosim.spec.vehicle import WingControl
 
-# kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
-DENSITY: Final = 1.225
-# The nose leads by at most this fraction of the largest angle of attack.  Chosen by us, by flights in wind from behind:
-# where lift is missing the height loop asks for more for good, which bends no path, and the nose would rise to a stall.
-MAX_LEAD: Final = 0.25
+# kg/m^3, standard atmosphere (ISO 2533), because there is no sensor for density.
+DENSITY_0: Final = 1.225
+# The nose leads by at most this fraction of the largest angle of attack. Chosen by us by flights in tailwind: missing
+# lift raises the height loop's demand for good, which bends no path, and the nose would rise to a stall.
+MAX_LEAD_FRACTION: Final = 0.25
 
 
 def dynamic_pressure(measured: Measured) -> float:
     """Return the dynamic pressure [Pa] of the speed ahead over the ground, in still standard air; 0 backwards."""
     ahead = rotate(conjugate(measured.attitude), measured.velocity)[0]
-    return 0.5 * DENSITY * ahead * ahead if ahead > 0.0 else 0.0
+    return 0.5 * DENSITY_0 * ahead * ahead if ahead > 0.0 else 0.0
 
 
 def speeds(measured: Measured) -> tuple[float, float]:
@@ -212,14 +212,14 @@ class WingFlight(FlightLaw):
         self._acceleration = acceleration + self._gain * error + self._integral
         self._speed = speed
         opening = clamp(max(speed, 0.0) / open_speed, 1.0)
-        self._pressure = 0.5 * DENSITY * speed * speed
+        self._pressure = 0.5 * DENSITY_0 * speed * speed
         alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, least_pressure))
         self._alpha += step / (self._alpha_lag + step) * (alpha - self._alpha)
         self._path = path = opening * clamp(atan2(-down, max(speed, open_speed)), steepest_rad)
         # A path that bends turns the nose too, and attitude follows late. The angle of attack missing until then would
         # cost lift, at 25 m/s more than half of what the height loop commands.
         bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, open_speed)
-        path += clamp(self._lag * bend, MAX_LEAD * self._alphas[1])
+        path += clamp(self._lag * bend, MAX_LEAD_FRACTION * self._alphas[1])
         roll, pitch, heading = command.attitude
         bank = clamp(self._aside_gain * side_speed / GRAVITY, self._most_bank)
         attitude = (roll - bank, pitch + path + self._alpha, heading)
@@ -236,7 +236,7 @@ class WingFlight(FlightLaw):
         c, s = cos(pitch), sin(pitch)
         along = ahead * c + up * s
         self._vertical = vertical - max(0.0, along) * s  # the thrust of a raised nose adds lift
-        return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
+        return WingDemand(along, (up * c - ahead * s) / max(MIN_UPRIGHT, cos(roll)), -moment)
 
     def report_residual(self, ahead: float, unallocated: Unallocated, margin: float = 0.005) -> Unallocated:
         """Return the allocation residual as the loops are to know it, and keep that of the force ahead [N].

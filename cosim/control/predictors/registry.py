@@ -26,8 +26,8 @@ from cosim.spec.vehicle import PredictorTuning, RateModel
 if TYPE_CHECKING:
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
-_NAME = re.compile(r"[a-z][a-z0-9-]*")
-_MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
+_NAME = re.compile(r"[a-z][a-z0-9-]*")  # form of a predictor's name
+_MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")  # form of a MAVLink parameter's name
 
 Own = Mapping[str, float]  # parameter values by name
 
@@ -110,7 +110,7 @@ def number_of(name: str) -> int:
     return 1000 + crc32(name.encode()) % 60000
 
 
-_FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}
+_FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}  # fields of the built-in tuning
 
 
 class Registry(Mapping[str, PredictorSpec]):
@@ -284,7 +284,7 @@ def _smith_space(model: RateModel, own: Own) -> PredictorSpace:
     return SmithSpace(model, own.get("filter_s"))
 
 
-BASELINE = PredictorSpec(
+BASELINE = PredictorSpec(  # no predictor
     "baseline",
     "cascaded P and PID, fed with the measured rate",
     lambda model, own: NoPredictor(),
@@ -296,7 +296,7 @@ BASELINE = PredictorSpec(
     with_lead=True,
     compared=True,
 )
-SMITH = PredictorSpec(
+SMITH = PredictorSpec(  # Smith predictor
     "smith",
     "the same gains, fed with Smith's predictor (paper)",
     lambda model, own: SmithPredictor(model),
@@ -306,7 +306,7 @@ SMITH = PredictorSpec(
     automatic=True,
     compared=True,
 )
-FILTERED_SMITH = PredictorSpec(
+FILTERED_SMITH = PredictorSpec(  # filtered Smith predictor
     "filtered-smith",
     "Smith's predictor with a robustness filter: no offset under a constant disturbance (ours)",
     lambda model, own: FilteredSmithPredictor(model, *robustness_filter(model, own["filter_s"])),
@@ -321,14 +321,14 @@ FILTERED_SMITH = PredictorSpec(
     automatic=True,
     compared=True,
 )
-STATE = PredictorSpec(
+STATE = PredictorSpec(  # state predictor
     "state",
     "d-step state predictor with a double-integrator observer (paper)",
     _state,
     3,
     parameters=(_observer("observer_rad_s", "HJ_PRED_OBS"),),
 )
-PREDICTORS = Registry(
+PREDICTORS = Registry(  # all predictors by name
     [
         BASELINE,
         SMITH,

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 
-DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # of pressure, temperature, speed
+DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # from pressure, temperature and speed
 
-# Dry air and the standard atmosphere: ISO 2533:1975.
+# Dry air in the standard atmosphere, ISO 2533:1975: Pa, K, K/m at sea level.
 PRESSURE_0, TEMPERATURE_0, LAPSE = 101325.0, 288.15, 0.0065  # Pa, K, K/m
-TROPOPAUSE, STRATOSPHERE = 11000.0, 216.65  # m, K
+TROPOPAUSE, STRATOSPHERE = 11000.0, 216.65  # m, and K above it
 
 
 class Air(NamedTuple):
@@ -40,4 +40,4 @@ class Air(NamedTuple):
         return dict(zip(DERIVED, (altitude, mach, density, total, self.temperature * ram), strict=True))
 
 
-STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # at sea level, at rest
+STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # at sea level, at rest (ISO 2533)

@@ -34,7 +34,7 @@ from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, LIBRARY_SUFFIX, platform_folder
 
-TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
+TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}  # FMI types of scalar variables
 
 _archives: RecentCache[Archive] = RecentCache(64)
 

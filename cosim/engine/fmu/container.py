@@ -14,8 +14,8 @@ from xml.parsers import expat
 
 from cosim.base.removed import describe_removed
 
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # from zipfile, on bad archives
-DESCRIPTION = "modelDescription.xml"
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # zipfile's on damaged archives
+DESCRIPTION = "modelDescription.xml"  # file names in an FMU
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 
 
@@ -37,16 +37,16 @@ class ArchiveLimits(NamedTuple):
     max_name_bytes: int = 250
 
 
-LIMITS = ArchiveLimits()
+LIMITS = ArchiveLimits()  # limits of an archive
 
 
-# What both readers of the description, expat and FMPy's libxml2, take for the same characters.
+# Encodings that both readers of the description, expat and FMPy's libxml2, read alike.
 ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
-SYSTEM_FILES = {".ds_store", "thumbs.db", "desktop.ini"}
-METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # what FMI allows
-# Model exchange leaves the integration to us.  FMPy's CVode, restarted at every change of the throttle, takes 2.5 ms
-# (1e-5) to 5.3 ms (1e-10) for six engines of two states, which is as long as a control step; not restarted it is wrong
-# by a hundredth of full thrust, or fails.
+SYSTEM_FILES = {".ds_store", "thumbs.db", "desktop.ini"}  # left by file managers, ignored
+METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # compression that FMI allows
+# Refused interfaces. Model exchange leaves the integration to us: FMPy's CVode, restarted at each throttle change,
+# takes 2.5 ms (1e-5) to 5.3 ms (1e-10) for six engines of two states, as long as a control step; without restarts it is
+# wrong by 1 % of full thrust, or fails.
 INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
 
 

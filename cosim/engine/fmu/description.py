@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 from cosim.engine.fmu.container import BUILD_DESCRIPTION, DESCRIPTION, UnusableError, Zip, to_one_line
 
-# What FMPy says of a description that no step depends on.
+# FMPy's complaints about parts of a description that no step depends on.
 HARMLESS_VIOLATIONS = tuple(
     re.compile(text)
     for text in (
@@ -86,7 +86,7 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
     return description, tuple(complaints)
 
 
-# FMI's combinations of variability and causality; every other one has no default for ``initial``.
+# FMI's combinations of variability and causality; all others have no default of ``initial``.
 _COMBINED = {
     "constant": {"output", "local"},
     "fixed": {"structuralParameter", "parameter", "calculatedParameter", "local"},

@@ -22,9 +22,9 @@ from cosim.engine.fmu.slave import CallError, Slave
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import REALS, Variable
 
-STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}  # FMI status codes that are failures
 
-# Failure codes of the C loop and the messages for them.
+# Messages for the failure codes of the C loop.
 FAULTS = {
     "set": "setting its inputs returned {status}",
     "step": "doStep returned {status}",
@@ -37,7 +37,7 @@ FAULTS = {
     "input": "{port} is not finite",
 }
 
-# What the C loop passes values as: the number of each is that in its enum.
+# The C loop's enum of value types.
 VALUES = {
     "Real": 0, "Float64": 0, "Float32": 1, "Int8": 2, "UInt8": 3, "Int16": 4, "UInt16": 5, "Int32": 6, "Integer": 6,
     "UInt32": 7, "Int64": 8, "UInt64": 9,

@@ -21,13 +21,13 @@ from cosim.engine.fmu.units import (
 )
 from cosim.engine.fmu.variables import REALS, SWITCHES, THROTTLE_TYPES
 
-# In the order of the C loop.
+# inputs in the order of the C loop
 BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
-INPUTS = (*BASE, *DERIVED)
+INPUTS = (*BASE, *DERIVED)  # all inputs
 SIDE_LOADS = ("force_forward", "force_right", "torque")  # loads on the airframe beside thrust
-OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *SIDE_LOADS)
-AMBIENT = INPUTS[1:]
-NEEDED = ("throttle", "thrust")
+OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *SIDE_LOADS)  # all outputs
+AMBIENT = INPUTS[1:]  # inputs other than throttle
+NEEDED = ("throttle", "thrust")  # ports that every engine has
 
 
 class PortKind(NamedTuple):
@@ -44,7 +44,7 @@ class PortKind(NamedTuple):
     only_mapped: bool = False  # used only if a mapping names it
 
 
-KINDS: Mapping[str, PortKind] = {
+KINDS: Mapping[str, PortKind] = {  # quantity and types of each port
     "throttle": PortKind("input", RATIO, THROTTLE_TYPES),
     "ambient_pressure": PortKind("input", PRESSURE),
     "ambient_temperature": PortKind("input", TEMPERATURE),

@@ -42,7 +42,7 @@ class PortMap:
     rest_n: float = 0.0  # N, peak-to-peak ripple of steady thrust
 
 
-RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
+RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"  # advice for a throttle without range
 
 
 class PortError(ValueError):

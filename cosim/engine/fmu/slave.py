@@ -16,13 +16,13 @@ from typing import Any
 
 import cosim.engine._bank as _bank
 
-# The types of FMI's functions that get and set; a Boolean is a C int in FMI 2.0.
+# C types of FMI's getters and setters; a Boolean is a C int in FMI 2.0.
 _TYPES: dict[str, Any] = {
     "Real": c_double, "Float64": c_double, "Float32": ctypes.c_float, "Integer": c_int, "Boolean": c_bool,
     "Int8": ctypes.c_int8, "UInt8": ctypes.c_uint8, "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16,
     "Int32": ctypes.c_int32, "UInt32": c_uint32, "Int64": ctypes.c_int64, "UInt64": ctypes.c_uint64,
 }  # fmt: skip
-_NEEDED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Terminate", "FreeInstance")
+_NEEDED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Terminate", "FreeInstance")  # always needed
 
 
 class _Callbacks(ctypes.Structure):

@@ -2,7 +2,7 @@
 
 The parameters of an engine are ``nominal + u + v``: ``u`` is normal with covariance ``deviation_i correlation_ij
 deviation_j`` and the same for all engines of a vehicle, ``v`` is normal with the standard deviation ``spread_i``, drawn
-for each engine by itself.  Both are cut off at :data:`CUT` standard deviations and at the FMU's own limits: the common
+for each engine by itself.  Both are cut off at :data:`MAX_SIGMA` deviations and at the FMU's own limits: the common
 ones through a Gaussian copula, so that each parameter keeps its distribution whatever it is correlated with.
 """
 
@@ -20,9 +20,9 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import THROTTLE_TYPES, Variable
 
-# Standard deviations at which the format cuts distributions off: beyond them no identification is normal.
-CUT = 3.0
-# Of an eigenvalue: correlations are written with some three digits.
+# Standard deviations at which distributions are cut off: beyond them no identification is normal.
+MAX_SIGMA = 3.0
+# Smallest eigenvalue of a correlation, as correlations are written with about three digits.
 MIN_EIGENVALUE = 1e-3
 SETTABLE = ("", "fixed", "tunable")  # variabilities that can be set
 
@@ -144,7 +144,7 @@ class Uncertainty(Model):
 
     def describe(self, index: int) -> str:
         """Describe what the uncertainty of one parameter is, without the deviation itself."""
-        words = [f"standard deviation, cut off at {CUT:g} of it"]
+        words = [f"standard deviation, cut off at {MAX_SIGMA:g} of it"]
         if self.spreads[index]:
             words.append(f"{self.spreads[index]:g} between engines")
         correlated = [
@@ -179,12 +179,12 @@ def without_uncertainty(path: Path) -> bytes:
 
 
 def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -np.inf, high: float = np.inf) -> Array:
-    """Return quantiles of a normal distribution about each centre, cut off at :data:`CUT` deviations and at limits."""
+    """Return quantiles of a normal distribution about each centre, cut off at :data:`MAX_SIGMA` and at limits."""
     if not deviation:
         return centre
     from scipy.special import ndtr, ndtri
 
-    least = ndtr(np.maximum((low - centre) / deviation, -CUT))
-    most = ndtr(np.minimum((high - centre) / deviation, CUT))
+    least = ndtr(np.maximum((low - centre) / deviation, -MAX_SIGMA))
+    most = ndtr(np.minimum((high - centre) / deviation, MAX_SIGMA))
     drawn = centre + deviation * ndtri(least + quantiles * (most - least))
     return np.asarray(np.clip(drawn, low, high))  # rounding may exceed the limits

@@ -44,9 +44,9 @@ class UnitError(ValueError):
     """A unit does not serve: one clause that follows the variable's name."""
 
 
-# N, the international pound under standard gravity, both exact; then ft in m and lb in kg.
+# Exact: N in an international pound under standard gravity, then m in a foot and kg in a pound.
 POUND_FORCE = 0.45359237 * GRAVITY
-FOOT, POUND = 0.3048, 0.45359237
+FOOT, POUND = 0.3048, 0.45359237  # m in a foot, kg in a pound, both exact
 
 
 def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[float, float]]:
@@ -54,7 +54,7 @@ def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[flo
     return {name: (factor, offset) for names, factor in rows for name in names.split()}
 
 
-_PSI, _RPM = POUND_FORCE / 0.0254**2, UNITS["rpm"]["factor"]
+_PSI, _RPM = POUND_FORCE / 0.0254**2, UNITS["rpm"]["factor"]  # Pa, and rad/s per rpm
 FORCE = Quantity("a force", "N", _units(
     ("N newton", 1.0), ("mN", 1e-3), ("daN", 10.0), ("kN", 1e3), ("MN", 1e6), ("lbf lb_f lbs", POUND_FORCE),
     ("klbf", 1e3 * POUND_FORCE), ("kgf kp", GRAVITY), ("gf", GRAVITY * 1e-3),
@@ -96,7 +96,7 @@ MOMENT = Quantity("a moment", "N.m", _units(
 ))  # fmt: skip
 QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY, MOMENT)
 
-_PER_SECOND = exponents("1/s")
+_PER_SECOND = exponents("1/s")  # of a speed that may be rpm in disguise
 
 
 def find_unit(name: str, quantity: Quantity) -> tuple[float, float] | None:

@@ -7,10 +7,10 @@ from math import floor, inf
 
 from cosim.engine.fmu.units import Unit
 
-REALS = ("Real", "Float64", "Float32")
-INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
-THROTTLE_TYPES = (*REALS, *INTEGERS)
-SWITCHES = (*REALS, "Boolean", *INTEGERS)
+REALS = ("Real", "Float64", "Float32")  # FMI types that are floats
+INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")  # integer types
+THROTTLE_TYPES = (*REALS, *INTEGERS)  # types allowed for a throttle
+SWITCHES = (*REALS, "Boolean", *INTEGERS)  # types allowed for on and off
 # Value of an input or a parameter: a number, a Boolean, or the name of an enumeration's item.
 ConstantValue = bool | int | float | str
 

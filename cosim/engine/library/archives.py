@@ -24,16 +24,16 @@ from .description import (
     render_variables_header,
 )
 
-FMI_VERSIONS = (3, 2)
+FMI_VERSIONS = (3, 2)  # versions built for each engine
 
-# What FMI calls this system, and how a shared library's name ends on it.
+# FMI's name of this system, and the file ending of a shared library.
 _SYSTEM, LIBRARY_SUFFIX = {"win32": ("windows", ".dll"), "darwin": ("darwin", ".dylib")}.get(
     sys.platform, ("linux", ".so")
 )
 
-# The adapter that turns an engine model into a slave; fmi2.c or fmi3.c joins them.
+# Files of the adapter that makes a slave from an engine model, besides fmi2.c or fmi3.c.
 ADAPTER = ("engine.h", "slave.h", "slave.c")
-ADAPTER_GENERATED = ("variables.h", "buildDescription.xml")  # written from engine.toml
+ADAPTER_GENERATED = ("variables.h", "buildDescription.xml")  # files written from engine.toml
 
 # No fused multiply-add, so that every build computes the same bits.
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"

@@ -12,9 +12,9 @@ from typing import Any
 
 from .unit_table import UNITS
 
-FMI2_SUFFIX = "-fmi2"
+FMI2_SUFFIX = "-fmi2"  # suffix of an engine's FMI 2.0 version
 
-# What the co-simulation calls a variable -> what it must be, and the unit it must have.
+# Causality and unit of each variable that the co-simulation uses.
 PORTS = {
     "throttle": ("input", "1"),
     "run": ("input", "1"),
@@ -27,9 +27,9 @@ PORTS = {
     "fuel_flow": ("output", "kg/s"),
     "start": ("parameter", "1"),
 }
-REQUIRED_PORTS = {"throttle", "thrust"}
-FLAME_OUT = ("thrust_left", "run_down_s", "exponent", "relight_s")
-LEDGER = {"pole", "delay"}
+REQUIRED_PORTS = {"throttle", "thrust"}  # ports that every engine must have
+FLAME_OUT = ("thrust_left", "run_down_s", "exponent", "relight_s")  # keys of the table [flame_out]
+LEDGER = {"pole", "delay"}  # keys of the table [ledger]
 
 
 class BuildError(ValueError):

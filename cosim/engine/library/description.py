@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 from .definition import EngineDefinition, VariableDefinition
 from .unit_table import UNITS
 
-GENERATION_TOOL = "hexjet-cosim"
+GENERATION_TOOL = "hexjet-cosim"  # named in modelDescription.xml
 TIME = VariableDefinition("time", 0, "independent", False, "s", None, None, None, "Simulated time")
 
 

@@ -3,8 +3,8 @@
 Imports nothing, because the package's own build loads it by its path.
 """
 
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI's base units, in its order
-# Exponents of the base units, and a factor where it is not 1, as FMI wants them stated.
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # FMI's base units in its order
+# Exponents of the base units, and a factor if it is not 1, as FMI states them.
 UNITS: dict[str, dict[str, float]] = {
     "1": {},
     "N": {"kg": 1, "m": 1, "s": -2},

@@ -31,7 +31,7 @@ from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.runtime.host import python_command, serve_pipes
 from cosim.base.runtime.pipes import Pipes
-from cosim.base.signals import MOST_JETS
+from cosim.base.signals import MAX_JETS
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
 from cosim.engine._bank import Log
@@ -52,11 +52,11 @@ from cosim.engine.fmu.slave import CallError, Slave
 from cosim.engine.fmu.variables import INTEGERS, REALS
 from cosim.engine.library import LIBRARY_SUFFIX, platform_folder
 
-MAPPING = ".fmu.toml"
-_SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
-_STEP, _NUMBER = wire.frame_layout(0), 8  # of the step, and bytes of a number
-_ON_GROUND = "on_ground"  # a parameter set by the simulation
-_KINDS = {*REALS, *INTEGERS, "Boolean"}
+MAPPING_SUFFIX = ".fmu.toml"  # file ending of mappings
+_SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"  # code of the process with the FMU
+_STEP_HEADER, _NUMBER = wire.frame_layout(0), 8  # step number; bytes of a number
+_ON_GROUND = "on_ground"  # parameter that the simulation sets
+_KINDS = {*REALS, *INTEGERS, "Boolean"}  # FMI types of scalar variables
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,12 @@ class IncompleteError(UnusableError):
 
 def is_controller(path: Path) -> bool:
     """Return whether a file is an FMU with the outputs of a controller; False for an unreadable file too."""
-    if not path.name.lower().endswith((".fmu", MAPPING)):
+    if not path.name.lower().endswith((".fmu", MAPPING_SUFFIX)):
         return False
     try:
         read_controller_fmu(path)
     except InputError as error:
-        return path.name.lower().endswith(MAPPING) or isinstance(error.__cause__, IncompleteError)
+        return path.name.lower().endswith(MAPPING_SUFFIX) or isinstance(error.__cause__, IncompleteError)
     return True
 
 
@@ -106,7 +106,7 @@ def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> Cont
     ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
     """
     mapping, mapped = None, {}
-    if path.name.lower().endswith(MAPPING):
+    if path.name.lower().endswith(MAPPING_SUFFIX):
         table = read_toml(path)
         unknown = [key for key in table if key not in ("fmu", "ports")]
         if unknown or not isinstance(table.get("fmu"), str) or not isinstance(table.get("ports", {}), dict):
@@ -130,7 +130,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
     all_inputs, all_outputs, parameters = (
         [v for v in scalars if v.causality == causality] for causality in ("input", "output", "parameter")
     )
-    jets_known = range(1, MOST_JETS + 1)
+    jets_known = range(1, MAX_JETS + 1)
     if servos is None:
         servos = _servos([v.name for v in all_outputs], mapped)
     names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)]
@@ -348,7 +348,7 @@ class _Instance:
     def step(self, frame: bytes) -> bytes:
         """Return the numbers of the answer to a frame."""
         try:
-            k, numbers = int(_STEP.unpack_from(frame)[0]), self._in.unpack_from(frame, _NUMBER)
+            k, numbers = int(_STEP_HEADER.unpack_from(frame)[0]), self._in.unpack_from(frame, _NUMBER)
             if k == 0:
                 self._begin(numbers)
             else:

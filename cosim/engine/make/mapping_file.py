@@ -17,6 +17,7 @@ from cosim.engine.fmu.ports import PortFinding, look_for_ports
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.make.controller_fmu import is_controller
 
+# comment at the top of a mapping file
 _HEAD = """\
 # Ports of {fmu}, begun by hexjet engine map. What follows "# OPEN" is to be stated; others hold until you change them.
 # All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: hexjet fly hover --engine {file}

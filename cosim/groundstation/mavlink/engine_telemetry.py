@@ -9,9 +9,9 @@ from cosim.base.signals import PerServo
 from cosim.groundstation.mavlink.telemetry_state import I16, I32, U16, U32, TelemetryState, to_field
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
-# kg/m^3, because the fields hold fuel by volume: the middle of the range of Jet A-1 at 15 degC (ASTM D1655).
+# Fields hold fuel by volume: the middle of the range of Jet A-1 at 15 degC (ASTM D1655).
 KEROSENE_KG_M3 = 808.0
-_RPM = 30.0 / pi
+_RPM = 30.0 / pi  # rpm per rad/s
 
 
 def servo_output_raw(v: TelemetryState) -> list[Message]:

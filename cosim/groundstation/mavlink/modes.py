@@ -12,8 +12,8 @@ from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
 from cosim.groundstation.mavlink.telemetry_state import Personality
 from cosim.groundstation.mavlink.wire.dialect import mav
 
-AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
-# MAV_TYPE by number of engines: tricopter, quadrotor, hexarotor, octo-, deca- and dodecarotor.
+AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT in heartbeats
+# MAV_TYPE by number of engines: tricopter, quadrotor, hexa-, octo-, deca- and dodecarotor.
 _TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}
 
 
@@ -22,8 +22,8 @@ def vehicle_type(jets: int) -> int:
     return _TYPES.get(jets, int(mav.MAV_TYPE_GENERIC_MULTIROTOR))
 
 
-_AUTO = 4
-_PX4: dict[Mode, tuple[int, int]] = {
+_AUTO = 4  # PX4's main mode AUTO
+_PX4: dict[Mode, tuple[int, int]] = {  # PX4's main and sub mode
     Mode.MANUAL: (1, 0),
     Mode.ALTCTL: (2, 0),
     Mode.POSCTL: (3, 0),
@@ -36,7 +36,7 @@ _PX4: dict[Mode, tuple[int, int]] = {
     Mode.STABILIZED: (7, 0),
     Mode.ORBIT: (3, 1),  # a sub mode of position control
 }
-# ArduPilot flies to requested positions, and takes off, in GUIDED.
+# ArduCopter's modes; it flies to requested positions, and takes off, in GUIDED.
 _COPTER: dict[Mode, int] = {
     Mode.STABILIZED: 0,
     Mode.MANUAL: 0,
@@ -50,8 +50,8 @@ _COPTER: dict[Mode, int] = {
     Mode.OFFBOARD: 20,
     Mode.ORBIT: 7,  # CIRCLE
 }
-_FROM_PX4 = {value: mode for mode, value in _PX4.items()}
-# Modes of PX4 by main and sub mode that a station may ask for: the refusal names the mode.
+_FROM_PX4 = {value: mode for mode, value in _PX4.items()}  # inverse of _PX4
+# PX4 modes that are refused by name.
 UNSUPPORTED = {
     (_AUTO, 8): "follow-me",
     (_AUTO, 9): "precision landing",
@@ -60,7 +60,7 @@ UNSUPPORTED = {
     (8, 0): "rattitude",
     (10, 0): "termination",
 }
-_FROM_COPTER = {
+_FROM_COPTER = {  # modes that ArduPilot stations ask for
     0: Mode.STABILIZED, 2: Mode.ALTCTL, 3: Mode.MISSION, 4: Mode.HOLD, 5: Mode.POSCTL, 6: Mode.RTL, 9: Mode.LAND,
     16: Mode.POSCTL, 17: Mode.HOLD, 20: Mode.OFFBOARD,
 }  # fmt: skip
@@ -69,21 +69,21 @@ _FROM_COPTER = {
 STANDARD: dict[Mode, int] = {
     Mode.POSCTL: 1, Mode.ALTCTL: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
 }  # fmt: skip
-FROM_STANDARD = {value: mode for mode, value in STANDARD.items()}
+FROM_STANDARD = {value: mode for mode, value in STANDARD.items()}  # inverse of STANDARD
 
 # MAV_MODE_PROPERTY
 _ADVANCED, _AUTOMATIC = 1, 4
 
 
 class ModeLine(NamedTuple):
-    """One mode of AVAILABLE_MODES; the names are those that QGroundControl uses for PX4."""
+    """One mode of MODES; the names are those that QGroundControl uses for PX4."""
 
     mode: Mode
     name: str
     properties: int
 
 
-LIST = (
+MODES = (  # modes reported to stations
     ModeLine(Mode.MANUAL, "Manual", 0),
     ModeLine(Mode.STABILIZED, "Stabilized", 0),
     ModeLine(Mode.ALTCTL, "Altitude", 0),

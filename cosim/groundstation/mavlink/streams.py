@@ -35,7 +35,7 @@ class Stream:
         return [messages[turn % len(messages)]] if self.in_turn and messages else messages
 
 
-# Add a new stream at the end, because the time slots of each stream depend on its place in this list.
+# Add new streams at the end, because time slots depend on the place in this list.
 STREAMS = (
     Stream("HEARTBEAT", 1.0, telemetry.heartbeat),
     Stream("SYS_STATUS", 2.0, telemetry.sys_status),
@@ -80,17 +80,19 @@ STREAMS = (
 )
 
 MIN_INTERVAL_S = 0.004  # one control step
-BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
-DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
+BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}  # streams by message id
+DEFAULT_S: dict[int, float] = {  # by message id; 0: not sent
+    number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()
+}
 
-HEARTBEAT = BY_NAME["HEARTBEAT"].id
-# The phase of each message in its interval: multiples of the golden ratio spread evenly, so no two are close together.
+HEARTBEAT_ID = BY_NAME["HEARTBEAT"].id  # message id
+# Phase of each message in its interval: multiples of the golden ratio are spread evenly.
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
 
 def stream_interval(peer: Peer, number: int) -> float:
     """Return the seconds between two messages of a kind to a station; 0: it gets none unasked."""
-    return peer.intervals.get(number, DEFAULT[number])
+    return peer.intervals.get(number, DEFAULT_S[number])
 
 
 class Streams:
@@ -117,7 +119,7 @@ class Streams:
         slots = self._next
         next_slots: dict[tuple[int, float], float] = {}
         for number, stream in BY_ID.items():
-            default = DEFAULT[number]
+            default = DEFAULT_S[number]
             stations_by_interval: dict[float, list[Peer]] = {default: []} if default else {}
             for peer in peers:
                 every = stream_interval(peer, number)

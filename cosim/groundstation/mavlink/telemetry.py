@@ -12,7 +12,7 @@ from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
+from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, MODES, STANDARD, base_mode, custom_mode, vehicle_type
 from cosim.groundstation.mavlink.telemetry_state import (
     I16,
     I32,
@@ -27,19 +27,19 @@ from cosim.groundstation.mavlink.telemetry_state import (
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 from cosim.vehicle.atmosphere import standard_air, standard_density
 
-_GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
-_RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
-_GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30
-# The vehicle has no magnetometer, because attitude is measured with the heading; but MAVSDK never reports ready without
-# this bit.
+_GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32  # MAV_SYS_STATUS_SENSOR
+_RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768  # MAV_SYS_STATUS_SENSOR
+_GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30  # MAV_SYS_STATUS_SENSOR
+# Sensors reported as present. There is no magnetometer, as attitude is measured with the heading; but MAVSDK never
+# reports ready without this bit.
 _SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _POSITION | _MOTORS | _AHRS
 
 # MAV_PROTOCOL_CAPABILITY
 _CAPABILITIES = 2 | 4 | 8 | 32 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
-_BYTEWISE, _C_CAST = 16, 131072
-PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
+_BYTEWISE, _C_CAST = 16, 131072  # parameter encodings
+PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}  # its bit in the capabilities
 
-# HIGHRES_IMU_UPDATED_FLAGS: three axes each; absolute pressure and its height
+# HIGHRES_IMU_UPDATED_FLAGS: three axes of each; absolute pressure and its height.
 _FORCE_FIELDS, _GYRO_FIELDS, _BAROMETER_FIELDS = 0b111, 0b111_000, 1 << 9 | 1 << 11
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
@@ -322,15 +322,15 @@ def current_mode(v: TelemetryState) -> list[Message]:
 
 
 def available_modes(v: TelemetryState) -> list[Message]:
-    return [mode_line(v.vehicle, index) for index in range(1, len(LIST) + 1)]
+    return [mode_line(v.vehicle, index) for index in range(1, len(MODES) + 1)]
 
 
 def mode_line(vehicle: VehicleConstants, index: int) -> Message:
-    """Return AVAILABLE_MODES of one mode, counted from 1."""
-    mode, name, properties = LIST[index - 1]
+    """Return MODES of one mode, counted from 1."""
+    mode, name, properties = MODES[index - 1]
     number = custom_mode(mode, vehicle.personality)
     return mav.MAVLink_available_modes_message(
-        len(LIST), index, STANDARD.get(mode, 0), number, properties, name.encode()
+        len(MODES), index, STANDARD.get(mode, 0), number, properties, name.encode()
     )
 
 

@@ -15,10 +15,10 @@ from cosim.base.signals import PerJet, Vector3
 from cosim.control.autopilot.modes import LandedState
 from cosim.groundstation.exchange import Snapshot
 
-# The most that a field holds.
+# Largest values of fields.
 U8, U16, U32, I16, I32 = 0xFF, 0xFFFF, 0xFFFFFFFF, 0x7FFF, 0x7FFFFFFF
 Personality = Literal["px4", "ardupilot", "generic"]
-PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
+PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")  # autopilots that it can present itself as
 
 
 @dataclass(frozen=True)

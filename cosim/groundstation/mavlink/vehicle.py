@@ -18,7 +18,7 @@ from cosim.groundstation.exchange import Port, Snapshot
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
 from cosim.groundstation.mavlink.services.mav_command import (
-    OF_RESULT,
+    MAV_RESULTS,
     CommandResult,
     Context,
     MavCommand,
@@ -36,15 +36,15 @@ from cosim.groundstation.mavlink.telemetry import (
     statustext,
 )
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState, VehicleConstants
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, COMPONENT, Message, mav, prepare_message
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, COMPONENT_ID, Message, mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
-NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
-# Lists and files are long and not urgent, and the client asks again for what was lost.
+NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"  # reason of a refusal
+# Long and not urgent: the client asks again for what was lost.
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
-_PAGE = (0, 0)  # which no MAVLink system has
+_PAGE = (0, 0)  # id of the local page as a station
 
 
 class MavlinkVehicle:
@@ -110,7 +110,7 @@ class MavlinkVehicle:
         """Dispatch a frame to the handler or the service of its message."""
         self._now = now
         message, refused = frame.message, self.link.refused
-        if frame.system == self.constants.system and frame.component == COMPONENT:
+        if frame.system == self.constants.system and frame.component == COMPONENT_ID:
             refused["own"] += 1
             return
         if frame.system == 0:
@@ -176,7 +176,7 @@ class MavlinkVehicle:
         if message.msgname == "MANUAL_CONTROL":
             system = message.target
         component = getattr(message, "target_component", 0)
-        return system in (0, self.constants.system) and component in (0, COMPONENT)
+        return system in (0, self.constants.system) and component in (0, COMPONENT_ID)
 
     def _pack(self, message: Message) -> Message | None:
         try:
@@ -272,7 +272,7 @@ class MavlinkVehicle:
                 self._request_next(plan, index + 1, command, client, key)
                 return
             self._pending.discard(key)
-            result = OF_RESULT[answer.result]
+            result = MAV_RESULTS[answer.result]
             self._acknowledge(command, client, result)
             if result is CommandResult.ACCEPTED:
                 self._last_done = (key, self._now, result)
@@ -344,13 +344,13 @@ class MavlinkVehicle:
         self._report_unusable(NO_FOLLOWING, client.peer)
 
 
-_SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {
+_SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {  # parser of each set-point message
     "MANUAL_CONTROL": lambda message, state: setpoints.parse_sticks(message),
     "SET_ATTITUDE_TARGET": lambda message, state: setpoints.parse_attitude(message),
     "SET_POSITION_TARGET_LOCAL_NED": setpoints.parse_local,
     "SET_POSITION_TARGET_GLOBAL_INT": setpoints.parse_global,
 }
-_HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {
+_HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {  # method for each message
     "HEARTBEAT": MavlinkVehicle._heartbeat,
     "COMMAND_LONG": MavlinkVehicle._command,
     "COMMAND_INT": MavlinkVehicle._command,

@@ -60,17 +60,17 @@ class PageLimits(NamedTuple):
     values_every: int = 10  # frames between parameters: half a second
 
 
-LIMITS = PageLimits()
-_STATIC = Path(__file__).with_name("static")
-_TOKEN, _FILES = "@TOKEN@", "@FILES@"
-# Assets of the reports with which this page draws too.
+LIMITS = PageLimits()  # limits of pages and connections
+_STATIC = Path(__file__).with_name("static")  # folder of the page's files
+_TOKEN, _FILES = "@TOKEN@", "@FILES@"  # placeholders in the page
+# Files of the reports that this page uses too.
 _ASSETS = (
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
 
-# Codes of our own with which a WebSocket is closed.
+# Our own codes for closing a WebSocket.
 WRONG_TOKEN, TOO_MANY = 4401, 4429
-TEXT = "text/plain; charset=utf-8"
+TEXT = "text/plain; charset=utf-8"  # content type of text files
 TYPES = {  # content types by file ending
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
@@ -79,7 +79,7 @@ TYPES = {  # content types by file ending
 }
 
 
-# The requests that the page offers; missions and faults are left to ground stations.
+# Requests that the page offers; missions and faults are left to ground stations.
 ALLOWED = (
     rq.Arm,
     rq.Disarm,

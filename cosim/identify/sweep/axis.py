@@ -34,8 +34,8 @@ from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
-# No vehicle follows larger amplitudes.
-MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}
+# No vehicle can follow larger amplitudes, by unit.
+MAX_AMPLITUDE = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}
 
 
 class SweepTuning(NamedTuple):
@@ -65,11 +65,12 @@ class SweepTuning(NamedTuple):
     margin_tries: int = 4
 
 
-TUNING = SweepTuning()
+TUNING = SweepTuning()  # settings of automatic sweeps
 
 
-UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
-# of an angular acceleration: half of what ``TUNING.amplitude`` of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
+UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}  # unit of each axis's command
+# First amplitude of angular accelerations: half of what ``TUNING.amplitude`` of throttle gives the Hex-Jet, which has
+# 433 rad/s^2 at full throttle.
 ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
 
 
@@ -106,8 +107,8 @@ def identify_axis(
     if unit == "rad" and is_turned_by_throttle(vehicle, AXES.index(axis)):
         unit = UNITS["roll"]
     size = usual if amplitude is None else amplitude
-    if size > MOST[unit]:
-        raise InputError(f"amplitude {size:g}: at most {MOST[unit]:.4g} {unit}, which is more than any vehicle has")
+    if size > MAX_AMPLITUDE[unit]:
+        raise InputError(f"amplitude {size:g}: at most {MAX_AMPLITUDE[unit]:.4g} {unit}, more than any vehicle follows")
     low, high = _band(base, vehicle, axis, from_hz, to_hz)
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration

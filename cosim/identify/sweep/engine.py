@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.identify.sweep.fit import NEARLY_WHOLE, Fit, fit
+from cosim.identify.sweep.fit import WHOLE_TOLERANCE, Fit, fit
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.identify.sweep.result import (
     MAX_SWEEP_S,
@@ -22,9 +22,9 @@ from cosim.identify.sweep.result import (
 )
 from cosim.simulation.script.command_script import make_sweep as chirp
 
-MAX_SETTLING_S = 60.0  # that the thrust gets to come to rest
-SWING = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
-DECADES = (0.1, 10.0)  # of the corner frequency: automatic band
+MAX_SETTLING_S = 60.0  # s for the thrust to come to rest
+MAX_SWING = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
+BAND_FACTORS = (0.1, 10.0)  # automatic band, relative to the corner
 
 
 def identify_engine(
@@ -94,7 +94,7 @@ def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | No
     """Fit the form: first with a whole delay, where a free one comes out whole, then with a free one."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     delay = round(free.model.delay_samples)
-    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > NEARLY_WHOLE:
+    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > WHOLE_TOLERANCE:
         return (free,)
     return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(delay)}), free)
 
@@ -108,8 +108,8 @@ def _band(
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
     # Slightly above the lowest frequency that the longest sweep can measure.
     least = 1.01 * (shortest_record(1.0) / MAX_SWEEP_S)
-    start = max(DECADES[0] * slow, least) if low is None else low
-    end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
+    start = max(BAND_FACTORS[0] * slow, least) if low is None else low
+    end = min(BAND_FACTORS[1] * quick, 0.4 / step) if high is None else high
     return float(start), float(end)
 
 
@@ -126,8 +126,8 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
     """Return two lags in the answer to a step, s: of how it sets out, and of how it comes to its end.
 
     Seconds from 10 to 90 % over ln 9: the time constant if it were one lag.  The second is until it stays within
-    :data:`SWING` of its end, where that is later: thrust that goes far beyond its end and comes back has it longer, and
-    a pair of poles that is damped by half has not.
+    :data:`MAX_SWING` of its end, where that is later: thrust that overshoots far and comes back has it longer, and a
+    pair of poles that is damped by half has not.
     """
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
@@ -144,7 +144,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
         raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
     first = int(np.argmax(moved >= 0.1 * moved[-1]))
     rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first
-    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > SWING * moved[-1])
+    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > MAX_SWING * moved[-1])
     settled = int(outside[-1]) + 1 - first if len(outside) else rise
     return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
 

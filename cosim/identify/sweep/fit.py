@@ -18,8 +18,8 @@ from cosim.base.errors import InputError
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
-MIN_COHERENCE = 0.6  # Tischler and Remple's bound
-NEARLY_WHOLE = 0.05  # samples to a whole number, taken as one
+MIN_COHERENCE = 0.6  # bound of Tischler and Remple
+WHOLE_TOLERANCE = 0.05  # samples: nearer delays are rounded
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,15 @@ from cosim.identify.sweep.result import Identification, equations, fit_rows, rat
 from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
-BOUNDS = (
+BOUNDS = (  # note on the parameters' intervals
     "The first model is the one that is written, where one is. Its bounds are those of the linearised least squares, "
     "with what the form leaves over taken for independent errors: where the form does not fit, they say how well the "
     "number is pinned down, and not that the form is right."
 )
 
-_COLOURS = (BLUE, GREEN, MAGENTA)
-_DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
-_TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
+_COLOURS = (BLUE, GREEN, MAGENTA)  # colours of the models
+_DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))  # vertical ranges of the panels
+_TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")  # titles of the panels
 
 
 def write(identification: Identification, folder: Path) -> dict[str, Path]:

@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
-# A group has three complex unknowns, so six bins are left to tell noise from response.
+# Bins per group: with three complex unknowns six bins remain to separate noise from response.
 MIN_BINS = 9
 
 

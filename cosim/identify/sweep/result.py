@@ -16,14 +16,14 @@ from cosim.identify.sweep.response import FrequencyResponse, shortest_record
 from cosim.identify.verdict import NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
-# The chirp runs from this times the lowest to this times the highest frequency of the band.
+# Factors on the band's lowest and highest frequency that give the chirp's range.
 CHIRP_MARGIN = (0.7, 1.2)
-MAX_SWEEP_S = 3600.0
-# A form whose rms of |ln(model / response)| is above this, 10 % or 6 deg, is not found.
-MISFIT = 0.1
-# A delay counts as known within its value or this many samples, whichever is more.
-ONE_SAMPLE = 1.0
-# A sum of delays may be off the ledger's by the larger one of the two.
+MAX_SWEEP_S = 3600.0  # duration of the longest sweep
+# rms of |ln(model / response)|, 10 % or 6 deg, above which no model was found.
+MAX_MISFIT = 0.1
+# Samples: a delay is known if its bound is within its value or this.
+MIN_DELAY_BOUND = 1.0
+# A sum of delays may differ from the ledger's by the larger of these two, relative or in samples.
 LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0
 
 
@@ -79,9 +79,9 @@ class Identification:
             f"{self.chosen.label}: {100.0 * misfit:.2g} % off the response at {points} points, coherence at least "
             f"{self.response.coherence.min():.3g}"
         )
-        if misfit <= MISFIT and self.refused:
+        if misfit <= MAX_MISFIT and self.refused:
             return Judgement(NOT_TOLD, (evidence,))
-        return judge_model(misfit <= MISFIT, evidence)
+        return judge_model(misfit <= MAX_MISFIT, evidence)
 
     @property
     def model(self) -> RateModel:
@@ -232,27 +232,27 @@ def is_determined(fit: Fit, name: str) -> bool:
     """Return whether the bounds of a parameter are narrower than its value; of a delay, than a sample at least."""
     if name not in fit.bounds:
         return True
-    least = ONE_SAMPLE if name == "delay_samples" else 0.0
+    least = MIN_DELAY_BOUND if name == "delay_samples" else 0.0
     return bool(half_width(fit, name) <= max(abs(fit.values[name]), least))
 
 
 def all_delay_is_determined(fit: Fit) -> bool:
     """Return whether delay and lags together are known better than their sum is long."""
     total = fit.model.delay_samples + sum(fit.model.lags) / fit.model.step
-    return bool(fit.all_delay_half <= max(total, ONE_SAMPLE))
+    return bool(fit.all_delay_half <= max(total, MIN_DELAY_BOUND))
 
 
 def why_refused(fit: Fit, engine: bool) -> list[str]:
     """Return why a fit is no model that may be used, a line a reason, with what to do; empty where it may.
 
-    Refused are a misfit above ``MISFIT`` and a gain, a lag, a delay or an engine's time constant whose bound exceeds
+    Refused are a misfit above ``MAX_MISFIT``, and a gain, lag, delay or time constant of an engine whose bound exceeds
     its value.  The slow pole of an axis may be anything near 0, and a lag shorter than ``NO_LAG`` steps is none.
     """
     reasons = []
-    if not fit.misfit <= MISFIT:
+    if not fit.misfit <= MAX_MISFIT:
         reasons.append(
-            f"the form is {100.0 * fit.misfit:.0f} % off the response, {100.0 * MISFIT:.0f} % at most: another lags, "
-            "a narrower band (from_hz, to_hz) or another amplitude"
+            f"the form is {100.0 * fit.misfit:.0f} % off the response, {100.0 * MAX_MISFIT:.0f} % at most: another "
+            "lags, a narrower band (from_hz, to_hz) or another amplitude"
         )
     words = {"gain": "gain", "rate_1_s": "time constant", "delay_samples": "delay", "lag_s": "lag"}
     unknown = [
@@ -288,7 +288,7 @@ def note_off_ledger(fit: Fit, ledger_samples: float | None, from_hz: float) -> l
 # ---- texts
 
 
-_TITLES = {
+_TITLES = {  # title of each parameter
     "gain": "gain",
     "rate_1_s": "slow pole, 1/s",
     "lag_s": "lag, ms",

@@ -17,7 +17,7 @@ from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
-_ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # not the request's
+_ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of an entry beside the request's
 
 
 class Entry(NamedTuple):

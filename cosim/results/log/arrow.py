@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 Value = float | int | bool | str | None
 
-ROWS_PER_GROUP = 16_384  # written at once: 16 MB of float64
-_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # Arrow IPC streaming format
+ROWS_PER_GROUP = 16_384  # rows written at once: 16 MB
+_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # of the Arrow IPC streaming format
 
 
 class StreamSink:
@@ -378,7 +378,7 @@ def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: s
     return _sort_columns(path, table), odd
 
 
-_NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]
+_NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]  # texts without a value
 
 
 def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:

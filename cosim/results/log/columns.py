@@ -31,12 +31,12 @@ from cosim.base.signals import AXES, JETS
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
-RATES = ("p", "q", "r")
-_XYZ = ("x", "y", "z")
-_NED = ("north", "east", "down")
-_EULER = "body to NED"
-_OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
-_ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"
+RATES = ("p", "q", "r")  # names of body rates
+_XYZ = ("x", "y", "z")  # body axes
+_NED = ("north", "east", "down")  # axes of NED
+_EULER = "body to NED"  # frame of attitude angles
+_OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}  # unit of each rate loop's output
+_ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # describes the unit of commands
 
 
 def _cols(
@@ -76,7 +76,7 @@ class LoggedVehicle(NamedTuple):
     accelerations: bool = False
 
 
-HEXJET = LoggedVehicle()  # six jets in two banks
+HEXJET = LoggedVehicle()  # columns of six jets in two banks
 
 
 @lru_cache(64)
@@ -314,8 +314,8 @@ def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) 
     return tuple(columns)
 
 
-COLUMNS = log_columns()  # of six jets, and nothing shown
-NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)
+COLUMNS = log_columns()  # columns of six jets, without blocks' own
+NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)  # names of COLUMNS
 
 
 def jets_in(columns: Iterable[str]) -> int:

@@ -13,7 +13,7 @@ from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import list_tools
 from cosim.results.log.recorder import MemoryLog
 
-GROUP = "hexjet.logs"
+GROUP = "hexjet.logs"  # entry points of readers of other logs
 
 
 class LogReader(Protocol):

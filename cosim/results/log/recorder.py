@@ -24,7 +24,7 @@ from cosim.results.log.columns import COLUMNS, NAMES, require
 from cosim.results.log.row_program import Program, program
 from cosim.results.log.tables import Columnar
 
-# A slow flight is handed on this often too.
+# s after which rows of a slow flight are passed on.
 MAX_FLUSH_INTERVAL_S = 1.0
 
 

@@ -24,12 +24,12 @@ from cosim.base.signals import (
 )
 from cosim.results.log.columns import require
 
-_RECORDS = {  # types of named fields of a sample
+_RECORDS = {  # type of each part of a sample
     "": Sample, "command": Command, "state": State, "measured": Measured, "control": ControlSignals,
     "actuation": Actuation, "actuation.unallocated": Unallocated, "engines": EngineOutput, "disturbance": Disturbance,
 }  # fmt: skip
-_OPTIONAL = ("command.place",)  # may be None
-_AT_LEAST = ("health",)  # of all jets that columns or vehicle have
+_OPTIONAL = ("command.place",)  # parts that may be None
+_AT_LEAST = ("health",)  # parts that may have further elements
 
 
 def _roll(w: Array, x: Array, y: Array, z: Array) -> Array:
@@ -47,7 +47,8 @@ def _yaw(w: Array, x: Array, y: Array, z: Array) -> Array:
     return angle
 
 
-# Of a quaternion, as cosim.base.frames.to_euler; whole blocks at once, by numpy, whose arctan2 is not the C library's.
+# Of a quaternion, as cosim.base.frames.to_euler, but of whole blocks with numpy, whose arctan2 differs from the C
+# library's.
 ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _roll, "pitch": _pitch, "yaw": _yaw}
 
 

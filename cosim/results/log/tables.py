@@ -15,10 +15,10 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.results.log.columns import require
 
-TIME = "time_s"
+TIME = "time_s"  # name of the time column
 
 
-V = TypeVar("V")
+V = TypeVar("V")  # type of a looked-up value
 
 
 class NamedColumns(dict[str, V]):

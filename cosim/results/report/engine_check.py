@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cosim.base.storage.files import write_files
 from cosim.engine.check_report import CheckReport
-from cosim.engine.response import NO_CHANGE
+from cosim.engine.response import REST_TOLERANCE
 from cosim.results.report.cards import Card, Page, marked
 from cosim.results.report.plot import BLUE, HOVER, ORANGE, Figure, panels, trace
 from cosim.results.run import REPORT
@@ -29,7 +29,7 @@ def write_check(report: CheckReport, folder: Path) -> Path:
 def make_page(report: CheckReport) -> Page:
     """Return the page of a checked engine."""
     figures = check_figures(report)
-    still = f"Each point held until the thrust stands still to {NO_CHANGE:.0e} of itself."
+    still = f"Each point held until the thrust stands still to {REST_TOLERANCE:.0e} of itself."
     marks = {"yes": "met", "no": "unmet"}
     both, found = len(figures) == 2, [(label, marked(text, marks.get(text, ""))) for label, text in report.lines()]
     cards = [

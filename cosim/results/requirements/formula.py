@@ -22,8 +22,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.results.requirements.units import factor_between, in_si, unit_of
 
-# Of a row: rounding where a time is divided by the step.
-_SLACK = 1e-6
+# In rows: rounding of a time divided by the step.
+_ROW_TOLERANCE = 1e-6
 Times = dict[str, list[float]]  # s, of events known before the flight
 
 
@@ -362,7 +362,7 @@ class After(Formula):
         return self.of.deciding(signals, row + self._rows(signals))
 
     def _rows(self, signals: Signals) -> int:
-        return ceil(self.seconds / signals.step_s - _SLACK)
+        return ceil(self.seconds / signals.step_s - _ROW_TOLERANCE)
 
     def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
         return self.of.latest_s([start + self.seconds for start in starts_s], times_s)
@@ -422,4 +422,4 @@ def _least_ahead(margins: Array, rows: int) -> Array:
 
 def _rows_in(seconds: float, signals: Signals) -> int:
     """Return how many rows after one are not later than ``seconds`` after it."""
-    return signals.rows if seconds == inf else floor(seconds / signals.step_s + _SLACK)
+    return signals.rows if seconds == inf else floor(seconds / signals.step_s + _ROW_TOLERANCE)

@@ -45,17 +45,17 @@ from cosim.results.requirements.formula import (
 )
 from cosim.results.requirements.units import UNITS, factor_between
 
-# Chosen by us: far more than a requirement needs, and few enough for recursion.
+# Chosen by us: far more than a requirement needs, few enough for recursion.
 MAX_CHARACTERS, MAX_DEPTH = 2000, 40
-WORDS = ("always", "eventually", "for", "within", "until", "after", "abs")
-_JOINED = ("and", "or", "implies", "not")
-_COMPARED = ("<=", ">=", "<", ">")
-_TOKEN = re.compile(
+WORDS = ("always", "eventually", "for", "within", "until", "after", "abs")  # reserved words of formulas
+_JOINED = ("and", "or", "implies", "not")  # words that join formulas
+_COMPARED = ("<=", ">=", "<", ">")  # comparisons
+_TOKEN = re.compile(  # a number, name, event or sign
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*(?:\.\w+)*)"
     r'|(?P<event>"[^"]*")|(?P<sign><=|>=|[<>(),+*-])|(?P<end>$))',
     re.ASCII,
 )
-_UNIT = re.compile(
+_UNIT = re.compile(  # a unit after a number
     rf"\s*(?P<unit>{'|'.join(re.escape(unit) for unit in sorted(UNITS, key=len, reverse=True) if unit != '1')})"
     r"(?![\w/^])",
     re.ASCII,

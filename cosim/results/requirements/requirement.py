@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 Source = Literal["require", "limits", "expect", "success"]
-# In scales: a flight that failed at its planned end has -LOST, at its start -2 LOST; a requirement never tested counts
-# as broken by UNKNOWN.
+# In scales: a flight that failed at its planned end has -LOST, at its start -2 LOST; a requirement that was not
+# evaluated is missed by UNKNOWN.
 LOST, UNKNOWN = 1.0, 1.0
-FLOWN = "flown"  # to the planned end
-# Metrics that are the greatest of a signal, which is assessed row by row in their place.
+FLOWN = "flown"  # requirement: flown to the planned end
+# Metrics that are the maximum of a signal, which is evaluated row by row instead.
 _SIGNALS = {
     **{f"{axis}.max_abs_error_rad": f"abs({axis}_error_rad)" for axis in AXES},
     "altitude.max_abs_error_m": "abs(altitude_error_m)",

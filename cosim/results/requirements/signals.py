@@ -52,7 +52,7 @@ def _from_start(values: Array) -> Array:
     return values - values[:1]
 
 
-DERIVED: dict[str, DerivedSignal] = {
+DERIVED: dict[str, DerivedSignal] = {  # signals computed from columns
     **{f"{axis}_error_rad": _angle_error(axis) for axis in AXES},
     **{f"rate_{rate}_error_rad_s": _rate_error(rate) for rate in RATES},
     "altitude_error_m": DerivedSignal(

@@ -9,8 +9,8 @@ from math import pi
 
 from cosim.base.errors import InputError
 
-_DEG = pi / 180.0
-UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and the factor to it
+_DEG = pi / 180.0  # rad per degree
+UNITS: dict[str, tuple[str, float]] = {  # SI unit, and the factor to it
     "rad": ("rad", 1.0),
     "deg": ("rad", _DEG),
     "rad/s": ("rad/s", 1.0),
@@ -40,10 +40,10 @@ UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and the factor to it
     "1": ("1", 1.0),
     "%": ("1", 1e-2),
 }
-# What a name ends with, where it is not the unit with _ for / and blank; the longest that fits counts.
+# Unit by the ending of a name with _ for / and blanks; the longest ending counts.
 _ENDINGS = {f"_{unit.replace('/', '_').replace(' ', '_').replace('^', '')}": unit for unit in UNITS if unit != "%"}
 _ENDINGS |= {"_percent": "%"}
-_LONGEST_FIRST = sorted(_ENDINGS, key=len, reverse=True)
+_LONGEST_FIRST = sorted(_ENDINGS, key=len, reverse=True)  # longest endings first
 _DISPLAYED = {"_deg": "_rad", "_deg_s": "_rad_s", "_deg_s2": "_rad_s2", "_rpm": "_rad_s", "_g_s": "_kg_s"}
 
 

@@ -23,7 +23,7 @@ from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.model_file import read_model
 
 _models: RecentCache[Any] = RecentCache(32)  # surfaces and wings of JSBSim models
-T = TypeVar("T")
+T = TypeVar("T")  # type of a query's result
 
 
 def make_allocator(

@@ -20,7 +20,7 @@ from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 NO_PROOF = "has no proof flights: made without one, or for another autopilot, or before designs had them"
-LAW = "optimal"  # entry point that a design may have
+LAW = "optimal"  # entry point of a design at the limit
 
 
 class Requirements(Model):

@@ -34,9 +34,9 @@ from cosim.base.signals import (
 )
 from cosim.control.belief import Belief
 
-_AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])
-_TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")
-_FLY: Final = EngineState.FLY
+_AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])  # names of answers in errors
+_TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")  # names of tilts in errors
+_FLY: Final = EngineState.FLY  # direct access in compiled code
 
 
 @dataclass(frozen=True)

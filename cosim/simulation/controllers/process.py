@@ -25,11 +25,11 @@ from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
 
-# s until it describes itself, chosen by us: an interpreter on a busy machine takes seconds.
+# Chosen by us: s until it describes itself; an interpreter on a busy machine takes seconds.
 MAX_START_S = 60.0
-MAX_END_S = 1.0  # after its input was closed
-_MAX_LINE_BYTES = 1_000_000  # bytes
-_STEP = wire.frame_layout(0)  # step number that begins a frame
+MAX_END_S = 1.0  # s to end after its input was closed
+_MAX_LINE_BYTES = 1_000_000  # bytes of a description
+_STEP_HEADER = wire.frame_layout(0)  # step number at the start of a frame
 
 Command = Callable[[], Sequence[str]]
 
@@ -166,7 +166,7 @@ class ProcessBlock:
             self._frames_sent.append(frame)
             self._frames_received.append(answer)
         self._k += 1
-        values = self._answer.unpack_from(answer, _STEP.size)
+        values = self._answer.unpack_from(answer, _STEP_HEADER.size)
         if self.columns:
             self.shown = values[self._outputs :]
             values = values[: self._outputs]
@@ -179,7 +179,7 @@ class ProcessBlock:
 
     def _exchange(self, host: Host, frame: bytes, k: int) -> bytes:
         answer = host.exchange(frame, self._out.size, self._limit)
-        (number,) = _STEP.unpack_from(answer)
+        (number,) = _STEP_HEADER.unpack_from(answer)
         if number == -1.0:
             raise FlightError(host.read_line(_MAX_LINE_BYTES, self._limit).decode(errors="replace"))
         if number != k:
@@ -194,7 +194,7 @@ class ProcessBlock:
             return False
         try:
             for frame, answer in zip(self._frames_sent, self._frames_received, strict=True):
-                if self._exchange(host, frame, int(_STEP.unpack_from(frame)[0])) != answer:
+                if self._exchange(host, frame, int(_STEP_HEADER.unpack_from(frame)[0])) != answer:
                     return False
         except FlightError:
             return False

@@ -16,9 +16,9 @@ from cosim.base.protocols import Applied, Column
 from cosim.base.signals import Actuation, Command, Measured, PerJet, Unallocated
 from cosim.base.storage.files import read_text
 
-ACTUATORS = "actuators.csv"  # in a run's folder
-TILTS = ("tilt_left_rad", "tilt_right_rad")
-COLUMNS = (
+ACTUATORS = "actuators.csv"  # file in a run's folder
+TILTS = ("tilt_left_rad", "tilt_right_rad")  # columns of the tilt servos
+COLUMNS = (  # optional columns
     Column("autopilot_armed", "1", "", "the autopilot drives the engines: 1; they stand at what it gives disarmed: 0"),
     Column("autopilot_time_s", "s", "", "time since the autopilot was told of its first state, before the flight"),
 )

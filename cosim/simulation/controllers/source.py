@@ -38,23 +38,23 @@ from cosim.simulation.controllers.process import Command, ProcessBlock, make_pro
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.controller_name import label as label_of
 
-# Levels of a controller, and what the update of each is told.
+# Levels of a controller, and the arguments of update at each.
 LEVELS: dict[str, tuple[str, ...]] = {
     "predictor": ("measured", "applied"),
     "rate": ("setpoint", "measured", "applied"),
     "attitude": ("command", "measured"),
     "controller": ("command", "measured", "applied"),
 }
-# The methods that a block of another kind must have, and what each is told; a metric is called itself.
+# Methods that blocks of other kinds must have, and their arguments; a metric is called itself.
 METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "metric": (("__call__", ("log", "step_s")),),
     "observer": (("observe", ("sample",)),),
     "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
     "wind": (("velocity", ("time", "north", "east", "height")),),
 }
-IN_MEMORY_PREFIX = "python:"  # before the name of an object in memory
-_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
-NAME = re.compile(r"[A-Za-z_]\w*")
+IN_MEMORY_PREFIX = "python:"  # marks the name of an object in memory
+_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # form of module:Name
+NAME = re.compile(r"[A-Za-z_]\w*")  # form of a Python name
 
 
 def _sha256(path: Path) -> str:

@@ -25,8 +25,8 @@ from cosim.spec.scenario import (
 )
 
 Waveform = Callable[[int], float]
-STICKS = ("roll", "pitch", "yaw", "throttle")
-_IN_DEGREES = frozenset(index for index, signal in enumerate(SIGNALS) if "deg" in signal)
+STICKS = ("roll", "pitch", "yaw", "throttle")  # columns of a file of sticks
+_IN_DEGREES = frozenset(index for index, signal in enumerate(SIGNALS) if "deg" in signal)  # indices of angles
 
 
 class CommandScript:

@@ -18,7 +18,7 @@ from cosim.spec.scenario import DelayGrowth, Fault, FlameOut, Scenario, SensorBi
 from cosim.vehicle.sensors import FaultySensors
 from cosim.vehicle.servo import TiltServo
 
-NEVER = sys.maxsize
+NEVER = sys.maxsize  # a step after the last one
 
 
 class FaultSchedule:

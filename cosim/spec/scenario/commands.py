@@ -20,7 +20,7 @@ Signal = Literal[
     "collective",
     "ahead_m_s",
 ]
-SIGNALS: tuple[str, ...] = get_args(Signal)
+SIGNALS: tuple[str, ...] = get_args(Signal)  # signals that a command may set
 
 
 class SignalCommand(Model):

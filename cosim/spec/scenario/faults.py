@@ -5,13 +5,13 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cosim.base.constants import Sensor
-from cosim.base.signals import MOST_JETS
+from cosim.base.signals import MAX_JETS
 from cosim.base.storage.toml import Duration, Model, Seconds, Vector
 
 
 def _station_number(text: str) -> str:
-    if text not in map(str, range(1, MOST_JETS + 1)):
-        raise ValueError(f"a station is the number of a jet, 1 to {MOST_JETS} at most")
+    if text not in map(str, range(1, MAX_JETS + 1)):
+        raise ValueError(f"a station is the number of a jet, 1 to {MAX_JETS} at most")
     return text
 
 
@@ -22,7 +22,7 @@ def _once_each(jets: list[int]) -> list[int]:
 
 
 StationNumber = Annotated[str, AfterValidator(_station_number)]
-JetNumber = Annotated[int, Field(ge=1, le=MOST_JETS)]
+JetNumber = Annotated[int, Field(ge=1, le=MAX_JETS)]
 Jets = Annotated[
     list[JetNumber],
     Field(min_length=1),

@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model
 
-_CONTENTS: dict[tuple[str, str], bytes] = {}  # by path and hash
+_CONTENTS: dict[tuple[str, str], bytes] = {}  # file contents by path and hash
 
 
 class ParameterFile(Model):

@@ -8,13 +8,13 @@ from typing import Any, Literal, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge
-from cosim.spec.controller_name import SHORT, describe_controller, label
+from cosim.spec.controller_name import HASH_LETTERS, describe_controller, label
 from cosim.spec.scenario.parameter_file import ParameterFile, parse_table, read_verified
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.vehicle import is_aircraft_path, is_file
 from cosim.spec.vehicle.sensor_profile import load_with_profile
 
-# These keys say how a flight is observed, evaluated or reproduced; they do not change the flight.
+# Keys on how a flight is observed, evaluated or reproduced; they do not change the flight.
 _NO_EFFECT_ON_FLIGHT = frozenset(
     (
         "changed",
@@ -98,7 +98,7 @@ def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[
     if scenario.origin is not None:
         for flown in parameters:
             if flown.sha256 not in [file.sha256 for file in scenario.origin.parameter_files]:
-                texts[flown.kind] = f"{flown.kind} = {Path(flown.file).name} {flown.sha256[:SHORT]}"
+                texts[flown.kind] = f"{flown.kind} = {Path(flown.file).name} {flown.sha256[:HASH_LETTERS]}"
         texts |= {key: f"{key} = {_text(value)}" for key, value in _differing(scenario, scenario.origin, parameters)}
     first = [key for key in ("aircraft", "engine", "controller") if key in texts]
     return [texts[key] for key in dict.fromkeys([*first, *texts])]

@@ -17,10 +17,10 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import Model, read_toml, validate
 from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
-SUBSTEPS = 4  # of who states none
-CAMPAIGN = "campaign"
-_FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")
-_POSITIVE = Annotated[float, Field(gt=0.0)]
+SUBSTEPS = 4  # default of scenarios
+CAMPAIGN = "campaign"  # word for the step chosen for campaigns
+_FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")  # such as "0.01 deg"
+_POSITIVE = Annotated[float, Field(gt=0.0)]  # type of a positive number
 
 
 class StepErrors(Model):

@@ -17,7 +17,7 @@ from cosim.spec.file_kind import AIRCRAFT, check_kind
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
-VEHICLE = "vehicle.toml"  # in an aircraft's folder
+VEHICLE = "vehicle.toml"  # file in an aircraft's folder
 
 
 class ScaledFrom(Model):

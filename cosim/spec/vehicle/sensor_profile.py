@@ -10,13 +10,13 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import merge, read_toml, validate
-from cosim.spec.controller_name import SHORT
+from cosim.spec.controller_name import HASH_LETTERS
 from cosim.spec.vehicle.files import load_vehicle
 from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.vehicle import Vehicle
 
-STATED = "stated"  # the profile that changes nothing
-_LATENCY = ("latency_s", "latency_samples")  # keys of a profile and of a vehicle
+STATED = "stated"  # name of the unchanged profile
+_LATENCY = ("latency_s", "latency_samples")  # latency in a profile, in a vehicle
 
 
 def profile_names() -> list[str]:
@@ -28,7 +28,7 @@ def describe_profile(profile: str) -> str:
     """Return a profile's name with its file and the first letters of that file's SHA-256; nothing for ``stated``."""
     if profile == STATED:
         return ""
-    return f"{profile} ({_file().name} {sha256(_file().read_bytes()).hexdigest()[:SHORT]})"
+    return f"{profile} ({_file().name} {sha256(_file().read_bytes()).hexdigest()[:HASH_LETTERS]})"
 
 
 def load_with_profile(

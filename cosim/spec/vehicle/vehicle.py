@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from cosim.base.constants import SERVOS
 from cosim.base.layout import UP, Layout
-from cosim.base.signals import MOST_JETS
+from cosim.base.signals import MAX_JETS
 from cosim.base.storage.toml import Model, Positive, Vector
 from cosim.spec.vehicle.body import Aero, Contact, Fuel, GroundEffect, Panel
 from cosim.spec.vehicle.gains import Control
@@ -20,7 +20,7 @@ from cosim.spec.vehicle.rate_model import RateModel
 from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.stations import Airflow, Hinge, Jet, Servo, Surface, layout_of
 
-# Control step where nobody states one: the paper's 250 Hz.
+# Default control step: the paper's 250 Hz.
 STEP_S = 0.004
 Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, control step
 
@@ -57,9 +57,9 @@ class Vehicle(Model):
     inertia_kg_m2: tuple[Positive, Positive, Positive]
     # Products of inertia: integrals of x y, x z and y z over the mass, body.
     products_kg_m2: Annotated[Vector, Field(exclude_if=lambda products: not any(products))] = (0.0, 0.0, 0.0)
-    jets: Annotated[list[Jet], Field(min_length=1, max_length=MOST_JETS)]
-    hinges: list[Hinge] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)  # innermost first
-    surfaces: list[Surface] = Field(max_length=MOST_JETS, default_factory=list, exclude_if=not_)
+    jets: Annotated[list[Jet], Field(min_length=1, max_length=MAX_JETS)]
+    hinges: list[Hinge] = Field(max_length=MAX_JETS, default_factory=list, exclude_if=not_)  # innermost first
+    surfaces: list[Surface] = Field(max_length=MAX_JETS, default_factory=list, exclude_if=not_)
     panels: list[Panel] = Field(max_length=100, default_factory=list, exclude_if=not_)  # drawn only, without forces
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None

@@ -9,9 +9,9 @@ from cosim.base._turning import along
 from cosim.base.layout import Layout
 from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
-NO_OUTPUT = EngineOutput((), (), (), ())
+NO_OUTPUT = EngineOutput((), (), (), ())  # output before the first step
 _ALONG: Final = along  # direct access in compiled code
-_STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
+_STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)  # at the start
 
 
 def add_vectors(a: Vector3, b: Vector3) -> Vector3:

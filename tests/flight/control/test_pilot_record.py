@@ -25,7 +25,7 @@ from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export import export_log
 from cosim.results.run import AUTOPILOT, REQUESTS
 from hexjet_export.logs.ulog_autopilot import NAV_STATE
-from hexjet_export.logs.ulog_topics import EVERY_S, TOPICS
+from hexjet_export.logs.ulog_topics import INTERVAL_S, TOPICS
 
 SECONDS = 24.0
 ASKED = [
@@ -167,8 +167,8 @@ def test_at_px4s_rates_a_log_is_a_tenth(piloted: Run, tmp_path: Path) -> None:
     fixed = 8_000  # formats and parameters, whatever the flight's length
     assert (tmp_path / "small.ulg").stat().st_size < fixed + 22_500 * SECONDS
     for topic in log.data_list:
-        if topic.name in EVERY_S and topic.name not in ("vehicle_status", "vehicle_land_detected"):
-            every = 4000 * round(EVERY_S[topic.name] / 0.004)
+        if topic.name in INTERVAL_S and topic.name not in ("vehicle_status", "vehicle_land_detected"):
+            every = 4000 * round(INTERVAL_S[topic.name] / 0.004)
             times = topic.data["timestamp"]
             assert set(np.diff(times[:-1]).tolist()) == {every}, topic.name
             assert times[-1] == 4000 * (len(piloted.log) - 1), topic.name  # the last step is there, whatever the rate
@@ -178,8 +178,8 @@ def test_at_px4s_rates_a_log_is_a_tenth(piloted: Run, tmp_path: Path) -> None:
 
 
 def test_every_topic_has_a_rate() -> None:
-    assert set(TOPICS) <= set(EVERY_S)
-    assert all(0.0 < seconds <= 1.0 for seconds in EVERY_S.values())
+    assert set(TOPICS) <= set(INTERVAL_S)
+    assert all(0.0 < seconds <= 1.0 for seconds in INTERVAL_S.values())
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ from cosim.identify.sweep import axis as sweeping
 from cosim.identify.sweep.fit import counts
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.identify.sweep.result import (
-    MISFIT,
+    MAX_MISFIT,
     equation,
     fit_rows,
     low_frequency_delay,
@@ -262,9 +262,9 @@ def test_another_operating_point_band_and_sample_time() -> None:
 def test_a_form_that_does_not_follow_the_engine_is_refused() -> None:
     """A turbine whose acceleration is limited is no pole with a delay; a tenth off is the most that is taken."""
     found = identify_engine("turbine-20", duration=60.0, from_hz=0.3, to_hz=7.0)
-    assert found.fits[0].misfit > MISFIT
+    assert found.fits[0].misfit > MAX_MISFIT
     assert f"the form is {100 * found.fits[0].misfit:.0f} % off the response, 10 % at most" in found.refused[0]
-    assert not why_refused(replace(found.fits[0], misfit=MISFIT), engine=True)
+    assert not why_refused(replace(found.fits[0], misfit=MAX_MISFIT), engine=True)
 
 
 def response_of(model: Model, low: float, high: float, count: int, noise: float) -> FrequencyResponse:
@@ -473,7 +473,7 @@ def test_the_band_follows_the_engine_that_turns_the_axis() -> None:
     assert found.sweep.to_hz < 1.0
     assert found.refused == []
     assert 0.5 < sum(found.chosen.model.lags) < 1.0
-    assert 0.02 < found.chosen.misfit < MISFIT
+    assert 0.02 < found.chosen.misfit < MAX_MISFIT
 
 
 def test_a_sweep_that_saturates_says_what_would_fit() -> None:

@@ -17,13 +17,13 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.results.limits import (
-    ALTERNATING_PERCENT,
     AXIS_LIMITED,
-    DRIFT_SPANS,
-    HEIGHT_SPANS,
     LIMITED,
-    SATURATED_PERCENT,
-    SPEEDS,
+    MAX_ALTERNATING_PERCENT,
+    MAX_DRIFT_SPANS,
+    MAX_FROUDE_SPEEDS,
+    MAX_HEIGHT_SPANS,
+    MAX_SATURATED_PERCENT,
     describe_exceedance,
     find_exceeded,
     height_lag,
@@ -128,11 +128,11 @@ def test_defaults_come_from_the_span(aircraft: str, engine: str, span: float | N
     span = span or 0.4 * (61.97 / 5.525) ** (1 / 3)  # lengths go with the cube root of the mass
     assert {name: most for name, most in summary.limits.items() if name.split(".")[0] not in AXES} == pytest.approx(
         {
-            "altitude.max_abs_error_m": HEIGHT_SPANS * span,
-            "position.drift_m": DRIFT_SPANS * span,
-            "speed.max_m_s": SPEEDS * sqrt(GRAVITY * span),
-            "effort.saturated_percent": SATURATED_PERCENT,
-            "effort.alternating_percent": ALTERNATING_PERCENT,
+            "altitude.max_abs_error_m": MAX_HEIGHT_SPANS * span,
+            "position.drift_m": MAX_DRIFT_SPANS * span,
+            "speed.max_m_s": MAX_FROUDE_SPEEDS * sqrt(GRAVITY * span),
+            "effort.saturated_percent": MAX_SATURATED_PERCENT,
+            "effort.alternating_percent": MAX_ALTERNATING_PERCENT,
         },
         rel=1e-3,
         abs=1e-6,

@@ -14,7 +14,7 @@ from pyulog import ULog
 
 from cosim import fly
 from cosim.base.errors import InputError
-from cosim.base.signals import MOST_JETS
+from cosim.base.signals import MAX_JETS
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
@@ -162,7 +162,7 @@ def test_what_is_not_there_is_refused() -> None:
     with pytest.raises(InputError, match=r"stations.9: octorotor has stations 1 to 8"):
         build(octorotor(stations={"9": {"engine": "motor"}}))
     with pytest.raises(InputError, match="station is the number of a jet"):
-        octorotor(stations={str(MOST_JETS + 1): {"engine": "motor"}})
+        octorotor(stations={str(MAX_JETS + 1): {"engine": "motor"}})
     with pytest.raises(InputError, match="jets"):
-        octorotor(vehicle={"jets": [JETS[0]] * (MOST_JETS + 1)}).resolved_vehicle()
+        octorotor(vehicle={"jets": [JETS[0]] * (MAX_JETS + 1)}).resolved_vehicle()
     assert find_key(octorotor(fault=FAULTS), "fault.0.jet.0").high == 8.0

@@ -17,7 +17,7 @@ from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
-from cosim.control.phases.wing import MAX_LEAD, WingFlight, WingTable
+from cosim.control.phases.wing import MAX_LEAD_FRACTION, WingFlight, WingTable
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario
@@ -294,7 +294,7 @@ def test_the_nose_leads_no_further_than_stated_where_lift_is_missing() -> None:
             wing.actuator_demand(vertical * weight, level, 0.0)
         lead = asked.attitude[1] - wing.shown[2]
         late = 1.0 / VEHICLE.control.attitude.gain_1_s[1] + 1.0 / VEHICLE.control.rate.pitch.p
-        expected = MAX_LEAD * 0.14 if leads is None else late * leads * GRAVITY / 15.0
+        expected = MAX_LEAD_FRACTION * 0.14 if leads is None else late * leads * GRAVITY / 15.0
         assert lead == pytest.approx(expected, abs=1e-9)
     simulation.close()
 

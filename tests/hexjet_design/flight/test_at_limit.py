@@ -49,7 +49,7 @@ def designed() -> Design:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(designs, "_axis", axis)
-        patch.setattr(at_limit, "ROUNDS", 60)
+        patch.setattr(at_limit, "MAX_EVALUATIONS", 60)
         return designs.design("edf-as-flown", controller="optimal", lead=False)
 
 
@@ -152,8 +152,8 @@ def test_parameters_that_a_controller_does_not_have_are_refused(file: Path) -> N
 
 
 def test_where_none_keeps_the_requirements_it_says_what_each_would_have_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(at_limit, "RELAXED", (2.5,))
-    monkeypatch.setattr(at_limit, "SLOWER", (1.0,))
+    monkeypatch.setattr(at_limit, "RELAXATIONS", (2.5,))
+    monkeypatch.setattr(at_limit, "SLOWER_POLES", (1.0,))
     channel, need = designed().axes["roll"].channel, Requirements(min_bandwidth_hz=4.0)
     found = tune_at_limit(channel, law().model, law(), need)
     assert found.tuning is None

@@ -390,10 +390,10 @@ def test_a_load_that_no_integral_removes_is_told(controller: str, stays: bool) -
 @pytest.fixture(scope="module")
 def quick() -> Iterator[None]:
     """A short search: its result is worse, and must keep the requirements all the same."""
-    kept = search.GENERATIONS, search.ROUNDS
-    search.GENERATIONS, search.ROUNDS = 4, 40
+    kept = search.MAX_GENERATIONS, search.MAX_EVALUATIONS
+    search.MAX_GENERATIONS, search.MAX_EVALUATIONS = 4, 40
     yield
-    search.GENERATIONS, search.ROUNDS = kept
+    search.MAX_GENERATIONS, search.MAX_EVALUATIONS = kept
 
 
 @lru_cache

@@ -39,7 +39,7 @@ from hexjet_design.proof.run import add_proof, prove
 from hexjet_design.result import summary_lines, to_dict
 
 STEP = 0.004
-GENERATIONS, ROUNDS = search.GENERATIONS, search.ROUNDS  # of the whole search
+GENERATIONS, ROUNDS = search.MAX_GENERATIONS, search.MAX_EVALUATIONS  # of the whole search
 ISOLATED = flying._scenario
 
 
@@ -51,8 +51,8 @@ def _quick() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flying, "_scenario", lambda *given: ISOLATED(*given).replace(engine_isolated=False))
-        patch.setattr(search, "GENERATIONS", 4)
-        patch.setattr(search, "ROUNDS", 40)
+        patch.setattr(search, "MAX_GENERATIONS", 4)
+        patch.setattr(search, "MAX_EVALUATIONS", 40)
         patch.setattr(making, "settle", lambda *a, **k: None)
         patch.setattr(making, "bandwidths_without_limits", lambda *a, **k: {})
         yield
@@ -83,8 +83,8 @@ def in_full(made: Design) -> Design:
     """The same with roll searched for in full, and a lead."""
     roll = made.axes["roll"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "GENERATIONS", GENERATIONS)
-        patch.setattr(search, "ROUNDS", ROUNDS)
+        patch.setattr(search, "MAX_GENERATIONS", GENERATIONS)
+        patch.setattr(search, "MAX_EVALUATIONS", ROUNDS)
         model, lead = making.predictor_model(roll.channel, "test"), making.engine_lead(roll.channel)
         found = search.tune(roll.channel, "baseline", model, roll.before.tuning, made.need, lead=lead)
     after = making.assess(roll.channel, found.tuning, made.need)

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from hexjet_design.assessment import predictor_model
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.limit import Bounds, find_limit
-from hexjet_design.loop.low_order import START, LowOrder, free_weights, reduce_limit
+from hexjet_design.loop.low_order import START_POLES, LowOrder, free_weights, reduce_limit
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
 
@@ -66,7 +66,7 @@ def test_a_search_of_poles_only_lowers_the_load_error() -> None:
 def test_weights_that_are_free_leave_the_loop_exact_at_rest() -> None:
     low = reduced().target
     free = free_weights(roll().model("exact"), low)
-    assert free.shape == (2 * len(START), 2 * len(START) - 3)
+    assert free.shape == (2 * len(START_POLES), 2 * len(START_POLES) - 3)
     moved = replace(low, weights=tuple((np.array(low.weights) + 0.05 * free[:, 0]).tolist()))
     block = Behind(roll(), moved)
     loop = law_loop.LawLoop(roll(), block, block.attitude, 12.0)

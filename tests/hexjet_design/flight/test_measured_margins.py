@@ -26,7 +26,7 @@ from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 from hexjet_design.figures import Curve, bode
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import FINE
+from hexjet_design.loop.criteria import FINE_POINTS
 from hexjet_design.loop.frequency import LoopMargins, loop_margins, margin_points
 from hexjet_design.measured import margins
 from hexjet_design.measured.computed import compute_margins, find_tunings, make_plants
@@ -148,7 +148,7 @@ def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft
     z[-1] = -1.0
     for axis, tuning in find_tunings(plants, scenario, vehicle, ["roll", "pitch", "yaw"]).items():
         channel = plants.channels[axis]
-        found = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning).margins
+        found = ClosedLoop(FrequencyGrid(channel, close=FINE_POINTS), tuning).margins
         loop = ClosedLoop(FrequencyGrid(channel, z=z), tuning).open_loop
 
         def turns(k: float, loop: Any = loop) -> int:

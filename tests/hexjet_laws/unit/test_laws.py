@@ -40,7 +40,7 @@ from hexjet_laws.adrc import AdrcAxis
 from hexjet_laws.indi import DAMPING, IndiAxis, SecondOrder
 from hexjet_laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
 from hexjet_laws.mpc import MpcAxis
-from hexjet_laws.px4 import FADES, LowPass, Px4Axis
+from hexjet_laws.px4 import MAX_INTEGRATED_ERROR, LowPass, Px4Axis
 
 STEP = 0.004
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 10.0, "width_s": 0.3}
@@ -296,7 +296,7 @@ def test_px4_adds_up_its_parts() -> None:
     block = Px4Axis(0.02, 0.5, 0.0, 0.003, 1e-9, 3.0, 0.1, STEP)  # the reference model stands still
     first = block.update(0.2, 0.05, 0.0)
     assert first == pytest.approx(0.02 * 0.15 + 0.003 * 0.2)
-    factor = 1.0 - (0.15 / FADES) ** 2
+    factor = 1.0 - (0.15 / MAX_INTEGRATED_ERROR) ** 2
     second = block.update(0.2, 0.05, first)
     assert second == pytest.approx(first + factor * 0.5 * STEP * 0.15)
     refused = block.update(0.2, 0.05, second - 0.001)

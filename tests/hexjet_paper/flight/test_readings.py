@@ -15,7 +15,7 @@ from hexjet_paper.experiments import Experiment
 from hexjet_paper.flight import scenario
 from hexjet_paper.frozen import load
 from hexjet_paper.readings import READINGS, Gains, ReadingResult, gain_pairs, reading_scenario
-from hexjet_paper.report.readings import HANGS, judge_reading, model_errors_in_words
+from hexjet_paper.report.readings import DEPENDENT, judge_reading, model_errors_in_words
 
 FOUND = load().parameters
 STEP = numbers.value("hexjet.step")
@@ -70,8 +70,10 @@ def test_raised_gains_are_as_far_past_the_limit_as_the_shipped_ones() -> None:
     limit = readings.largest_gains(DELAY, "baseline", FOUND)
     assert shipped.p / fitted.p / limit == pytest.approx(1.08, abs=0.01)
     for reading in (CORRECTED, FANS):
-        assert readings.ABOVE / readings.largest_gains(reading, "baseline", FOUND) == pytest.approx(1.08, abs=0.01)
-        assert readings.largest_gains(reading, "smith", FOUND) > readings.ABOVE
+        assert readings.RAISED_GAINS / readings.largest_gains(reading, "baseline", FOUND) == pytest.approx(
+            1.08, abs=0.01
+        )
+        assert readings.largest_gains(reading, "smith", FOUND) > readings.RAISED_GAINS
 
 
 def test_the_readings_of_the_gain_are_one_loop() -> None:
@@ -101,9 +103,9 @@ def test_each_reading_has_gains_at_which_the_claims_hold_and_others_at_which_non
         assert result.trial("shipped", "smith").lost_s is not None
     for result in results:
         verdicts = {row.key: (row.linear.verdict, row.flight and row.flight.verdict) for row in judge_reading(result)}
-        assert verdicts.keys() == set(HANGS)
+        assert verdicts.keys() == set(DEPENDENT)
         assert verdicts["hexjet-smith"] == ("holds", "holds")
-        for key in set(HANGS) - {"hexjet-smith"}:
+        for key in set(DEPENDENT) - {"hexjet-smith"}:
             assert verdicts[key] == ("by construction", "by construction")
     times = [trial.flight.settling_s or 0.0 for trial in (r.trial("fitted", "baseline") for r in results)]
     assert times[1] == pytest.approx(times[2], rel=1e-3)

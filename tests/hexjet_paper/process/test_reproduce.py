@@ -51,7 +51,7 @@ from hexjet_paper.readings import (
 from hexjet_paper.report.figures import panels, paper_figures
 from hexjet_paper.report.page import counts_in_words, page_values, tally
 from hexjet_paper.report.page import write_page as paper_report
-from hexjet_paper.report.pages import COUNTS, NAMED, counts_table
+from hexjet_paper.report.pages import COUNTS, TABLES, counts_table
 from hexjet_paper.report.pages import page_parts as paper_parts
 from hexjet_paper.report.result import Identified, Manual, Reproduction
 
@@ -368,10 +368,10 @@ def test_what_is_written_into_a_page(found: Reproduction) -> None:
     )  # fmt: skip
     whole = replace(found, linear=replace(found.linear, conditions=[delay, sign]))
     parts = paper_parts(whole)
-    assert tuple(parts) == NAMED
+    assert tuple(parts) == TABLES
     assert parts[COUNTS] == counts_table(found.claims)
-    assert "alone loses stability with 11" in parts[NAMED[2]]
-    assert "lowers it by 10 %" in parts[NAMED[3]]
+    assert "alone loses stability with 11" in parts[TABLES[2]]
+    assert "lowers it by 10 %" in parts[TABLES[3]]
 
 
 def test_measured_points_have_the_margins_of_the_computed_loop() -> None:

@@ -309,14 +309,14 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
     with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
         law = flight.simulation.engine.flame_out
         assert law is not None
-        left = law.thrust_left * (1.0 + failsafe_flight.LATER_S / law.half_speed_s) ** -law.exponent
+        left = law.thrust_left * (1.0 + failsafe_flight.WATCH_S / law.half_speed_s) ** -law.exponent
         flight.fly(1.1)
         flight.ok(rq.Arm())
         idle = flight.fly(2.0)
         assert idle > 50.0
         flight.ok(rq.Disarm())
         # a step may lie between the request and the fire
-        assert flight.fly(failsafe_flight.LATER_S) == pytest.approx(left * idle, rel=0.005)
+        assert flight.fly(failsafe_flight.WATCH_S) == pytest.approx(left * idle, rel=0.005)
 
 
 @pytest.mark.parametrize(
@@ -404,9 +404,9 @@ def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthe
         for _ in range(300):
             flight.fly(0.1)
             away.append(hypot(*flight.simulation.state.position[:2]))
-            assert abs(flight.simulation.state.altitude - 10.0) < failsafe_flight.HOLD_HEIGHT_M
+            assert abs(flight.simulation.state.altitude - 10.0) < failsafe_flight.MAX_HOLD_HEIGHT_M
     assert max(away) < furthest
-    assert max(away[200:]) < failsafe_flight.HOLD_RADIUS_M
+    assert max(away[200:]) < failsafe_flight.MAX_HOLD_RADIUS_M
 
 
 @pytest.mark.parametrize("aircraft", HEXJETS)
@@ -457,9 +457,9 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
     row = flown("set-points lost", aircraft, 10.0, wind)
     assert row.verdict == "holds"
     # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
-    assert row.off_m < failsafe_flight.HOLD_RADIUS_M
-    assert abs(row.height_off_m) < failsafe_flight.HOLD_HEIGHT_M
-    assert 0.0 < row.margin_m <= failsafe_flight.HOLD_HEIGHT_M
+    assert row.off_m < failsafe_flight.MAX_HOLD_RADIUS_M
+    assert abs(row.height_off_m) < failsafe_flight.MAX_HOLD_HEIGHT_M
+    assert 0.0 < row.margin_m <= failsafe_flight.MAX_HOLD_HEIGHT_M
     assert isnan(row.margin_m_s)
 
 

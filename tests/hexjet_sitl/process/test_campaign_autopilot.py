@@ -18,7 +18,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.protocol import time_limit
 from cosim.simulation.controllers.recorded import ACTUATORS
 from hexjet_sitl import betaflight
-from hexjet_sitl.prepare import INSTANCE_PORTS, MAX_INSTANCES, reserve_instance
+from hexjet_sitl.prepare import FIRST_INSTANCE_PORT, MAX_INSTANCES, reserve_instance
 
 TABLE: dict[str, Any] = {
     "name": "delays",
@@ -81,7 +81,7 @@ def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("hexjet_sitl.prepare.MAX_INSTANCES", 0)
     with pytest.raises(FlightError, match="fly on this machine already"), reserve_instance():
         pass
-    assert INSTANCE_PORTS + MAX_INSTANCES < 65536
+    assert FIRST_INSTANCE_PORT + MAX_INSTANCES < 65536
 
 
 @pytest.mark.parametrize(

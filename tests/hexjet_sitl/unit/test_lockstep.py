@@ -262,7 +262,7 @@ def test_what_px4_does_wrong_is_named(faults: dict[str, Any], said: str, tmp_pat
 
 
 def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(px4, "_START_S", 0.1)
+    monkeypatch.setattr(px4, "_MAX_START_S", 0.1)
     instance = free_instance(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
     ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, Setup(instance))
     with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):

@@ -11,7 +11,7 @@ from cosim.base.frames import from_euler
 from cosim.base.signals import ZERO3, Command, Measured
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.scenario import Scenario
-from hexjet_sitl.lockstep import STICKS_S, StickPositions
+from hexjet_sitl.lockstep import MAX_STICKS_INTERVAL_S, StickPositions
 from hexjet_sitl.pilot import STILL_TIME, StickPilot
 
 HOVER = Scenario.load("hover")
@@ -49,7 +49,7 @@ def test_it_lets_go_of_the_sticks_where_the_autopilot_holds_the_place() -> None:
 def test_it_turns_the_heading_that_the_autopilot_holds_and_not_the_vehicles() -> None:
     """Two loops around one error overshoot: here the vehicle does not follow yet, and the sticks go back all the same."""
     pilot = StickPilot(make_scenario_belief(HOVER, {}), LEAN, TURN, stick_moves_heading=True)
-    wanted, held = radians(20.0), round(STICKS_S / HOVER.step_s)
+    wanted, held = radians(20.0), round(MAX_STICKS_INTERVAL_S / HOVER.step_s)
     command = Command((0.0, 0.0, wanted), 10.0)
     gain = HOVER.resolved_vehicle()[0].control.attitude.gain_1_s[2]
     turned = [pilot.update(command, measured(10.0), 0.0).yaw * TURN for _ in range(round(1.0 / gain / HOVER.step_s))]

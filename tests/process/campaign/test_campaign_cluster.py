@@ -223,9 +223,7 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     journal = out / "flights.jsonl"
     what = ["hover", "--vary", "vehicle.mass_kg=5.4:5.8", "--set", "duration_s=2", "--runs", "2000", "--json"]
     where = ["--cluster", str(processes.file), "--out", str(out)]
-    script = (
-        "from cosim.campaign.workers import cluster; cluster.CONNECT_S = 1.0; from cosim.cli.main import main; main()"
-    )
+    script = "from cosim.campaign.workers import cluster; cluster.MAX_CONNECT_S = 1.0; from cosim.cli.main import main; main()"
     command = [sys.executable, "-c", script, "sweep", *what, *where]
     flying = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
@@ -274,7 +272,7 @@ def free_port() -> int:
 def test_what_cannot_be_reached_is_told_in_a_line(
     where: str, silent: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    monkeypatch.setattr(cluster, "MAX_CONNECT_S", 0.5)
     (tmp_path / "notes.json").write_text("[]")
     address, words = {
         "nobody": (f"tcp://127.0.0.1:{free_port()}", "no scheduler answers within 0.5 s; one is started with: dask"),
@@ -299,7 +297,7 @@ def test_what_cannot_be_reached_is_told_in_a_line(
 
 
 def test_a_scheduler_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "FIRST_WORKER_S", 0.2)
+    monkeypatch.setattr(cluster, "MAX_FIRST_WORKER_S", 0.2)
     monkeypatch.setattr(cluster._Threads, "look", lambda threads: {})
     with pytest.raises(InputError, match=r"has no workers; one is started with: dask worker"):
         DaskWorkers(None, 1)
@@ -373,7 +371,7 @@ def raise_(error: Exception) -> None:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> Study:
-    monkeypatch.setattr(cluster, "LOOK_S", 0.0)
+    monkeypatch.setattr(cluster, "CHECK_INTERVAL_S", 0.0)
     return study(runs=40)
 
 

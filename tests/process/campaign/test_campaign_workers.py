@@ -286,8 +286,8 @@ def test_processes_that_do_not_start_end_it(study: Study, monkeypatch: pytest.Mo
 
 def test_processes_that_start_too_slowly_are_called_that(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     """They have neither left nor closed anything: the machine has too much to do."""
-    monkeypatch.setattr(local, "START_LIMIT_S", 0.0)
-    monkeypatch.setattr(local, "LOOK_S", 0.0)
+    monkeypatch.setattr(local, "MAX_START_S", 0.0)
+    monkeypatch.setattr(local, "CHECK_INTERVAL_S", 0.0)
     monkeypatch.setattr(local, "MAX_FAILED_STARTS", 2)
     with LocalWorkers(1) as workers:
         with pytest.raises(FlightError, match="the last was not ready after 0 s"):

@@ -16,12 +16,12 @@ import pytest
 from places import ROOT, TOOLS
 
 from cosim import Scenario, fly
-from cosim.base.compiled import MODULES, PURE, SHARED, is_current
+from cosim.base.compiled import MODULES, PURE_VARIABLE, SHARED, is_current
 from cosim.simulation.build import build
 
 PACKAGE = ROOT / "cosim"
 
-needs_compiled = pytest.mark.skipif(bool(os.environ.get(PURE)), reason=f"{PURE} is set")
+needs_compiled = pytest.mark.skipif(bool(os.environ.get(PURE_VARIABLE)), reason=f"{PURE_VARIABLE} is set")
 WHERE = "import cosim.vehicle.servo as a, cosim.base.frames as b; print(a.__file__, b.__file__)"
 
 
@@ -78,7 +78,7 @@ def digests() -> dict[str, str]:
 
 def python(code: str, path: Path, **environment: str) -> tuple[str, str]:
     """Standard output and standard error of ``code``, run with ``path`` before everything else."""
-    inherited = {key: value for key, value in os.environ.items() if key != PURE}
+    inherited = {key: value for key, value in os.environ.items() if key != PURE_VARIABLE}
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=path,
@@ -107,7 +107,7 @@ def test_compiled_and_from_source_a_flight_is_the_same_bit_for_bit() -> None:
         f"import sys; sys.path.insert(0, {str(TOOLS)!r}); import json, test_compiled, cosim.simulation.step as s; "
         "print(s.__file__, json.dumps(test_compiled.digests()))",
         Path(__file__).parent,
-        **{PURE: "1"},
+        **{PURE_VARIABLE: "1"},
     )
     module, _, found = said.partition(" ")
     assert module.endswith("simulation/step.py")
@@ -152,7 +152,7 @@ def test_a_source_that_is_newer_than_what_was_compiled_runs(checkout: Path) -> N
     set_times(checkout, built=2000.0)
     with pytest.raises(AssertionError, match="ImportError"):  # nothing is newer: what was compiled is taken
         python(WHERE, checkout)
-    assert python(WHERE, checkout, **{PURE: "1"}) == (f"{files}\n", "")
+    assert python(WHERE, checkout, **{PURE_VARIABLE: "1"}) == (f"{files}\n", "")
     other = checkout / "cosim" / "other.py"
     shutil.copy2(servo, other)  # copied over it later, with the older time that it has
     os.replace(other, servo)

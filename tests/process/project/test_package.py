@@ -23,10 +23,10 @@ import pytest
 from command_tools import Hexjet
 from places import ROOT, script
 
-from cosim.base.compiled import MODULES, PURE, SHARED
+from cosim.base.compiled import MODULES, PURE_VARIABLE, SHARED
 from cosim.cli.table import OWN
 
-UNCOMPILED = bool(os.environ.get(PURE))
+UNCOMPILED = bool(os.environ.get(PURE_VARIABLE))
 COMPILED = (
     () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
 )  # a few stand for all: `make setup` compiles those
@@ -266,7 +266,7 @@ def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path)
 
 
 @pytest.mark.long
-@pytest.mark.skipif(UNCOMPILED, reason=f"{PURE} is set")
+@pytest.mark.skipif(UNCOMPILED, reason=f"{PURE_VARIABLE} is set")
 def test_the_installed_package_flies_what_was_compiled(installed: Path, tmp_path: Path) -> None:
     file = run(installed / "python", "-c", "import cosim.base.frames as f; print(f.__file__)", cwd=tmp_path)
     assert file.rstrip().endswith((".so", ".pyd"))

@@ -37,7 +37,7 @@ from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.fmu.archive import find_library
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import EngineMeasurement
-from cosim.engine.response import NO_CHANGE, Response
+from cosim.engine.response import REST_TOLERANCE, Response
 from cosim.engine.source import find_source
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
@@ -294,7 +294,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     falling = known.curve._replace(thrust=tuple(reversed(known.curve.thrust)))
     source = load_checked.find_source(str(path))
     monkeypatch.setattr(load_checked, "_fit_engines", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
-    measured = EngineMeasurement(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
+    measured = EngineMeasurement(falling, Response(7, 0.1, 0.0, 20.0), None, REST_TOLERANCE)
     monkeypatch.setattr(load_checked, "measure_isolated", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
         load_checked.measure_checked(source, {"delay_samples": 7.0}, STEP, STANDARD_AIR)

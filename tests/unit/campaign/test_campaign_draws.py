@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.stats import pearsonr, qmc, spearmanr
 
 from cosim.campaign.study.distributions import Vary, parse_vary
-from cosim.campaign.study.draws import BLOCK, SMALLEST, Draws, flight_seed, inverse, latin_hypercube, reorder_points
+from cosim.campaign.study.draws import BLOCK, MIN_QUANTILE, Draws, flight_seed, inverse, latin_hypercube, reorder_points
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
@@ -207,7 +207,7 @@ def erfc_ratio(z: float, from_z: float) -> float:
 
 
 def test_a_negative_nominal_value_turns_a_factor_round() -> None:
-    values = bent("x*=0.5:2", [SMALLEST, 0.5, 1.0 - 2.0**-53], Key("x", "float", -0.08))
+    values = bent("x*=0.5:2", [MIN_QUANTILE, 0.5, 1.0 - 2.0**-53], Key("x", "float", -0.08))
     assert values == pytest.approx([-0.04, -0.1, -0.16])
 
 
@@ -285,7 +285,7 @@ def test_a_few_runs_in_a_line_are_rearranged_all_the_same() -> None:
 # -- bounds --
 
 NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
-SHARE = st.sampled_from([SMALLEST, 1e-9, 0.25, 0.5, 1.0 - 2.0**-53]) | st.floats(SMALLEST, 1.0 - 2.0**-53)
+SHARE = st.sampled_from([MIN_QUANTILE, 1e-9, 0.25, 0.5, 1.0 - 2.0**-53]) | st.floats(MIN_QUANTILE, 1.0 - 2.0**-53)
 
 
 @st.composite

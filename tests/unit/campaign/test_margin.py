@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cosim.campaign.analysis.margin import OWN_LIMITS, SMALLEST, requirement_margins, row_margin
+from cosim.campaign.analysis.margin import MIN_FAILED_MARGIN, OWN_LIMITS, requirement_margins, row_margin
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
 
@@ -44,7 +44,7 @@ def test_a_lost_flight_is_the_worse_the_sooner_it_was_lost() -> None:
 def test_the_sign_is_that_of_success() -> None:
     """A completed flight beyond one of its limits failed, however well it met what the study asks for."""
     asked = study([f"{ROLL}<=50"])
-    assert row_margin(row(success=False), asked) == -SMALLEST
+    assert row_margin(row(success=False), asked) == -MIN_FAILED_MARGIN
     assert row_margin(row(), study([])) == 1.0
 
 
@@ -62,7 +62,7 @@ def test_each_requirement_has_its_own_margin_and_one_is_broken_in_a_failure() ->
     assert margins(row(**kept)) == pytest.approx([0.2, 0.5, 0.7])
     broken = kept | {"margin_" + ROLL: -5.0, "margin": -0.1, "success": False}
     assert margins(row(**broken)) == pytest.approx([-0.1, 0.5, 0.7])
-    assert margins(row(**kept | {"success": False})) == pytest.approx([0.2, 0.5, -SMALLEST])
+    assert margins(row(**kept | {"success": False})) == pytest.approx([0.2, 0.5, -MIN_FAILED_MARGIN])
     assert margins(row(success=False, outcome="failed", duration_s=None)) == [1.0, 1.0, -2.0]
     assert requirement_margins(study([]))[1](row(margin=0.3)) == [0.3]
     assert margins(row(margin=0.3)) == [1.0, 1.0, 0.3]  # the row says no more

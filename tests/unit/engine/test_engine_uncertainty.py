@@ -14,7 +14,7 @@ from engine_tools import archive
 from cosim.base.errors import InputError
 from cosim.cli.main import run as run_command
 from cosim.engine import load_engine
-from cosim.engine.fmu.uncertainty import CUT, lower_factor, without_uncertainty
+from cosim.engine.fmu.uncertainty import MAX_SIGMA, lower_factor, without_uncertainty
 from cosim.engine.source import find_source
 from hexjet_identify.replay.flown import Model
 from hexjet_identify.replay.replay import Choices, draw
@@ -151,7 +151,7 @@ def test_a_replay_draws_each_parameter_cut_off_at_its_own_deviation_whatever_it_
     pole, gain = (np.array([change.parameters[name] for change in drawn]) for name in ("pole", "gain"))
     for name, values, deviation in (("pole", pole, 0.006), ("gain", gain, 0.02)):
         off = (values - engine.parameters[name]) / deviation
-        assert np.max(np.abs(off)) <= CUT
+        assert np.max(np.abs(off)) <= MAX_SIGMA
         assert np.std(off) == pytest.approx(0.9866, rel=4.0 / np.sqrt(2.0 * 6000))  # of a normal number cut off at 3
     delay = np.array([change.parameters["delay_samples"] for change in drawn])
     assert np.all(delay == np.round(delay))

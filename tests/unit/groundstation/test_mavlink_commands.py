@@ -37,7 +37,7 @@ from cosim.control.autopilot.requests import (
     Sticks,
     Takeoff,
 )
-from cosim.groundstation.mavlink.modes import LIST
+from cosim.groundstation.mavlink.modes import MODES
 from cosim.groundstation.mavlink.services.commands import KNOWN
 from cosim.groundstation.mavlink.wire.dialect import mav
 
@@ -307,8 +307,8 @@ def test_what_others_bring_is_there_on_request() -> None:
 
 def test_the_list_of_modes(desk: Desk) -> None:
     _, *lines = desk.ask(command(512, 435.0, 0.0))
-    assert [line.mode_index for line in lines] == list(range(1, len(LIST) + 1))
-    assert {line.number_modes for line in lines} == {len(LIST)}
+    assert [line.mode_index for line in lines] == list(range(1, len(MODES) + 1))
+    assert {line.number_modes for line in lines} == {len(MODES)}
     by_name = {line.mode_name: line.custom_mode for line in lines}
     # PX4's numbers: what QGroundControl's buttons look for
     assert by_name["Hold"] == 0x03040000
@@ -323,7 +323,7 @@ def test_the_list_of_modes(desk: Desk) -> None:
 
 @pytest.mark.parametrize("mode", [mode for mode in Mode if mode is not Mode.ORBIT])
 def test_set_mode_has_no_acknowledgement_and_shows_at_once(desk: Desk, mode: Mode) -> None:
-    custom = {line.mode: line for line in LIST}[mode]
+    custom = {line.mode: line for line in MODES}[mode]
     _, *lines = desk.ask(command(512, 435.0))
     number = next(line.custom_mode for line in lines if line.mode_name == custom.name)
     desk.bench.pilot.asked.clear()

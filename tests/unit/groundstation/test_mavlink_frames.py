@@ -16,11 +16,11 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
-from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing, read_key
+from cosim.groundstation.mavlink.wire.signing import EPOCH_S, Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 
 KEY = bytes(range(32))
-NOW = EPOCH + 3e8
+NOW = EPOCH_S + 3e8
 
 
 def station(**more: Any) -> Any:
@@ -121,7 +121,7 @@ def signed(key: bytes = KEY, at: float = NOW, link: int = 3, message: Any = None
     other.signing.secret_key = key
     other.signing.sign_outgoing = True
     other.signing.link_id = link
-    other.signing.timestamp = int((at - EPOCH) * 1e5)
+    other.signing.timestamp = int((at - EPOCH_S) * 1e5)
     return bytes((message or heartbeat()).pack(other))
 
 
@@ -207,7 +207,7 @@ def test_the_vehicle_signs_later_than_what_it_has_accepted() -> None:
     reader, _, signing = guarded()
     reader.feed(signed(at=NOW + 1000.0))
     frame = FramePacker(1, signing=signing).pack_frame(prepare_message(heartbeat()))
-    assert int.from_bytes(frame[-12:-6], "little") > int((NOW + 1000.0 - EPOCH) * 1e5)
+    assert int.from_bytes(frame[-12:-6], "little") > int((NOW + 1000.0 - EPOCH_S) * 1e5)
 
 
 def test_a_key_is_a_pass_phrase_or_digits(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from mavlink_tools import ABOUT, Bench, Desk, command, message_of
 from cosim.control.autopilot.requests import from_dict, to_dict
 from cosim.groundstation.mavlink.services.commands import KNOWN
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, KINDS, mav
-from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing
+from cosim.groundstation.mavlink.wire.signing import EPOCH_S, Signing
 
 FRAMES = int(os.environ.get("HEXJET_FUZZ", "20000"))
 SHARE = max(1, FRAMES // 5)  # of each kind of hostility
@@ -144,12 +144,12 @@ def test_frames_for_others_and_from_itself(rig: Rig) -> None:
 
 def test_signatures_that_are_wrong() -> None:
     """Unsigned, of another key, changed after signing, or recorded: all refused, and the owner is heard all the same."""
-    now = EPOCH + 3e8
+    now = EPOCH_S + 3e8
     rig = Rig(Signing(KEY, clock=lambda: now))
     chance = random.Random(5)
     friend = mav.MAVLink(None, srcSystem=255, srcComponent=190)
     friend.signing.secret_key, friend.signing.sign_outgoing = KEY, True
-    friend.signing.timestamp = int((now - EPOCH) * 1e5)
+    friend.signing.timestamp = int((now - EPOCH_S) * 1e5)
     foe = mav.MAVLink(None, srcSystem=255, srcComponent=190)
     foe.signing.secret_key, foe.signing.sign_outgoing = b"x" * 32, True
     foe.signing.timestamp = 2**47

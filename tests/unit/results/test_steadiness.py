@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.results.limits import ALTERNATING_PERCENT, describe_exceedance, find_exceeded
+from cosim.results.limits import MAX_ALTERNATING_PERCENT, describe_exceedance, find_exceeded
 from cosim.results.metrics import alternating_percent, settling_time
 from cosim.results.steadiness import AxisLimitInputs, axis_limits, noise_floor, settling_limit
 
@@ -204,7 +204,7 @@ def test_noise_does_not_reach_the_limit_however_strong() -> None:
         assert np.mean(turns[1:] * turns[:-1] < 0.0) == pytest.approx(mean, abs=0.01)
         worst = share(command)
         assert worst is not None
-        assert 100.0 * mean - 5.0 < worst < ALTERNATING_PERCENT - 4.0
+        assert 100.0 * mean - 5.0 < worst < MAX_ALTERNATING_PERCENT - 4.0
 
 
 def test_alternation_is_not_told_without_a_second_or_a_range() -> None:

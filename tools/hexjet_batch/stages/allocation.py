@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.control.allocation.allocation import LEAST_SHARE
+from cosim.control.allocation.allocation import MIN_HOVER_FRACTION
 from hexjet_batch.numbers import Numbers
 from hexjet_batch.stages.rotations import Vector
 
@@ -22,7 +22,7 @@ def allocate_banks(n: Numbers, collective: Any, torque: Vector, xp: Any) -> Allo
     r = xp.clip(roll, -half, half)
     spread = xp.abs(r)
     c = xp.minimum(xp.maximum(collective, n.throttle_min + spread), n.throttle_max - spread)
-    ratio = xp.maximum((c + n.idle) / (n.hover + n.idle), LEAST_SHARE)
+    ratio = xp.maximum((c + n.idle) / (n.hover + n.idle), MIN_HOVER_FRACTION)
     asked_pitch, asked_yaw = n.pitch_sign * pitch / ratio, yaw / ratio
     p = xp.clip(asked_pitch, -n.range_rad, n.range_rad)
     room = n.range_rad - xp.abs(p)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.constants import GRAVITY
-from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.control.altitude import MIN_UPRIGHT
 from hexjet_batch.numbers import Numbers, is_absent
 from hexjet_batch.stages.rotations import Quaternion, Vector
 
@@ -88,7 +88,7 @@ def update_height(
     moved = xp.clip(integral + n.step * n.integral_1_s2 * error, -n.integral_limit_m_s2, n.integral_limit_m_s2)
     integral = xp.where(unallocated * error <= 0.0, moved, integral)
     _, x, y, _ = measured.attitude
-    upright = xp.maximum(1.0 - 2.0 * (x * x + y * y), LEAST_UPRIGHT)
+    upright = xp.maximum(1.0 - 2.0 * (x * x + y * y), MIN_UPRIGHT)
     thrust = (n.mass_kg - burnt) * (GRAVITY + n.velocity_1_s * error + integral) / upright
     collective = (thrust / n.jets - n.low) / n.span
     if n.lead is not None:

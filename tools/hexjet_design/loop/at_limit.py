@@ -29,25 +29,25 @@ from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT, excesses, fine_loop, is_acceptable, objective
+from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM, excesses, fine_loop, is_acceptable, objective
 from hexjet_design.loop.limit import Bounds, need_solver
-from hexjet_design.loop.low_order import COARSE, START, free_weights, reduce_limit
+from hexjet_design.loop.low_order import COARSE_POINTS, START_POLES, free_weights, reduce_limit
 from hexjet_design.loop.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
 from hexjet_design.loop.tuning import Tuning, round_gain
 
 Pairs = Sequence[tuple[float, float]]
 
-# The search stays inside the requirements by this, for what lies between its points.
-SPARE = 0.004
-# A search may begin at these times the poles of START, because an engine may be slow itself.
-SLOWER = (1.0, 0.7, 0.5, 0.35)
-LONGER = (1.0, 1.3, 1.7, 2.4, 3.5)  # times the shortest lag
-FIRST, FIRST_LAG = 0.02, 0.2  # simplex: of weights' length, of log lag
-ROUNDS = 300  # of the simplex
-PENALTY, UNSTABLE = 100.0, 1e3  # cost of missing by 100 %, and of no loop
-RELAXED = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # times a requirement
-# Each row has a requirement in words, its keys, and whether more of it asks for less.
-WAYS = (
+# The search keeps requirements by this relative margin, for what lies between its frequencies.
+MARGIN = 0.004
+# Factors on the START poles at which searches begin, because an engine may be slow.
+SLOWER_POLES = (1.0, 0.7, 0.5, 0.35)
+LONGER_LAGS = (1.0, 1.3, 1.7, 2.4, 3.5)  # factors on the shortest lag
+FIRST_STEP, FIRST_LAG = 0.02, 0.2  # of the simplex: weights, log lag
+MAX_EVALUATIONS = 300  # of the simplex search
+PENALTY, UNSTABLE = 100.0, 1e3  # cost per relative excess; of no loop
+RELAXATIONS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # factors on a requirement that is missed
+# Requirement in words, its keys, and whether a larger value is less strict.
+RELAXABLE = (
     ("a peak sensitivity of {max_sensitivity:.3g}", ("max_sensitivity",), True),
     (
         "tolerances of {delay_tolerance:.2g} of the delay and {gain_tolerance:.2g} of the gain",
@@ -57,7 +57,7 @@ WAYS = (
     ("noise of {noise_share:.3g} of the room", ("noise_share",), True),
     ("a bandwidth of {min_bandwidth_hz:.2g} Hz", ("min_bandwidth_hz",), False),
 )
-THREE_DB = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad: frequency times lag at -3 dB
+CUTOFF_PER_LAG = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad/s at -3 dB, times lag
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,10 @@ class _Search:
         """
         if closed.unstable_poles:
             return {"tolerances": 1.0}
-        parts = excesses(closed, self.need, SPARE)
+        parts = excesses(closed, self.need, MARGIN)
         spare = 0.1  # of a corner's overshoot, for noise
         if flown:
-            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - spare)
+            allowed = CORNER * (OVERSHOOT_ROOM + closed.overshoot) * (1.0 - spare)
             worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
             parts["corners"] = min(worst / allowed - 1.0, 10.0)
         return {name: part for name, part in parts.items() if part > 0.0}
@@ -103,16 +103,16 @@ class _Search:
     def lags(self) -> list[float]:
         """Return lags of the answer to a set-point, s, between what the step's size and the bandwidth allow."""
         need = self.need
-        longest = THREE_DB / (2.0 * pi * need.min_bandwidth_hz) if need.min_bandwidth_hz else inf
+        longest = CUTOFF_PER_LAG / (2.0 * pi * need.min_bandwidth_hz) if need.min_bandwidth_hz else inf
         low, high = self.channel.step, 50.0 * self.delay
         for _ in range(30):
             middle = sqrt(low * high)
             low, high = (low, middle) if self._first_command(middle) * need.step_rad <= self._room else (middle, high)
-        return [lag for lag in (factor * high for factor in LONGER) if lag <= longest]
+        return [lag for lag in (factor * high for factor in LONGER_LAGS) if lag <= longest]
 
     @property
     def _room(self) -> float:
-        return self.channel.room * (1.0 - SPARE)
+        return self.channel.room * (1.0 - MARGIN)
 
     def _first_command(self, lag: float) -> float:
         """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer.
@@ -133,12 +133,12 @@ class _Search:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
         free_step = 100.0  # s: no bound in effect, the lags decide
-        bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), free_step)
+        bounds = Bounds(need.max_sensitivity * (1.0 - MARGIN), noise * (1.0 - MARGIN), free_step)
         wide = need.delay_samples(self.channel.transport_samples)
         first_error = 0.3  # of the delay tolerance, tried first
         for _ in range(12):
             try:
-                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
+                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE_POINTS)
                 tuning = self.tuning(low.target)
             except InputError:
                 return None
@@ -158,8 +158,8 @@ class _Search:
     def find_start(self) -> Tuning | None:
         """Return the law of the least objective whose weights are the programme's, or None."""
         best: tuple[float, Tuning] | None = None
-        for slower in SLOWER:
-            pairs = [(slower * natural, damping) for natural, damping in START]
+        for slower in SLOWER_POLES:
+            pairs = [(slower * natural, damping) for natural, damping in START_POLES]
             for lag in self.lags():
                 tuning = self.draw_closer(lag, pairs)
                 if tuning is not None:
@@ -193,8 +193,8 @@ class _Search:
                 return UNSTABLE
 
         size = 1 + free.shape[1]
-        simplex = np.vstack([np.zeros(size), np.diag([FIRST_LAG, *[FIRST] * (size - 1)])])
-        options = {"maxfev": ROUNDS, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
+        simplex = np.vstack([np.zeros(size), np.diag([FIRST_LAG, *[FIRST_STEP] * (size - 1)])])
+        options = {"maxfev": MAX_EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
         found = minimize(cost, np.zeros(size), method="Nelder-Mead", options=options)
         return at(found.x)
 
@@ -251,8 +251,8 @@ def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requi
 def _explain(search: _Search) -> str:
     """Return which requirement, each by itself, would have to be relaxed and to what."""
     ways = []
-    for text, names, grows in WAYS:
-        for factor in RELAXED:
+    for text, names, grows in RELAXABLE:
+        for factor in RELAXATIONS:
             changed = {name: getattr(search.need, name) * (factor if grows else 1.0 / factor) for name in names}
             relaxed = search.need.model_copy(update=changed)
             if _Search(search.channel, search.model, search.fixed, relaxed).find_start() is not None:

@@ -45,10 +45,10 @@ from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Vehicle
 from hexjet_design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
-from hexjet_design.loop.dynamics import CARRIED
+from hexjet_design.loop.dynamics import MIN_CARRIED_MISFIT
 
-# A lag with a smaller pole in z is over within a step: it is a 20th of one, far below what acts.
-INSTANT = 1e-9
+# A lag with a smaller pole in z settles within a 20th of a step, and is neglected.
+MIN_POLE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Channel:
         turned = self._turned_s() if self.identified is None else self.slowness_s
         # The low-frequency delay is the pace if the two differ by less than this factor; a single lag has 0.64.
         min_ratio = 0.5
-        return self.slowness_s if min_ratio < turned / max(self.slowness_s, INSTANT) < 1.0 / min_ratio else turned
+        return self.slowness_s if min_ratio < turned / max(self.slowness_s, MIN_POLE) < 1.0 / min_ratio else turned
 
     @property
     def paced_gain(self) -> float:
@@ -358,7 +358,7 @@ def _with_others(
             np.polyval(part.compute_weights(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / main_response
         )
     off = np.abs(deviation)
-    if float(off.max()) < CARRIED:
+    if float(off.max()) < MIN_CARRIED_MISFIT:
         return main
     if main.dynamics.unsure:  # the error of its own model is added
         at, gap = np.array(main.dynamics.unsure).T
@@ -456,10 +456,10 @@ def angles(z: Complex) -> Array:
 def remove_instant_dynamics(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
     """Return poles and zeros in z without lags that are over within a step, and the samples of delay that these leave.
 
-    ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
+    ``1 / (z - p)`` with ``p`` below :data:`MIN_POLE` is a delay of a sample to rounding, which a zero at 0 takes back.
     An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.
     """
-    acting, remaining, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
+    acting, remaining, delay = [pole for pole in poles if not 0.0 < pole < MIN_POLE], [*zeros], 0
     for _ in range(len(poles) - len(acting)):
         if 0.0 in remaining:
             remaining.remove(0.0)

@@ -29,11 +29,11 @@ from hexjet_design.loop.frequency import LoopMargins, loop_margins
 from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
-WINDOW = 50.0  # times the channel's pace, in time
-# The same in times of the longest answer: 5 % of a slow part are left then.
-LONGEST = 3.0
-# Of what comes a period later so much is left in a response in time; rounding is as small.
-FADED = 1e-10
+WINDOW_PACES = 50.0  # length of time responses in paces
+# Length in durations of the slowest response, of which 5 % then remains.
+WINDOW_ANSWERS = 3.0
+# Fraction of a response one period later that remains in it, as small as rounding.
+WRAPPED = 1e-10
 
 
 class FrequencyGrid:
@@ -61,7 +61,7 @@ class FrequencyGrid:
 
 def window_s(channel: Channel) -> float:
     """Return for how long responses in time of a channel are looked at, s."""
-    return max(WINDOW * channel.pace_s, LONGEST * channel.longest_s)
+    return max(WINDOW_PACES * channel.pace_s, WINDOW_ANSWERS * channel.longest_s)
 
 
 class ClosedLoop:
@@ -159,7 +159,7 @@ class ClosedLoop:
 
     @cached_property
     def steps(self) -> Steps:
-        """Unit steps of set-point and load over :data:`WINDOW` times the channel's pace, exactly."""
+        """Unit steps of set-point and load over :data:`WINDOW_PACES` times the channel's pace, exactly."""
         channel = self.points.channel
         samples = ceil(window_s(channel) / channel.step)
         if self.tuning.firmware is not None or not self.tuning.has_space:
@@ -243,10 +243,10 @@ def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
     """Compute unit steps from the loop's frequency response alone, for a predictor without a state space.
 
     ``h_k = r^k IFFT(H(r e^(j theta)))`` on a circle outside the unit circle: the pole at 1 of a step lies within it,
-    and of what comes a period later, which is at least four times ``samples``, only :data:`FADED` of it is left.
+    and of what comes a period later, which is at least four times ``samples``, only :data:`WRAPPED` is left.
     """
     period = 4 << ceil(log2(samples))
-    radius = FADED ** (-1.0 / period)
+    radius = WRAPPED ** (-1.0 / period)
     z = radius * np.exp(2j * pi / period * np.arange(period // 2 + 1))
     closed = ClosedLoop(FrequencyGrid(channel, z=z), tuning)
     grown = radius ** np.arange(samples)

@@ -11,11 +11,11 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.tuning import Tuning
 
-# The overshoot in flight may be more than promised by this, for noise and what is not linear.
-OVERSHOOT = 0.10
-# At a corner of the tolerances, where stability alone is promised, a proof allows this times as much.
+# Overshoot in flight above the promised one, for noise and nonlinearity.
+OVERSHOOT_ROOM = 0.10
+# Factor on requirements at a corner of the tolerances, where only stability is promised.
 CORNER = 2.0
-FINE = 4000  # points of the circle to check a tuning
+FINE_POINTS = 4000  # frequencies to check a tuning
 
 
 def objective(closed: ClosedLoop) -> float:
@@ -57,5 +57,5 @@ def is_acceptable(closed: ClosedLoop, need: Requirements) -> bool:
 
 
 def fine_loop(channel: Channel, tuning: Tuning) -> ClosedLoop:
-    """Return a channel closed with a tuning, at the :data:`FINE` points with which a tuning is checked."""
-    return ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
+    """Return a channel closed with a tuning, at the :data:`FINE_POINTS` points with which a tuning is checked."""
+    return ClosedLoop(FrequencyGrid(channel, close=FINE_POINTS), tuning)

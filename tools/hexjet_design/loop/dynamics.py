@@ -18,13 +18,13 @@ from cosim.base.arrays import Array, Complex
 from cosim.identify.sweep import FrequencyResponse, counts, separate_equal
 from cosim.spec.vehicle import RateModel
 
-# Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.
+# Terms besides two poles. The quick zero remains if a fractional delay is rounded up: (1 + s t) leads by t.
 FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))
-# A zero in the right half plane: thrust first goes the wrong way.  Tried where none of those above follows.
-WRONG_WAY: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
-SEARCHED = 5  # samples either side of the free delay
-# A design carries misfits from here: below, none moves a peak sensitivity of 1.7 by 3 %.
-CARRIED = 0.01
+# Forms with a zero in the right half plane, where thrust first goes the wrong way; tried if no other form fits.
+WRONG_WAY_FORMS: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
+NEARBY = 5  # either side of the free delay
+# A design takes larger misfits into account; smaller ones change a peak sensitivity of 1.7 by less than 3 %.
+MIN_CARRIED_MISFIT = 0.01
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
             break
     assert best is not None
     poor = 0.02  # misfit above which these are tried
-    for form in WRONG_WAY if best.misfit > poor else ():
+    for form in WRONG_WAY_FORMS if best.misfit > poor else ():
         fit = _fit(response, form, delay, lag)
         if fit.misfit < 0.7 * best.misfit and _runs(fit):
             best = fit
@@ -166,7 +166,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
 
     Each point has the largest of its own misfit and its neighbours', because the response between points is not known.
     """
-    if dynamics.misfit < CARRIED:
+    if dynamics.misfit < MIN_CARRIED_MISFIT:
         return dynamics
     use = counts(response) > 0.0
     hertz, ratio = response.hertz[use], response.value[use] / dynamics.hold_response(response.hertz[use])
@@ -246,7 +246,7 @@ class _FormFit:
         """Find the point near ``best`` whose delay is the whole number of samples that leaves least."""
         chosen: tuple[float, Array] = (inf, best)
         others = [k for k in self._free if k != 3]
-        for samples in sorted({max(0, round(best[3]) + k) for k in range(-SEARCHED, SEARCHED + 1)}):
+        for samples in sorted({max(0, round(best[3]) + k) for k in range(-NEARBY, NEARBY + 1)}):
             fixed = best.copy()
             fixed[3] = samples
             solution = self._solve(fixed, others)

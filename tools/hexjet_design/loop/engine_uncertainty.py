@@ -20,7 +20,7 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.engine import EngineSpec, find_source, load_engine
-from cosim.engine.fmu.uncertainty import CUT, Uncertainty, cut_normal
+from cosim.engine.fmu.uncertainty import MAX_SIGMA, Uncertainty, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.engine_reference import measure_small_steps
@@ -28,7 +28,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.loop.channel import Channel
 
-MOST = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as the command line takes them
+MAX_TOLERANCES = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as on the command line
 
 
 class LoopUncertainty(NamedTuple):
@@ -152,24 +152,26 @@ def engine_tolerances(
 ) -> EngineTolerances:
     """Return the requirements with the tolerances that are not stated in them as the engine's uncertainty has them.
 
-    They are :data:`~cosim.engine.fmu.uncertainty.CUT` standard deviations at the frequency of each channel's pace, the
+    They are :data:`~cosim.engine.fmu.uncertainty.MAX_SIGMA` deviations at the frequency of each channel's pace, the
     largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with
     all stated, the requirements are as they were.  Raises InputError as a flight.
     """
-    unstated = [name for name in MOST if name not in need.model_fields_set]
+    unstated = [name for name in MAX_TOLERANCES if name not in need.model_fields_set]
     acting = [plant for plant in plants if not plant.is_by_servo]
     if spec.uncertainty is None or not unstated or not acting:
         return EngineTolerances(need)
     sensitivity = EngineSensitivity(scenario, vehicle, spec)
     found = [(plant, *sensitivity.covariances(1.0 / (2.0 * pi * plant.pace_s))) for plant in acting]
-    of_one = [(plant, CUT * np.sqrt(np.diag(common + single)), common + single) for plant, common, single in found]
+    of_one = [
+        (plant, MAX_SIGMA * np.sqrt(np.diag(common + single)), common + single) for plant, common, single in found
+    ]
     gain, delay_s = np.max([deviations for _, deviations, _ in of_one], axis=0)
     relative = max(both[1] / (max(1.0, plant.transport_samples) * plant.step) for plant, both, _ in of_one)
     values = {"gain_tolerance": float(gain), "delay_tolerance": float(relative)}
     said = {"gain_tolerance": f"gain {100.0 * gain:.3g} %", "delay_tolerance": f"delay {1e3 * delay_s:.3g} ms"}
     parts = [
         said[name] + (f", of which {100.0 * most:.0f} % are taken" if values[name] > most else "")
-        for name, most in MOST.items()
+        for name, most in MAX_TOLERANCES.items()
         if name in unstated
     ]
     if len(parts) > 1:
@@ -177,11 +179,12 @@ def engine_tolerances(
         parts.append(
             f"the box around their ellipsoid of correlation {both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]):.2g}"
         )
-    taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MOST[name]) for name in unstated}
+    taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MAX_TOLERANCES[name]) for name in unstated}
     spread, uneven = _engine_spread(need, spec.uncertainty, found)
     words = (
-        f"tolerances from the engine's uncertainty, {CUT:g} standard deviations of its parameters: {', '.join(parts)}; "
-        f"source: {spec.uncertainty.source or 'not stated'}; {' and '.join(unstated)} would state others{uneven}"
+        f"tolerances from the engine's uncertainty, {MAX_SIGMA:g} standard deviations of its parameters: "
+        f"{', '.join(parts)}; source: {spec.uncertainty.source or 'not stated'}; {' and '.join(unstated)} would state "
+        f"others{uneven}"
     )
     return EngineTolerances(need.model_copy(update=taken | spread), words)
 
@@ -202,8 +205,8 @@ def _engine_spread(
             "; it gives no engine-to-engine spread, so the proof assumes "
             f"{100.0 * unknown_spread:.0f} % of gain and lag (engine_spread)"
         )
-    ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
-    spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MOST["gain_tolerance"])
+    ends = [MAX_SIGMA * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
+    spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MAX_TOLERANCES["gain_tolerance"])
     return {"engine_spread": spread}, f"; by its spread one engine is off by {100.0 * spread:.3g} % in the proof"
 
 

@@ -41,10 +41,10 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.spec.vehicle import RateGains
 
-# As it ships, both are first order; that the first rises with throttle is off.
+# As shipped, both of first order; the first does not rise with throttle here.
 GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0
-LEVEL_HZ = 50.0  # ATTITUDE_CUTOFF_HZ, behind attitude P
-YAW_P_HZ = 100.0  # yaw_lowpass_hz, of the proportional part
+LEVEL_HZ = 50.0  # Betaflight's ATTITUDE_CUTOFF_HZ
+YAW_P_HZ = 100.0  # Betaflight's yaw_lowpass_hz
 # CUTOFF_CORRECTION_PT3: with it three equal lags together are 3 dB down at the cutoff.
 PT3 = 1.961459177
 
@@ -97,7 +97,7 @@ def _ardupilot(
     return [r, error, slope, integral], error, integral, slope
 
 
-_STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
+_STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}  # states of each firmware's loop
 
 
 def find_law(name: str, axis: str) -> Loop:

@@ -42,21 +42,21 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
-from hexjet_design.loop.optimal import ON_CIRCLE, polynomial
+from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial
 
-KNOTS_A_DELAY = 3.25  # knots within the plant's delay
-EVEN_DELAYS = 24  # delays with even knots, sparser behind
-GROWTH, FARTHEST = 1.08, 8.0  # growth from knot to knot, and its limit
-FREQUENCIES = 620  # of the sensitivity, evenly in log
-RELAXED = 0.1  # of a bound, to see its price
-FACTOR = 2.0  # of the peak with an error of the delay
-WORDS = {
+KNOTS_A_DELAY = 3.25  # spline knots within the plant's delay
+EVEN_DELAYS = 24  # delays with even knots, then sparser
+KNOT_GROWTH, FARTHEST = 1.08, 8.0  # ratio of knot distances; its limit
+FREQUENCY_COUNT = 620  # of the sensitivity, evenly in log
+PRICE_STEP = 0.1  # fraction by which a bound is relaxed
+MAX_PEAK_FACTOR = 2.0  # on the peak with an error of the delay
+PRICE_WORDS = {  # words for relaxing each bound
     "peak_sensitivity": "more peak sensitivity",
     "noise": "more noise",
     "step_error": "more step error",
     "delay_error": "less tolerance of the delay",
 }
-HINT = "pip install clarabel"
+HINT = "pip install clarabel"  # how to install the solver
 
 
 class Bounds(NamedTuple):
@@ -130,8 +130,8 @@ class AxisLimit:
             )
         if not self.prices:
             return text
-        parts = ", ".join(f"{WORDS[name]} by {100.0 * price:.1f} %" for name, price in self.prices.items())
-        return f"{text}; that least falls with {100.0 * RELAXED:.0f} % {parts}"
+        parts = ", ".join(f"{PRICE_WORDS[name]} by {100.0 * price:.1f} %" for name, price in self.prices.items())
+        return f"{text}; that least falls with {100.0 * PRICE_STEP:.0f} % {parts}"
 
 
 def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> AxisLimit:
@@ -153,10 +153,10 @@ def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
     """
     bounds = limit.bounds
     prices = {}
-    for name in WORDS:
+    for name in PRICE_WORDS:
         value = getattr(bounds, name)
         if value:
-            relaxed = value * (1.0 - RELAXED if name == "delay_error" else 1.0 + RELAXED)
+            relaxed = value * (1.0 - PRICE_STEP if name == "delay_error" else 1.0 + PRICE_STEP)
             found = find_limit(channel, bounds._replace(**{name: relaxed}), limit.window_s)
             prices[name] = max(0.0, 1.0 - found.load_error / limit.load_error)
     return prices
@@ -171,7 +171,7 @@ def loop_bounds(closed: ClosedLoop) -> Bounds:
 def _delay_error(closed: ClosedLoop) -> float:
     """Return the largest error of the delay, samples, up to which the peak stays below FACTOR times what it is."""
     theta, open_loop = closed.points.theta, closed.open_loop
-    allowed, most = FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
+    allowed, most = MAX_PEAK_FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
 
     def peak_at(error: float) -> float:
         return float(np.abs(1.0 / (1.0 + open_loop * np.exp(-1j * theta * error))).max())
@@ -230,11 +230,11 @@ class Plant:
         poles = [*model.poles, *_pairs(model.pole_pairs)]
         self.late = int(model.delay_samples) + channel.added_delay + len(poles) - len(zeros)
         self.denominator = polynomial(poles)
-        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
+        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE])
         self.kept = kept / kept.sum()
-        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
+        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
         self.inverted = model.gain * float(kept.sum()) * inside
-        self.is_double = any(abs(pole - 1.0) < ON_CIRCLE for pole in poles)
+        self.is_double = any(abs(pole - 1.0) < CIRCLE_TOLERANCE for pole in poles)
         self.shift = max(self.rate_late - self.angle_late, 0)
         self.length = samples - self.late - max(self.rate_late, self.shift)
         if self.length < 8 * self.late:
@@ -315,7 +315,7 @@ class Programme:
         plant: Plant,
         bounds: Bounds,
         basis: tuple[Array, Array] | None = None,
-        frequencies: int = FREQUENCIES,
+        frequencies: int = FREQUENCY_COUNT,
     ) -> None:
         self.plant, self.bounds, self.frequencies = plant, bounds, frequencies
         if plant.late * plant.step >= bounds.step_error:
@@ -430,10 +430,10 @@ class Programme:
         identity, ones = sparse.identity(count, format="csr"), np.ones(count)
         turned = 2.0 * np.sin(0.5 * np.minimum(self._theta * self.bounds.delay_error, pi))
         nothing = sparse.csr_matrix((count, count))
-        both = sparse.hstack([identity, sparse.diags(FACTOR * peak * turned)])
+        both = sparse.hstack([identity, sparse.diags(MAX_PEAK_FACTOR * peak * turned)])
         cones = [
             Cone("nonnegative", self._rows(sizes=sparse.hstack([identity, nothing])), peak * ones),
-            Cone("nonnegative", self._rows(sizes=both), FACTOR * peak * ones),
+            Cone("nonnegative", self._rows(sizes=both), MAX_PEAK_FACTOR * peak * ones),
         ]
         for k, response in enumerate(responses):
             for offset, index in ((1.0, k), (0.0, count + k)):
@@ -444,7 +444,7 @@ class Programme:
         return cones
 
 
-_WHY_STOPPED = {  # by Clarabel's status
+_WHY_STOPPED = {  # reason by Clarabel's status
     "NumericalError": "its arithmetic is not exact enough here",
     "InsufficientProgress": "its steps no longer came nearer",
     "AlmostSolved": "its steps came near, but not nearer than that",
@@ -493,7 +493,7 @@ def _splines(samples: int, late: int) -> Array:
     knots = [*np.arange(0.0, min(samples, EVEN_DELAYS * late) + 1.0, distance)]
     apart = distance
     while knots[-1] < samples:
-        apart = min(apart * GROWTH, FARTHEST * distance)
+        apart = min(apart * KNOT_GROWTH, FARTHEST * distance)
         knots.append(min(float(samples), knots[-1] + apart))
     degree = 3  # degree of the splines
     clamped = np.r_[[0.0] * degree, knots, [knots[-1]] * degree]

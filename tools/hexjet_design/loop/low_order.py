@@ -22,12 +22,12 @@ from cosim.base.errors import InputError
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import window_s
-from hexjet_design.loop.limit import FREQUENCIES, Bounds, Cone, Limit, Plant, Programme, need_solver
+from hexjet_design.loop.limit import FREQUENCY_COUNT, Bounds, Cone, Limit, Plant, Programme, need_solver
 from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
 
-# where a search of poles begins: natural frequency times the delay at low frequency, and damping
-START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
-COARSE = 160  # frequencies at which a search looks
+# Where searches of poles begin: natural frequency times low-frequency delay, and damping.
+START_POLES = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
+COARSE_POINTS = 160  # frequencies of a search
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def reduce_limit(
     model: RateModel,
     bounds: Bounds,
     lag_s: float,
-    start: Sequence[tuple[float, float]] = START,
+    start: Sequence[tuple[float, float]] = START_POLES,
     rounds: int = 130,
-    frequencies: int = FREQUENCIES,
+    frequencies: int = FREQUENCY_COUNT,
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
 
@@ -119,7 +119,7 @@ def reduce_limit(
 
     def cost(x: Array) -> float:
         try:
-            return solve(at(x), COARSE).loop.load_error
+            return solve(at(x), COARSE_POINTS).loop.load_error
         except InputError:
             # An infeasible choice of poles costs as much as a million delays of load error.
             return 1e6 * delay

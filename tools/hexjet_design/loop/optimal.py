@@ -38,10 +38,10 @@ from cosim.control.rate import RateAxis
 from cosim.laws import Axis, AxisLaw, Pid, RateLaw, positive_parameter
 from cosim.spec.vehicle import RateModel
 
-LAGS = 3  # of the answer to a set-point
-# Zeros so near to the unit circle are not inverted, and poles of the rate so near to 1 are at 1.
-ON_CIRCLE = 1e-6
-AT_ZERO = LAGS + 1  # states that keep the last samples
+LAGS = 3  # equal lags of the set-point response
+# Zeros this close to the unit circle are not inverted, and poles this close to 1 are integrators.
+CIRCLE_TOLERANCE = 1e-6
+DELAY_STATES = LAGS + 1  # states that hold the last samples
 
 
 def orthonormal_basis(denominators: Sequence[Array], samples: int) -> Array:
@@ -96,8 +96,8 @@ class ModelForm:
     def of(cls, model: RateModel, target: Target) -> ModelForm:
         """Return a model in this form, its delay in whole steps, rounded to the nearest."""
         zeros, poles = model.all_zeros, model.all_poles
-        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
-        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
+        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE])
+        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
         slow = max(model.poles, default=0.0)
         # A pole of the rate is an integrator if closer to 1 than this fraction of the slowest pole of ``t``.
         nearness = 0.5
@@ -201,7 +201,7 @@ class PredictorBases:
         form, step = ModelForm.of(model, target), model.sample_time_s
         basis = target.basis(step)
         length = form.late + len(basis) + 8 * (len(form.kept) + LAGS)
-        denominators = [np.array([1.0, 0.0])] * AT_ZERO + _sections(form.fast_poles) + target.denominators(step)
+        denominators = [np.array([1.0, 0.0])] * DELAY_STATES + _sections(form.fast_poles) + target.denominators(step)
         functions = orthonormal_basis(denominators, length)
         return cls(form, basis, functions, functions.T @ np.vstack([functions[1:], np.zeros(functions.shape[1])]))
 

@@ -23,7 +23,7 @@ from cosim.control.predictors.linear import companion, part
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.tuning import Tuning
 
-SETPOINT, LOAD = 0, 1  # the inputs
+SETPOINT, LOAD = 0, 1  # indices of the inputs
 
 
 class Steps(NamedTuple):

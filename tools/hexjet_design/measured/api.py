@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hexjet_design.measured.axis_margins import AxisMargins
     from hexjet_design.measured.margins import MeasuredMargins
 
-WRITTEN = ("margins.json", "response.csv", "report.html")
+RESULT_FILES = ("margins.json", "response.csv", "report.html")  # files of measured margins
 
 
 class MarginsResult(FolderResult):
@@ -167,7 +167,7 @@ def margins(
     from hexjet_design.measured.margins import measure_margins
 
     hears, done = progress or Progress(), 0
-    check_results_folder(out, *WRITTEN)
+    check_results_folder(out, *RESULT_FILES)
     named = controller if isinstance(controller, (str, Path)) else None
     chosen, on = choose(scenario, named, aircraft, engine, settings, seed, hears.note), axes or AXES
     for line in list_engine_notes(chosen):

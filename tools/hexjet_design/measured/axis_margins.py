@@ -11,7 +11,7 @@ from hexjet_design.measured.engine_range import EngineRange
 from hexjet_design.measured.estimate import Response, relative_difference
 from hexjet_design.measured.excitation import Multisine
 
-NYQUIST_HZ = 0.5  # over the control step
+NYQUIST_HZ = 0.5  # times the control step
 
 
 @dataclass(frozen=True)

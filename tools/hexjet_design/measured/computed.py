@@ -20,7 +20,7 @@ from hexjet_design.levels import THRUST_AXES, tunings_at
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels, hover_fraction
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import FINE
+from hexjet_design.loop.criteria import FINE_POINTS
 from hexjet_design.loop.frequency import LoopMargins
 from hexjet_design.loop.limit import AxisLimit, axis_limit
 from hexjet_design.loop.optimal import Optimal
@@ -87,7 +87,7 @@ def compute_margins(
     tunings, step = find_tunings(plants, scenario, vehicle, axes), scenario.step_s
     margins = {}
     for axis in axes:
-        closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE), tunings[axis])
+        closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE_POINTS), tunings[axis])
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
         hertz = closed.points.theta / (2.0 * np.pi * step)

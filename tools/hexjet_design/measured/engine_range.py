@@ -18,8 +18,8 @@ from cosim.base.arrays import Complex
 from hexjet_design.loop.frequency import loop_margins
 from hexjet_design.measured.estimate import QUANTITIES, Response, fill
 
-SHARES = (2.5, 97.5)  # percent: ends of a 95 % range
-NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIES}  # in the numbers' order
+PERCENTILES = (2.5, 97.5)  # ends of a 95 % range
+NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIES}  # values of an unstable loop
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def range_over_engines(response: Response, ratios: Complex, step: float, transpo
             values.append((NO_MARGIN[name] if value is None else value) if stable or name == "crossover_hz" else lost)
     ranges = {}
     for name, values in found.items():
-        low, high = np.percentile(values, SHARES, method="nearest")
+        low, high = np.percentile(values, PERCENTILES, method="nearest")
         ranges[name] = (float(low), float(high))
     return EngineRange(ranges, len(ratios), unstable)
 

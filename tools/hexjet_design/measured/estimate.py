@@ -20,11 +20,11 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
 from hexjet_design.loop.frequency import LoopMargins, loop_margins
 
-# So many points are between two measured ones, on straight lines of log gain and phase over log frequency.
-FINE = 20
+# Points per measured interval, interpolated linearly in log gain and phase over log frequency.
+REFINEMENT = 20
 
 
-QUANTITIES = tuple(field.name for field in fields(LoopMargins))
+QUANTITIES = tuple(field.name for field in fields(LoopMargins))  # margins of a loop
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,9 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
 
 
 def fill(loop: Complex, hertz: Array, tiny: float = 1e-12) -> tuple[Complex, Array]:
-    """Return a loop that was measured at these frequencies, and frequencies, with :data:`FINE` times as many points."""
+    """Return a loop measured at these frequencies, and the frequencies, with :data:`REFINEMENT` times the points."""
     x = np.log(hertz)
-    fine = np.interp(np.arange(0, (len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
+    fine = np.interp(np.arange(0, (len(x) - 1) * REFINEMENT + 1) / REFINEMENT, np.arange(len(x)), x)
     size = np.interp(fine, x, np.log(np.maximum(np.abs(loop), tiny)))
     phase = np.interp(fine, x, np.unwrap(np.angle(loop)))
     return np.exp(size + 1j * phase), np.exp(fine)

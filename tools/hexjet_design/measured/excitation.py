@@ -36,7 +36,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.tank import Tank
 
-USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak that is added: share of thrust, rad
+USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak amplitude: of thrust, rad
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from hexjet_design.loop.tuning import Tuning
     from hexjet_design.measured.computed import Plants
 
-CHANNELS = (*AXES, "altitude")
-# Margins below these are told, where they are less than before; chosen by us: half of the usual 6 dB and 40 deg.
-LEAST_DB, LEAST_DEG = 3.0, 20.0
-_OF_AXIS = {axis: (f"HJ_{axis.upper()}_", f"HJ_ATT_{axis.upper()}", "HJ_PRED_") for axis in AXES}
-_NAMES = {**_OF_AXIS, "altitude": ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I")}
+CHANNELS = (*AXES, "altitude")  # loops that are judged
+# Margins below these are reported if they got smaller; chosen by us: half of the usual 6 dB and 40 deg.
+MIN_MARGIN_DB, LEAST_DEG = 3.0, 20.0
+_OF_AXIS = {axis: (f"HJ_{axis.upper()}_", f"HJ_ATT_{axis.upper()}", "HJ_PRED_") for axis in AXES}  # prefixes per axis
+_NAMES = {**_OF_AXIS, "altitude": ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I")}  # prefixes of each loop's parameters
 
 
 class _Loop(NamedTuple):
@@ -41,7 +41,7 @@ class _Loop(NamedTuple):
     text: str  # margins below bounds, or why unstable
 
 
-# What flew on a predictor that cannot be computed is taken as good.
+# A loop with a predictor that cannot be computed counts as good.
 _UNKNOWN = _Loop(True, inf, "")
 
 
@@ -138,8 +138,8 @@ class LoopJudge:
         loop = margins(closed)
         up, down, phase = loop.gain_db, loop.gain_down_db, loop.phase_deg
         sizes = [
-            (_fraction_of_bound(up, LEAST_DB), f"gain margin {_size(up)} dB"),
-            (_fraction_of_bound(down, LEAST_DB), f"gain margin {_size(down)} dB downwards"),
+            (_fraction_of_bound(up, MIN_MARGIN_DB), f"gain margin {_size(up)} dB"),
+            (_fraction_of_bound(down, MIN_MARGIN_DB), f"gain margin {_size(down)} dB downwards"),
             (_fraction_of_bound(phase, LEAST_DEG), f"phase margin {_size(phase)} deg"),
         ]
         return _Loop(True, min(sizes)[0], ", ".join(text for ratio, text in sizes if ratio < 1.0))

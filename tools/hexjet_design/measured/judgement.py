@@ -15,18 +15,18 @@ from cosim.simulation.controllers.controller_file import Requirements
 from hexjet_design.measured.axis_margins import AxisMargins
 from hexjet_design.measured.estimate import Bounded
 
-# narrow: with a well-known engine alone; not told: the band that was measured does not show it
+# narrow: only with a well-known engine; not told: outside the measured band.
 ENOUGH, NARROW, NOT_TOLD, TOO_LITTLE = BANDS = ("enough", "narrow", "not told", "too little")
-VERDICTS = {
+VERDICTS = {  # sentence of each verdict
     ENOUGH: "every margin is enough",
     NARROW: "fly it only with a well-known engine",
     NOT_TOLD: "the margins are not told",
     TOO_LITTLE: "do not fly on it",
 }
-PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, with a well-known engine
-CROSSOVER = "crossover_hz"  # judged only where there is none
-UNSTABLE = "unstable_engines"  # of those drawn from its uncertainty
-# Each quantity has its name, its unit on a screen, the factor to that unit, and digits.
+PEAK, KNOWN_PEAK = 2.0, 2.5  # limits of |S|: usual, well-known engine
+CROSSOVER = "crossover_hz"  # judged only if there is none
+UNSTABLE = "unstable_engines"  # number of drawn engines
+# Name, unit on a screen, factor to it, and digits of each quantity.
 JUDGED = {
     "gain_db": ("gain up", "dB", 1.0, 1),
     "gain_down_db": ("gain down", "dB", 1.0, 1),
@@ -38,8 +38,8 @@ JUDGED = {
     UNSTABLE: ("lost draws", "", 1.0, 0),
     CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
-AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others have a minimum, in size
-COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")
+WITH_MAXIMUM = ("peak_sensitivity", UNSTABLE)  # others have a minimum of their magnitude
+COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")  # heads of the table of judgements
 
 
 def guaranteed_gain_db(peak: float) -> float:
@@ -70,7 +70,7 @@ class Judged(NamedTuple):
         if self.band is None or self.limit is None or self.worst is None:
             return -1 if self.band is None else BANDS.index(self.band), 0.0
         larger, smaller = abs(self.limit), abs(self.worst)
-        if self.margin in AT_MOST:
+        if self.margin in WITH_MAXIMUM:
             larger, smaller = smaller, larger
         return BANDS.index(self.band), larger / smaller if smaller else inf * larger if larger else 0.0
 
@@ -145,7 +145,7 @@ def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Jud
     limit, known, source = _limit(name, measured)
     band = None
     if limit is not None:
-        sign = -1.0 if name in AT_MOST else 1.0
+        sign = -1.0 if name in WITH_MAXIMUM else 1.0
         is_kept = [sign * (abs(worst) - abs(each)) >= 0.0 for each in (limit, limit if known is None else known)]
         band = ENOUGH if is_kept[0] else NARROW if is_kept[1] else TOO_LITTLE
     return Judged(measured.axis, name, value, worst, limit, known, band, source)

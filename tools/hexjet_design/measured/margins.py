@@ -17,9 +17,7 @@ from cosim.simulation.controllers.source import Source, from_object
 from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.controller_name import label, seen_from
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
-from hexjet_design.loop.engine_uncertainty import (
-    EngineSensitivity,
-)
+from hexjet_design.loop.engine_uncertainty import EngineSensitivity
 from hexjet_design.loop.limit import AxisLimit, need_solver
 from hexjet_design.measured.axis_margins import NYQUIST_HZ, AxisMargins
 from hexjet_design.measured.computed import Computed, compute_margins
@@ -28,11 +26,11 @@ from hexjet_design.measured.estimate import QUANTITIES, Response, measured, rela
 from hexjet_design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
 from hexjet_design.measured.judgement import Judged, find_worst, judge_axis
 
-# The multisine has the longer period where the loop crosses over below WITHIN periods.
+# Periods of the multisine [s]: the longer one if fewer cycles of the crossover than this fit into the shorter one.
 PERIOD_S, LONG_S = 20.0, 60.0
-WITHIN = 10.0
-LEAST_PERIODS = 3  # that say a spread
-LESS, TRIES = 0.4, 5  # amplitude after a loss, and attempts
+MIN_CYCLES = 10.0  # fewer in a period: the longer period
+MIN_PERIODS = 3  # for an estimate of their spread
+AFTER_LOSS, TRIES = 0.4, 5  # on the amplitude after a loss; attempts
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
 
 Say = Callable[[str], None]
@@ -149,8 +147,8 @@ def measure_margins(
     """
     if limit:
         need_solver()
-    if periods < LEAST_PERIODS:
-        raise InputError(f"periods = {periods}: must be at least {LEAST_PERIODS}, for their spread to be seen")
+    if periods < MIN_PERIODS:
+        raise InputError(f"periods = {periods}: must be at least {MIN_PERIODS}, for their spread to be seen")
     if amplitude is not None and not amplitude > 0.0:
         raise InputError(f"amplitude = {amplitude:g}: must be above 0")
     for axis in axes:
@@ -211,7 +209,7 @@ class _MarginRequest:
         if self.to_hz is None and _stays_up(response):
             sine, size, response = self._measured(period, NYQUIST_HZ / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
-        half = fly_excitation(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.source)
+        half = fly_excitation(self.scenario, self.axis, sine, 0.5 * size, MIN_PERIODS, self.source)
         other = self._of(half, sine)
         crossing = response.margins.get("crossover_hz")
         known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
@@ -253,14 +251,16 @@ class _MarginRequest:
                     raise
             if self.amplitude is not None:
                 raise InputError(f"{self.axis}: amplitude {size:g} is too much: {why}")
-            size = float(f"{LESS * size:.2g}")
-        raise FlightError(f"{self.axis}: {why}, with as little as {size / LESS:.2g} added: the loop is not stable")
+            size = float(f"{AFTER_LOSS * size:.2g}")
+        raise FlightError(
+            f"{self.axis}: {why}, with as little as {size / AFTER_LOSS:.2g} added: the loop is not stable"
+        )
 
 
 def _slow(response: Response) -> bool:
     """Return whether the crossover is near the band's lower end, or below it."""
     crossing = response.margins.get("crossover_hz")
-    within = WITHIN if "gain_down_db" in response.margins else 2.0 * WITHIN
+    within = MIN_CYCLES if "gain_down_db" in response.margins else 2.0 * MIN_CYCLES
     return crossing is None or crossing.value * PERIOD_S < within
 
 

@@ -19,15 +19,15 @@ from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
 from hexjet_design.measured.judgement import judgement_line
 from hexjet_design.measured.margins import MeasuredMargins
 
-MEASURED = (
+MEASURED = (  # note on the method
     "The loop is broken between the controller and its actuators, all other loops closed, while the vehicle holds "
     "still and burns no fuel. Off: measured less computed, of gains that of their factors. Bounds: 95 %, from the "
     "periods' spread."
 )
-COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
-OVER_ENGINE = "over the engine's uncertainty, 95 %"
-ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")
-QUANTITIES = (  # quantity, its name and its numbers
+COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")  # heads of the table of margins
+OVER_ENGINE = "over the engine's uncertainty, 95 %"  # label of the uncertain range
+ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")  # heads of the table of parameters
+QUANTITIES = (  # quantity, its name, its format
     ("gain_db", "gain up", "{:+.2f} dB"),
     ("gain_down_db", "gain down", "{:+.2f} dB"),
     ("phase_deg", "phase, lag", "{:.1f} deg"),

@@ -29,7 +29,7 @@ class Measure:
         return after > self.factor * before and after - before > self.min_difference
 
 
-# Chosen by us: of two flights with the same noise, 5 % is no chance; twice the way is half the life of what wears.
+# Chosen by us: with the same noise 5 % is no chance; twice the travel halves the life of what wears.
 MEASURES = {
     "roll_rmse_deg": Measure("roll error, RMSE", "deg", 2, 1.05, 0.1),
     "pitch_rmse_deg": Measure("pitch error, RMSE", "deg", 2, 1.05, 0.1),
@@ -39,9 +39,9 @@ MEASURES = {
     "tilt_activity_deg_s": Measure("tilt activity", "deg/s", 1, 2.0, 1.0),
     "height_error_m": Measure("height error, largest", "m", 2, 1.05, 0.1),
 }
-STEPPED = ("overshoot_percent", "settling_s")  # of a flight that is asked for steps
-WORSE = "WORSE as flown than what ships"
-WORSE_WORDS = (
+STEPPED = ("overshoot_percent", "settling_s")  # measures of flights with steps
+WORSE = "WORSE as flown than what ships"  # mark of a worse flight
+WORSE_WORDS = (  # note on what worse means
     "worse means: error, settling and height by more than 5 % (and 0.1 deg, 0.1 s, 0.1 m), overshoot by more than 5 % "
     "of the step, the activity of throttles and tilts more than twice (and 0.05 1/s, 1 deg/s)"
 )

@@ -23,7 +23,7 @@ from cosim.spec.vehicle import Vehicle
 from hexjet_design.controller_table import make_controller_table
 from hexjet_design.design import Design
 from hexjet_design.limits import Say
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT
+from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM
 from hexjet_design.proof.comparison import FlownMeasures, FlownPair, measure_flight
 from hexjet_design.proof.result import ProofFlight
 
@@ -43,10 +43,10 @@ class FlightBounds(NamedTuple):
     stations_with_factor: int = 6  # stations with an own thrust factor
 
 
-BOUNDS = FlightBounds()
+BOUNDS = FlightBounds()  # limits of the proof's flights
 
 
-HOVER, DOUBLET, GUST = "hover", "doublet", "gust"
+HOVER, DOUBLET, GUST = "hover", "doublet", "gust"  # kinds of proof flights
 
 
 def fly_all(design: Design, say: Say) -> list[ProofFlight]:
@@ -284,7 +284,7 @@ def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
 
 def _doublet_fault(run: Run, promised: float, wider: float) -> str:
     roll = run.metrics["roll"]
-    overshoot, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT)
+    overshoot, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT_ROOM)
     if overshoot > most:
         return f"overshoot of {100.0 * overshoot:.0f} %, {100.0 * promised:.0f} % promised"
     swing = degrees(roll.oscillation_rad or 0.0)

@@ -37,8 +37,8 @@ from hexjet_design.loop.dynamics import Dynamics, bounds
 from hexjet_design.proof.flights import HOVER, compare_with_shipped, find_allowing, fly_all, lean_of
 from hexjet_design.proof.result import Proof, ProofFlight
 
-WORSE = 1.25  # times the sensitivity asked for
-NOT_KEPT = "flown with the engine itself it does not keep what it promises"
+MAX_SENSITIVITY_RATIO = 1.25  # measured over required sensitivity
+NOT_KEPT = "flown with the engine itself it does not keep what it promises"  # reason of a failed proof
 LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
@@ -167,7 +167,7 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
             f"loop may be unstable ({largest:.2f} of what the small gain theorem allows, {max_share:g} at most)"
         )
-    elif peak > WORSE * design.need.max_sensitivity:
+    elif peak > MAX_SENSITIVITY_RATIO * design.need.max_sensitivity:
         reason = f"with the engine's own response peak |S| is {peak:.2f}, {design.need.max_sensitivity:g} was asked for"
     elif above > max_unmeasured_gain:
         reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"

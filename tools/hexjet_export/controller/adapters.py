@@ -21,12 +21,12 @@ from hexjet_export.controller.files import (
 )
 from hexjet_export.controller.predictor_form import Form
 
-# A file among the sources of a program, or that includes them, is a part of it: its licence is the program's.
-# PX4's is BSD-3-Clause, which leaves it to the user.
+# A file compiled into a program, or that includes its headers, has the program's licence. PX4's BSD-3-Clause leaves the
+# choice to the user.
 PROGRAM_LICENCES = {"ardupilot": "GPL-3.0-or-later", "betaflight": "GPL-3.0-or-later"}
-AUTOPILOTS = ("px4", "ardupilot", "betaflight")
-_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
-_SCALE_ORIGINS = {
+AUTOPILOTS = ("px4", "ardupilot", "betaflight")  # programs with an adapter
+_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}  # names in texts
+_SCALE_ORIGINS = {  # origin of each program's torque scale
     "px4": "by its control allocation with the vehicle's geometry",
     "ardupilot": "half of the motors' range, and the whole range of tilts",
     "betaflight": "of pidData[].Sum, by its mixer's 1000 and the range of motors and tilts",
@@ -112,7 +112,7 @@ def _px4(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any])
     return {f"src/modules/{n}/{file}": text for file, text in module.items()} | render_files(outer_files, values)
 
 
-_ADAPTERS: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {
+_ADAPTERS: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {  # for each autopilot
     "px4": _px4,
     "ardupilot": _ardupilot,
     "betaflight": _betaflight,

@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim import InputError
 from cosim.base.constants import GRAVITY
-from cosim.blocks import LEAST_SHARE, LEAST_UPRIGHT
+from cosim.blocks import MIN_HOVER_FRACTION, MIN_UPRIGHT
 from hexjet_export.controller.hinged import render_solver
 from hexjet_export.controller.predictor_form import Form
 from hexjet_export.controller.vectors import (
@@ -24,11 +24,11 @@ from hexjet_export.controller.vectors import (
     make_loop_rows,
 )
 
-TEMPLATES = Path(__file__).resolve().parent / "templates"
-# Whose headers are included, by the C or by the adapter of the FMUs.
+TEMPLATES = Path(__file__).resolve().parent / "templates"  # folder of the C templates
+# Headers with these names are included by the C or by the adapter of the FMUs.
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
-NO_LICENCE = "not stated (choose a licence)"
+NO_LICENCE = "not stated (choose a licence)"  # text if none was stated
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def make_common_values(form: Form, labels: Labels) -> dict[str, Any]:
         "licence": licence_line(labels.licence),
         "step": repr(form["step"]),
         "gravity": repr(GRAVITY),
-        "least_upright": repr(LEAST_UPRIGHT),
-        "least_share": repr(LEAST_SHARE),
+        "least_upright": repr(MIN_UPRIGHT),
+        "least_share": repr(MIN_HOVER_FRACTION),
         "origin": [part for line in labels.origin for part in textwrap.wrap(line.replace("*/", "* /"), 110)],
         "values": _values(f),
     }

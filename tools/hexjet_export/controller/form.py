@@ -11,8 +11,8 @@ from math import exp
 from cosim import InputError
 from cosim.base.signals import AXES
 from cosim.blocks import (
-    FINE,
     PREDICTORS,
+    SCHEDULE_RESOLUTION,
     Cascade,
     EffectivenessAllocator,
     Inverse,
@@ -28,7 +28,7 @@ from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 from hexjet_export.controller.hinged import make_hinged_form
 from hexjet_export.controller.predictor_form import Form, make_predictor_form
 
-LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # that have one
+LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # exported laws
 
 
 def make_form(simulation: Simulation, loops: bool = False) -> Form:
@@ -139,7 +139,7 @@ def _schedule(vehicle: Vehicle, step: float) -> Form | None:
     return {
         "share": shares,
         "follow": 1.0 - exp(-step / spec.filter_s),
-        "fine": FINE * (shares[-1] - shares[0]),
+        "fine": SCHEDULE_RESOLUTION * (shares[-1] - shares[0]),
         "levels": {
             name: [[getattr(getattr(level, name), key) or 0.0 for key in keys] for level in spec.level]
             for name in ("roll", "altitude")

@@ -13,12 +13,12 @@ from typing import Any
 import cosim
 from cosim import InputError
 from cosim.base.signals import Vector3
-from cosim.blocks import FIRST_PASSES, PASSES, EffectivenessAllocator
+from cosim.blocks import MAX_FIRST, MAX_ITERATIONS, EffectivenessAllocator
 from cosim.spec.vehicle import Vehicle
 
-SOURCE = Path(cosim.__file__).parent / "control" / "allocation" / "effectiveness.h"
-_TYPES = ("Vector", "Link", "JetStation", "ServoMover", "RowLevel", "Effectors")
-_SIZES = {
+SOURCE = Path(cosim.__file__).parent / "control" / "allocation" / "effectiveness.h"  # C source that is copied
+_TYPES = ("Vector", "Link", "JetStation", "ServoMover", "RowLevel", "Effectors")  # structures copied from the source
+_SIZES = {  # array sizes in the source and in ours
     "MOST_JETS": "JETS",
     "MOST_MOVERS": "SERVOS",
     "MOST_LINKS": "LINKS",
@@ -58,8 +58,8 @@ def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dic
     return {
         "kind": "effectiveness",
         "links": links,
-        "passes": PASSES,
-        "first_passes": FIRST_PASSES,
+        "passes": MAX_ITERATIONS,
+        "first_passes": MAX_FIRST,
         "values": {
             "effectors": effectors,
             "levels": str(len(known.levels)),

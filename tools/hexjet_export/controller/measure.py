@@ -13,14 +13,14 @@ from cosim import InputError
 from cosim.files import temporary
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-ffp-contract=off")
-_NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes')
-_EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
-_TEST = re.compile(
+_NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes')  # stack size of a function, from GCC
+_EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')  # call of a function, from GCC
+_TEST = re.compile(  # result of the test program
     r"(\d+) numbers differ in their bits; greatest deviation: "
     r"(?:throttle|collective) (\S+), (?:tilt|torque) (\S+)(?: rad)?$",
     re.M,
 )
-_CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
+_CYCLES = re.compile(r"worst step (\d+), mean (\d+)")  # cycle counts of the test program
 
 
 @dataclass(frozen=True)

@@ -124,7 +124,7 @@ def _modal(predictor: ModalPredictor) -> Form:
     return _form("modes", title, values, states)
 
 
-_PREDICTORS: dict[type, Callable[[Any], Form]] = {
+_PREDICTORS: dict[type, Callable[[Any], Form]] = {  # form of each predictor class
     NoPredictor: lambda predictor: _form("none", "none", {}, []),
     SmithPredictor: _smith,
     FilteredSmithPredictor: _filtered,

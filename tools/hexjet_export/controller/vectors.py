@@ -22,8 +22,8 @@ from cosim.base.signals import (
 from cosim.blocks import Simulation
 from hexjet_export.controller.quantity import Quantity
 
-ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}
-INPUT_QUANTITIES = (
+ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}  # numbers for the states of engines
+INPUT_QUANTITIES = (  # inputs of the exported controller
     *(Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}") for axis in AXES),
     Quantity("altitude_setpoint", "m", "Height above the ground asked for"),
     *(
@@ -41,7 +41,7 @@ INPUT_QUANTITIES = (
     Quantity("altitude", "m", "Measured height above the ground"),
     Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank"),
 )
-INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
+INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)  # names of INPUT_QUANTITIES
 
 
 LOOP_INPUTS = (*INPUTS, *(f"unallocated_{name}" for name in (*AXES, "collective")))

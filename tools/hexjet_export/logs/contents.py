@@ -17,7 +17,7 @@ Block = dict[str, Array]
 Line = dict[str, Any]  # line of the autopilot's record
 Timed = tuple[int, int, int, bytes]  # step, time [ns], channel, message
 
-INFO, ERROR = 6, 3  # severities as in syslog
+INFO, ERROR = 6, 3  # syslog severities
 
 
 class LogLine(NamedTuple):

@@ -20,8 +20,8 @@ from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Sample
 from cosim.spec.scenario import Environment
 
-VERSION, ENGINES, TANKS, WHEELS, CONTROLS = 24, 4, 4, 3, 10
-FORMAT = (
+VERSION, ENGINES, TANKS, WHEELS, CONTROLS = 24, 4, 4, 3, 10  # of FGNetFDM, and its array sizes
+FORMAT = (  # FGNetFDM, version 24
     ">II3d"  # longitude, latitude, height
     # agl, attitude, flow; rates; speed, climb; velocities; specific force; stall, slip
     "6f3f2f3f3f3f2f"
@@ -30,11 +30,11 @@ FORMAT = (
     f"I{WHEELS}I{3 * WHEELS}f"
     f"Iif{CONTROLS}f"  # time, warp, visibility, controls
 )
-SIZE = 408  # bytes
-# Packets a second of flight: what FlightGear draws.
+PACKET_BYTES = 408  # bytes
+# Packets per second of flight: as often as FlightGear draws.
 RATE_1_S = 60.0
 VISIBILITY_M = 25_000.0  # chosen by us: clear air
-RUNNING, OFF = 2, 0  # of eng_state
+RUNNING, OFF = 2, 0  # values of eng_state
 
 
 class FlightGear:

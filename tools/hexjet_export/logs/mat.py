@@ -12,7 +12,7 @@ from cosim import InputError, Run
 from cosim.logs import describe_columns, run_properties
 from hexjet_export.logs.contents import log_lines, read_pilot
 
-# MATLAB's iskeyword: no field of a structure may be called so
+# MATLAB's iskeyword: a field of a structure may not have these names.
 _KEYWORDS = {
     "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
     "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",

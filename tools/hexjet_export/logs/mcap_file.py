@@ -27,7 +27,7 @@ from hexjet_export.logs.contents import (
     read_pilot,
 )
 
-# What each column of every flight is about; those that blocks show of their own are in /own.
+# Topic of each column; columns of blocks are in /own.
 SUBJECTS = {
     "/attitude": r"(roll|pitch|yaw)(_setpoint|_measured)?_rad",
     "/rate": r"rate_[pqr](_measured|_predicted|_setpoint)?_rad_s",
@@ -43,9 +43,9 @@ SUBJECTS = {
     "/vehicle": r"mass_kg|on_ground|hull_contact",
     "/fault": r"fault_\w+|health_\d+",
 }
-CUSTOM, TIME = "/own", "/time"
-_PACKAGE = "hexjet"  # of the schemas of our channels
-_LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log
+CUSTOM, TIME = "/own", "/time"  # topics
+_PACKAGE = "hexjet"  # package name of our schemas
+_LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # foxglove.Log level by syslog severity
 
 
 class Channel(NamedTuple):

@@ -39,15 +39,15 @@ from cosim.base.signals import AXES, Quaternion, Vector3
 from cosim.spec.vehicle import Vehicle
 from hexjet_export.logs.contents import Block, Timed, quaternions
 
-# Seconds between two messages, chosen by us: as often as a screen shows a picture, and no more bytes than the columns
-# take; a map needs less.
-EVERY_S = {"/tf": 0.02, "/pose": 0.02, "/scene/arrows": 0.04, "/location": 0.1}
+# Seconds between messages, chosen by us: as often as a screen draws, with no more bytes than the columns take; a map
+# needs fewer.
+INTERVAL_S = {"/tf": 0.02, "/pose": 0.02, "/scene/arrows": 0.04, "/location": 0.1}
 
-# north is the world's y, east its x, down its -z: half a turn about the bisector of x and y
+# North is the world's y, east its x, down its -z: half a turn about the bisector of x and y.
 _NED_IN_WORLD = (0.0, sqrt(0.5), sqrt(0.5), 0.0)
-_UP = (cos(0.7853981633974483), 0.0, sin(0.7853981633974483), 0.0)  # turns +x to -z: a quarter about y
-_HULL, _LEG, _JET = (0.12, 0.31, 0.47, 0.45), (0.45, 0.45, 0.45, 1.0), (0.75, 0.75, 0.75, 0.9)
-_THRUST, _WIND = (0.75, 0.22, 0.17, 1.0), (0.18, 0.5, 0.8, 1.0)
+_UP = (cos(0.7853981633974483), 0.0, sin(0.7853981633974483), 0.0)  # quarter turn about y: +x to -z
+_HULL, _LEG, _JET = (0.12, 0.31, 0.47, 0.45), (0.45, 0.45, 0.45, 1.0), (0.75, 0.75, 0.75, 0.9)  # RGBA colours
+_THRUST, _WIND = (0.75, 0.22, 0.17, 1.0), (0.18, 0.5, 0.8, 1.0)  # RGBA colours of arrows
 
 
 class Scene:
@@ -69,7 +69,7 @@ class Scene:
             if kind not in ids:
                 ids[kind] = register_schema(writer, kind)
         self._channels = {name: writer.register_channel(name, "protobuf", ids[kind]) for name, kind in kinds.items()}
-        self._every = {name: max(1, round(seconds / step_s)) for name, seconds in EVERY_S.items()}
+        self._every = {name: max(1, round(seconds / step_s)) for name, seconds in INTERVAL_S.items()}
 
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
         """Yield the messages of a block whose first row is step ``first``; that of the ``last`` step always."""

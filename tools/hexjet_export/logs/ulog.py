@@ -31,17 +31,17 @@ from hexjet_export.logs.contents import (
     read_flown_scenario,
     read_pilot,
 )
-from hexjet_export.logs.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES, Field, column, topics
+from hexjet_export.logs.ulog_topics import BY_AUTOPILOT, CUSTOM, INTERVAL_S, STATES, Field, column, topics
 
 Rates = Literal["all", "px4"]
-_TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
+_TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}  # as numpy types
 
 
 def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
     """Write a run's log as ULog, with what its autopilot did if one flew it.
 
     ``rates``: ``all`` writes every step, ``px4`` each topic about as often as PX4's default profile does
-    (:data:`EVERY_S`), which is a tenth of it, and at the last step.  Raises InputError if there is no run or the file
+    (:data:`INTERVAL_S`), a tenth of that, and at the last step.  Raises InputError if there is no run or the file
     cannot be written.
     """
     step, lines = run.summary.step_s, read_pilot(run)
@@ -50,7 +50,8 @@ def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
         {CUSTOM: [column("float", c.name, c.name) for c in custom]} if custom else {}
     )
     topics_held = {
-        name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in topics_by_name.items()
+        name: _topic(fields, step if rates == "all" else INTERVAL_S[name], step)
+        for name, fields in topics_by_name.items()
     }
     pilot = ulog_autopilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_autopilot.parameters(lines)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from hexjet_export.logs.contents import Line
 
-# vehicle_status.nav_state, PX4's msg/VehicleStatus.msg; a take-off and landing in the field's own words
+# vehicle_status.nav_state of PX4's msg/VehicleStatus.msg; take-off and landing have own values.
 NAV_STATE = {
     "MANUAL": 0,
     "ALTCTL": 1,
@@ -30,7 +30,7 @@ NAV_STATE = {
     "LAND": 18,
     "ORBIT": 21,
 }
-STANDBY, ARMED = 1, 2
+STANDBY, ARMED = 1, 2  # values of arming_state
 
 
 class Series(NamedTuple):
@@ -120,28 +120,28 @@ def _steps(lines: Sequence[Line]) -> NDArray[np.int64]:
     return np.array([line["k"] for line in lines], dtype=np.int64)
 
 
-_STATUS: dict[str, Callable[[Line], float]] = {
+_STATUS: dict[str, Callable[[Line], float]] = {  # fields of vehicle_status
     "arming_state": lambda line: ARMED if line["armed"] else STANDBY,
     "nav_state": lambda line: NAV_STATE[line["mode"]],
     "failsafe": lambda line: bool(line["failsafe"]),
 }
-_LANDED: dict[str, Callable[[Line], float]] = dict.fromkeys(
+_LANDED: dict[str, Callable[[Line], float]] = dict.fromkeys(  # fields of vehicle_land_detected
     ("landed", "maybe_landed", "ground_contact"), lambda line: line["landed"] == "on_ground"
 )
-_HOME: dict[str, Callable[[Line], float]] = {
+_HOME: dict[str, Callable[[Line], float]] = {  # fields of home_position
     "x": lambda line: line["north"],
     "y": lambda line: line["east"],
     "z": lambda line: -line["altitude"],
     "valid_lpos": lambda line: True,
 }
-_MISSION: dict[str, Callable[[Line], float]] = {
+_MISSION: dict[str, Callable[[Line], float]] = {  # fields of mission_result
     "seq_total": lambda line: line["count"],
     "seq_current": lambda line: line["current"],
     "seq_reached": lambda line: line["reached"],
     "valid": lambda line: line["count"] > 0,
     "finished": lambda line: line["count"] > 0 and line["current"] >= line["count"],
 }
-# Of a field; what is not here is a float.
+# Types of fields; others are float.
 TYPES = dict.fromkeys(("arming_state", "nav_state"), "uint8_t")
 TYPES |= dict.fromkeys(("seq_total", "seq_current", "seq_reached"), "int32_t")
 TYPES |= dict.fromkeys(

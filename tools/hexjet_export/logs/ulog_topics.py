@@ -13,10 +13,10 @@ from cosim.base.signals import AXES
 from cosim.logs import HEXJET, RATES, LoggedVehicle, jets_in
 from hexjet_export.logs.contents import Block, quaternions
 
-MOTORS = 12  # of PX4's actuator_motors
-_XYZ, _NED = ("x", "y", "z"), ("north", "east", "down")
+MOTORS = 12  # size of PX4's actuator_motors
+_XYZ, _NED = ("x", "y", "z"), ("north", "east", "down")  # axes of body and NED
 
-# PX4's vehicle_status: armed, and the flight mode that is nearest
+# PX4's vehicle_status: armed, and the nearest flight modes.
 _ARMED, _ALTITUDE_MODE, _STABILIZED_MODE, _ACRO_MODE = 2, 1, 15, 10
 
 
@@ -227,11 +227,11 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
     return {name: fields for name, fields in found.items() if not missing.get(name)}
 
 
-TOPICS = topics(HEXJET)
+TOPICS = topics(HEXJET)  # topics of a vehicle with six jets
 
 CUSTOM = "hexjet_own"  # columns of blocks, one info message each
 
-# What an autopilot says better than the rows do, and what it adds.
+# Topics that an autopilot's record replaces, and topics that it adds.
 STATES = ("vehicle_status", "vehicle_land_detected")
 BY_AUTOPILOT: dict[str, list[Field]] = {
     "vehicle_local_position": _estimated_position(),
@@ -242,11 +242,11 @@ BY_AUTOPILOT: dict[str, list[Field]] = {
     ],
     "hexjet_gnss": _local_position("_measured"),  # as received
 }
-# Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
-EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2)
-EVERY_S |= dict.fromkeys(("vehicle_angular_velocity", "vehicle_rates_setpoint", "hexjet_rate_predicted"), 0.02)
-EVERY_S |= dict.fromkeys(("vehicle_attitude", "vehicle_attitude_setpoint", "hexjet_control"), 0.05)
-EVERY_S |= dict.fromkeys(
+# Seconds between messages of a topic: about PX4's default profile (its logged_topics.cpp).
+INTERVAL_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2)
+INTERVAL_S |= dict.fromkeys(("vehicle_angular_velocity", "vehicle_rates_setpoint", "hexjet_rate_predicted"), 0.02)
+INTERVAL_S |= dict.fromkeys(("vehicle_attitude", "vehicle_attitude_setpoint", "hexjet_control"), 0.05)
+INTERVAL_S |= dict.fromkeys(
     (
         *("vehicle_attitude_groundtruth", "vehicle_angular_velocity_groundtruth", "vehicle_local_position"),
         *("vehicle_local_position_setpoint", "sensor_combined", "actuator_motors"),

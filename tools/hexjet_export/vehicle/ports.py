@@ -34,15 +34,15 @@ from cosim.spec.scenario import EngineFault
 from cosim.spec.vehicle import Vehicle
 from hexjet_export.controller.quantity import Quantity
 
-XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
-REPORTS = OUTPUTS
-UNITS = {
+XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")  # suffixes of vectors and quaternions
+REPORTS = OUTPUTS  # outputs of an engine
+UNITS = {  # unit of each port
     "throttle": "1", "thrust": "N", "spool_speed": "rad/s", "exhaust_temperature": "K", "fuel_flow": "kg/s",
     "force_forward": "N", "force_right": "N", "torque": "N.m",
     "run": "1", "ambient_pressure": "Pa", "ambient_temperature": "K", "air_speed": "m/s", "altitude": "m", "mach": "1",
     "density": "kg/m3", "total_pressure": "Pa", "total_temperature": "K",
 }  # fmt: skip
-_ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)
+_ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)  # state of engines by number
 
 
 class OutputGroup(NamedTuple):

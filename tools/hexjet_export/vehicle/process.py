@@ -16,8 +16,8 @@ from typing import Any, NoReturn
 from cosim.base.storage.files import write_all
 
 MANIFEST = "vehicle.json"  # description in the archive
-FLIGHT = "flight"  # folder of the scenario and its files
-ANY_VERSION = "HEXJET_ANY_VERSION"
+FLIGHT = "flight"  # folder of scenario and its files
+ANY_VERSION = "HEXJET_ANY_VERSION"  # environment variable: allow any version
 
 
 class _RestartError(Exception):

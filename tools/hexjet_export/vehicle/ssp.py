@@ -16,9 +16,9 @@ from cosim.blocks import AMBIENT, REALS, EngineSpec, Port
 from cosim.engine.library import FMI2_SUFFIX, archive_path, write_archive
 from hexjet_export.vehicle.ports import REPORTS, ExportedFlight
 
-_SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+_SSP = "http://ssp-standard.org/SSP1/SystemStructure"  # base of the XML namespaces
 NAMESPACES = {"ssd": f"{_SSP}Description", "ssc": f"{_SSP}Common", "ssv": f"{_SSP}ParameterValues"}
-FMU = "application/x-fmu-sharedlibrary"
+FMU = "application/x-fmu-sharedlibrary"  # media type of an FMU
 
 
 def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:

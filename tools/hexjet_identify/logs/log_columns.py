@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.signals import AXES, MOST_JETS
+from cosim.base.signals import AXES, MAX_JETS
 from cosim.results.log.columns import COLUMNS, RATES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.log.tables import TIME
@@ -142,7 +142,7 @@ def _rates(log: FlightLog) -> dict[str, Channel]:
 def _engines(log: FlightLog) -> dict[str, Channel]:
     """Return the engines' throttles, 0 to 1, and thrusts, N, by our column names."""
     columns: dict[str, Channel] = {}
-    for jet in range(1, MOST_JETS + 1):
+    for jet in range(1, MAX_JETS + 1):
         throttle, thrust = f"actuator_motors.control[{jet - 1}]", f"hexjet_thrust.newton[{jet - 1}]"
         if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():
             columns[f"throttle_{jet}"] = log.channels[throttle]

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, read_json, write_files
 from cosim.identify.page import Signals, draw_signals, judged_page
 from cosim.identify.sweep.fit import Model as Continuous
-from cosim.identify.sweep.result import MISFIT
+from cosim.identify.sweep.result import MAX_MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.pages import Card, Page
 from cosim.spec.vehicle import RateModel, read_models
@@ -33,7 +33,7 @@ ERROR = (
     "add up over the flight, so that the fit of the change tells more than that of the whole."
 )
 AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
-WIDEST = 2.0 * MISFIT  # half of a 95 % interval, from where on the log says too little of a gain
+WIDEST = 2.0 * MAX_MISFIT  # half of a 95 % interval, from where on the log says too little of a gain
 OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
@@ -94,8 +94,8 @@ class Validation:
             return Judgement(NOT_TOLD, (compared, "the output does not show the command"))
         evidence = (compared, again.text)
         lags = 1.0 / float(self.model.x[0]) if self.model.form.engine else 0.0
-        least = max(MISFIT * (float(self.model.x[1:].sum()) + lags), self.step)
-        off = abs(again.gain - 1.0) - again.gain_half > MISFIT or abs(again.delay) - again.delay_half > least
+        least = max(MAX_MISFIT * (float(self.model.x[1:].sum()) + lags), self.step)
+        off = abs(again.gain - 1.0) - again.gain_half > MAX_MISFIT or abs(again.delay) - again.delay_half > least
         if not off and again.gain_half > WIDEST:
             return Judgement(NOT_TOLD, evidence)
         return judge_model(not off, *evidence)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.engine import EngineSpec
-from cosim.engine.fmu.uncertainty import CUT, cut_normal
+from cosim.engine.fmu.uncertainty import MAX_SIGMA, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, NOT_TOLD, Judgement, shared_record
 from cosim.spec.scenario import Scenario
@@ -315,7 +315,7 @@ def draw(model: Model, choices: Choices) -> Iterator[Change]:
     rng = np.random.default_rng(choices.seed)
     engine = model.engine
     for _ in range(choices.draws):
-        x, y, z, mass, thrust = np.clip(rng.standard_normal(5), -CUT, CUT).tolist()
+        x, y, z, mass, thrust = np.clip(rng.standard_normal(5), -MAX_SIGMA, MAX_SIGMA).tolist()
         parameters = _drawn_parameters(engine, rng) if engine is not None and engine.uncertainty else {}
         yield Change(
             inertia=(1.0 + choices.inertia * x, 1.0 + choices.inertia * y, 1.0 + choices.inertia * z),

@@ -17,7 +17,7 @@ from cosim.pages import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layo
 from hexjet_paper import numbers
 from hexjet_paper.comparison import TITLES
 from hexjet_paper.experiments import COMPARED, Result
-from hexjet_paper.extensions import ROBUST, RobustnessMap
+from hexjet_paper.extensions import MAX_SENSITIVITY, RobustnessMap
 from hexjet_paper.linear import STATE_AS_PRINTED
 from hexjet_paper.loops import Sweep
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Figure = dict[str, Any]
 
-COLOURS = {
+COLOURS = {  # colour of each controller
     "baseline": ORANGE,
     "smith": BLUE,
     "filtered-smith": "#1098ad",
@@ -35,20 +35,21 @@ COLOURS = {
     "state-model": "#7048e8",
     "state-disturbance": "#a0522d",
 }
-NAMES = TITLES | {
+NAMES = TITLES | {  # names of controllers
     "filtered-smith": "filtered Smith",
     "state-model": "state predictor, model-based observer",
     "state-disturbance": "state predictor with disturbance estimate",
 }
-SHORT = NAMES | {
+LABELS = NAMES | {  # names for narrow headings
     "state": "state predictor, G_n(z)",
     STATE_AS_PRINTED: "state predictor, as printed",
     "state-model": "state, model-based observer",
     "state-disturbance": "state, disturbance estimate",
 }
-FIDELITIES = ("linear plant", "six degrees of freedom")
+FIDELITIES = ("linear plant", "six degrees of freedom")  # columns of figures
+# colour scale of sensitivities
 _SENSITIVITY = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
-_UNSTABLE = "#c9a0a0"
+_UNSTABLE = "#c9a0a0"  # colour of unstable loops
 
 
 class Curve(NamedTuple):
@@ -240,7 +241,7 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
             **({"title": {"text": "gain error [times]"}} if column == 0 else {}),
         }
         layout["annotations"].append(
-            _heading(f"{SHORT[robustness_map.controller]}: {100.0 * robustness_map.stable_share:.0f} % stable", x, y)
+            _heading(f"{LABELS[robustness_map.controller]}: {100.0 * robustness_map.stable_share:.0f} % stable", x, y)
         )
         figure["data"] += _map_traces(robustness_map, x, y, number == 0)
     figure["layout"] = layout
@@ -278,7 +279,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
         | {
             "type": "contour",
             "z": rounded,
-            "contours": {"coloring": "none", "start": ROBUST, "end": ROBUST, "size": 1.0},
+            "contours": {"coloring": "none", "start": MAX_SENSITIVITY, "end": MAX_SENSITIVITY, "size": 1.0},
             "line": {"color": "#000", "width": 1.4},
             "showscale": False,
             "hoverinfo": "skip",
@@ -350,7 +351,7 @@ def turbojet(reproduction: Reproduction) -> Figure:
             {
                 "type": "bar",
                 "name": engine,
-                "x": [SHORT[reach.controller].replace(", ", ",<br>") for reach in of_engine],
+                "x": [LABELS[reach.controller].replace(", ", ",<br>") for reach in of_engine],
                 "y": [reach.bandwidth for reach in of_engine],
                 "marker": {"color": colour},
                 "hovertemplate": "%{x}: %{y:.3f} Hz<extra></extra>",

@@ -14,13 +14,13 @@ from cosim.pages import render
 from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Judgement
 from hexjet_paper.comparison import Row
-from hexjet_paper.extensions import ROBUST
+from hexjet_paper.extensions import MAX_SENSITIVITY
 from hexjet_paper.report.figures import FIDELITIES, NAMES, paper_figures
 from hexjet_paper.report.readings import model_error_table, model_errors_in_words, readings_table
 from hexjet_paper.report.result import COMPARISON, DATA, Reproduction
 
-TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
-VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")
+TEMPLATE = Path(__file__).parent / "templates" / "paper.html"  # template of the page
+VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")  # verdicts on a claim
 
 
 def write_page(reproduction: Reproduction, path: Path) -> None:
@@ -56,7 +56,7 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
         "margins": margin_rows(reproduction),
         "frozen": part.frozen,
         "conditions": part.conditions,
-        "robust": ROBUST,
+        "robust": MAX_SENSITIVITY,
         "smith_offset_deg": degrees(part.smith_offset),
         "offsets": offset_rows(reproduction),
         "noise": [

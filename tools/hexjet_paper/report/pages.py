@@ -17,13 +17,13 @@ from hexjet_paper.report.readings import model_error_table, readings_table
 if TYPE_CHECKING:
     from hexjet_paper.report.result import Reproduction
 
-COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET = (
+COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET = (  # names of tables
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")
 )
-READINGS, CONSISTENT, VERIFIED, OFF = (
+READINGS, CONSISTENT, VERIFIED, OFF = (  # names of tables
     "paper: " + part for part in ("readings", "consistency", "verification", "model errors")
 )
-NAMED = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF)
+TABLES = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF)
 
 
 def page_parts(reproduction: Reproduction) -> dict[str, str]:

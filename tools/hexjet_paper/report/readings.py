@@ -11,7 +11,7 @@ from hexjet_paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
 from hexjet_paper.experiments import Metrics, hexjet_ratios
 from hexjet_paper.readings import DELAY_ERRORS, GAIN_FACTORS, ModelError, ReadingResult, Trial
 
-HANGS = ("hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling")  # claims that hang on the reading
+DEPENDENT = ("hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling")  # depend on the reading
 
 
 class Table(NamedTuple):
@@ -34,7 +34,7 @@ def judge_reading(result: ReadingResult) -> list[ClaimRow]:
             metrics |= {f"{name}.{c}": getattr(result.trial(gains, c), fidelity) for c in ("baseline", "smith")}
         return Evidence(metrics=metrics, margins={}, gain_at_low_end={}, gain_at_8_hz={})
 
-    return claim_rows(evidence("linear"), evidence("flight"), [claim for claim in CLAIMS if claim.key in HANGS])
+    return claim_rows(evidence("linear"), evidence("flight"), [claim for claim in CLAIMS if claim.key in DEPENDENT])
 
 
 def readings_table(results: list[ReadingResult]) -> Table:

@@ -13,7 +13,7 @@ from hexjet_paper.experiments import Result
 from hexjet_paper.loops import Sweep
 from hexjet_paper.readings import ModelError, ReadingResult
 
-COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"
+COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"  # files of a reproduction
 
 
 @dataclass(frozen=True)

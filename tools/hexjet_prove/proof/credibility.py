@@ -15,9 +15,9 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import read_json
 from cosim.base.storage.toml import read_toml
 
-RECORD = Path(__file__).with_name("evidence.toml")
-CHOSEN = "chosen"  # begins the source of unmeasured numbers
-VALIDATION = "Validation"
+RECORD = Path(__file__).with_name("evidence.toml")  # file of the evidence
+CHOSEN = "chosen"  # begins the source of chosen numbers
+VALIDATION = "Validation"  # group of factors
 CAPABILITY, RESULTS = "capability", "results"  # the standard's two assessments
 
 
@@ -170,7 +170,7 @@ def _review(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:
     return lambda evidence, record: f"no review of {of} by others is on record"
 
 
-_FACTORS: tuple[tuple[str, str, Callable[[Evidence, Mapping[str, Any]], str]], ...] = (
+_FACTORS: tuple[tuple[str, str, Callable[[Evidence, Mapping[str, Any]], str]], ...] = (  # group, factor, function
     (CAPABILITY, "Data pedigree", _data_pedigree),
     (CAPABILITY, "Verification", _verification),
     (CAPABILITY, VALIDATION, _validation),

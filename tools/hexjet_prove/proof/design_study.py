@@ -24,12 +24,12 @@ from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name
 from cosim.studies import Study, default_draw, flatten_settings, open_study
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT
+from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM
 from hexjet_design.proof.flights import BOUNDS, lean_of, side_s
 
-CONTROLLER = "controller.toml"  # in the folder that hexjet design leaves
-SCENARIO = "roll-doublet"
-# limits of a flight of which a design promises nothing, or which stand in [success]
+CONTROLLER = "controller.toml"  # file that hexjet design writes
+SCENARIO = "roll-doublet"  # default scenario
+# Limits of a flight that a design does not promise, or that are in [success].
 NOT_PROMISED = ("drift_m", "speed_m_s", "settling_s", "oscillation_rad", "saturated_percent", "alternating_percent")
 
 
@@ -62,7 +62,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     texts += [f"aircraft={dumps(aircraft)}", f"command.0.amplitude={lean_of(designed.resolved_vehicle()[0])}"]
     is_drawn = default_draw(designed, nominal)[0] is not None
     roll = made.axes["roll"]
-    overshoot = 100.0 * CORNER * ((roll.overshoot or 0.0) + OVERSHOOT)
+    overshoot = 100.0 * CORNER * ((roll.overshoot or 0.0) + OVERSHOOT_ROOM)
     study = open_study(
         SCENARIO,
         vary=[] if is_drawn else tolerance_box(made, designed),

@@ -12,17 +12,17 @@ from hexjet_prove.proof.result import Part
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import run_rare
 from hexjet_prove.rare.simulation import Plan
-from hexjet_prove.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
+from hexjet_prove.search.worst_case import DEFAULT_WORST_REGION, LIKELY_REGION, WorstCase, WorstPlan, important
 from hexjet_prove.search.worst_folder import SavedWorst, run_worst
 
 LIKELY, WORST = "likely", "worst"  # searches, and their folders
-SAID = {  # of one that was not made
+NOT_SEARCHED = {  # sentence on a search that was not made
     LIKELY: "no search for the most likely failure was made",
     WORST: "no search for the worst case was made",
 }
 # The levels reach down to this probability, as those of hexjet search --rare do by default.
 MIN_PROBABILITY = 1e-6
-KEPT = (
+KEPT_KEYS = (  # keys of rare.json in a proof
     "probability",
     "low",
     "high",
@@ -34,7 +34,7 @@ KEPT = (
     "shifts",
     "contradiction",
 )  # of rare.json
-HINT = "pip install cmaes"
+HINT = "pip install cmaes"  # how to install the search's package
 
 
 def search_failures(
@@ -46,11 +46,14 @@ def search_failures(
     installed a part says so.  Raises FlightError if no more can be flown.
     """
     if find_spec("cmaes") is None:
-        return {name: Part(None, f"{SAID[name]}: the package cmaes is not installed, {HINT}") for name in SAID}
+        return {
+            name: Part(None, f"{NOT_SEARCHED[name]}: the package cmaes is not installed, {HINT}")
+            for name in NOT_SEARCHED
+        }
     searched = study.changed(until=None, runs=1)
     parts = {}
     for name in (LIKELY, WORST):
-        within = LIKELY_WITHIN if name == LIKELY else WORST_WITHIN
+        within = LIKELY_REGION if name == LIKELY else DEFAULT_WORST_REGION
         plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
         place = folder / name
         saved = run_worst(searched, plan, place, workers, True, _tell(say, name))
@@ -115,4 +118,4 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
         for case in saved.cases
     ]
     says = "; ".join(filter(None, (saved.result.sentence, saved.result.contradiction)))
-    return Part({key: told[key] for key in KEPT} | {"cases": cases, "is_same": saved.confirmed}, says)
+    return Part({key: told[key] for key in KEPT_KEYS} | {"cases": cases, "is_same": saved.confirmed}, says)

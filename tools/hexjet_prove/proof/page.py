@@ -12,22 +12,22 @@ from cosim.studies import referee_cards, with_referee
 from hexjet_prove.proof.credibility import CAPABILITY, RESULTS
 from hexjet_prove.proof.result import Proof, WorstFlight
 
-BADGES = {"shown": "completed", "refuted": "", "open": "failed"}
-WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}
-METHOD = (
+BADGES = {"shown": "completed", "refuted": "", "open": "failed"}  # CSS class of each decision
+DECISION_WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}  # words for each decision
+METHOD = (  # note on the test
     "Flights with independent draws are counted in the order of their numbers, by a test whose boundaries were fixed "
     "before the first. It is wrong in at most {error:g} % of such proofs, however often you look. "
     "At most {most:,} flights. Noise and turbulence of each flight have a seed of their own."
 )
-MARGIN = (
+MARGIN = (  # note on margins
     "A margin is what is left to the nearest limit by that limit's size; below 0 the flight failed. Each folder flies "
     "again as it is: hexjet fly FOLDER/scenario.toml."
 )
-LEAST = (
+LEAST = (  # note on the limit of performance
     "Integrated absolute error after a unit step of load, rad s per unit of the command, of the nominal vehicle's "
     "linear loop; the least of any stabilising linear controller with the same peak sensitivity, noise and step error."
 )
-FORM = (
+FORM = (  # note on the table of credibility
     "A form: the factors of NASA-STD-7009B (2024) with what is on record. The levels, from 0, not enough evidence, to "
     "4, are for a person to state; none is computed."
 )
@@ -68,7 +68,7 @@ def write_page(proof: Proof, path: Path) -> None:
         "proof",
         study["title"] or study["name"],
         cards,
-        verdict=f"{proof.claim.text}: {WORDS[proof.decision]}",
+        verdict=f"{proof.claim.text}: {DECISION_WORDS[proof.decision]}",
         badge=BADGES[proof.decision],
         answer=with_referee([proof.sentence], path.parent / "campaign"),
         evidence=[f"{about[:1].upper()}{about[1:]}: {text}" for about, text in proof.facts.items()],

@@ -52,7 +52,7 @@ from cosim.studies import (
     write_campaign_report,
 )
 from hexjet_prove.proof.credibility import CHOSEN, Evidence, list_evidence
-from hexjet_prove.proof.failure import LIKELY, SAID, search_failures, simulate_rare
+from hexjet_prove.proof.failure import LIKELY, NOT_SEARCHED, search_failures, simulate_rare
 from hexjet_prove.proof.failure import WORST as WORST_CASE
 from hexjet_prove.proof.limit import flown_limits
 from hexjet_prove.proof.page import write_page
@@ -61,9 +61,9 @@ from hexjet_prove.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
-RARE = "rare"
+RARE = "rare"  # folder of rare failures
 NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
-PACKAGE = "hexjet-cosim"
+PACKAGE = "hexjet-cosim"  # package whose version is recorded
 
 Say = Callable[[str], None]
 
@@ -127,7 +127,7 @@ def conclude(
 
 def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
     """Search the most likely failure, the worst case and how probable a rare failure is, where that is asked for."""
-    parts = {name: Part(None, text) for name, text in SAID.items()} | {RARE: Part(None, NOT_RARE)}
+    parts = {name: Part(None, text) for name, text in NOT_SEARCHED.items()} | {RARE: Part(None, NOT_RARE)}
     with open_workers(workers) as flying:
         if request.search:
             parts |= search_failures(study, out / SEARCHES, request.search, flying, say)

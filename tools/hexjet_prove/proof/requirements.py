@@ -10,7 +10,7 @@ from cosim.spec.scenario import Range, RequireEntry
 from cosim.studies import LIMITED, MARGIN_OF, Campaign, describe_range, metric
 from hexjet_prove.proof.result import ProvenRequirement
 
-# Limits that a flight has only if its scenario states them.
+# Limits that apply only if the scenario states them.
 NO_DEFAULT = {"throttle_activity_1_s", "tilt_activity_rad_s", "fuel_burnt_kg"}
 
 

@@ -11,8 +11,8 @@ from cosim.studies import ClaimResult, Decision, Verdict, format_bound
 from hexjet_design.loop.limit import AxisLimit
 from hexjet_prove.proof.credibility import Factor
 
-FORMAT = 1  # of proof.json
-LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is flown again
+FORMAT = 1  # version of proof.json
+LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is shown
 
 
 @dataclass(frozen=True)

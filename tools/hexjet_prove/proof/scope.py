@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.engine.fmu.uncertainty import CUT
+from cosim.engine.fmu.uncertainty import MAX_SIGMA
 from cosim.studies import Study, describe_not_flown
 
-# Kinds of numbers that a real vehicle does not have as stated, by what the keys begin with that vary them.
+# Numbers in which a real vehicle differs from the model, and the prefixes of keys that vary them.
 KINDS = {
     "engines": ("engine", "mismatch.engine_parameters", "mismatch.stations", "stations."),
     "delay": ("mismatch.delay_samples", "added_delay_samples"),
@@ -46,7 +46,7 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
         f"the manoeuvre is that of the scenario {base.name}, {base.duration_s:g} s long: nothing is said of another one"
     )
     if any(vary.uncertainty for vary in study.vary):
-        lines.append(f"an engine's parameters are drawn up to {CUT:g} standard deviations, and no further")
+        lines.append(f"an engine's parameters are drawn up to {MAX_SIGMA:g} standard deviations, and no further")
     if not base.fault:
         lines.append("nothing fails in these flights; hexjet faults and failsafes say what then")
     lines.append(

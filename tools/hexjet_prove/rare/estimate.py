@@ -20,12 +20,12 @@ from cosim.base.errors import InputError
 from cosim.studies import LEVEL, proportion
 from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 
-CONFIDENCE = LEVEL
-# Below this seed_effect noise decides; it is 0.1 to 0.4 where half of the margin's variance is noise.
+CONFIDENCE = LEVEL  # confidence of all intervals
+# Below this seed_effect noise decides; if noise is half of the margin's variance it is 0.1 to 0.4.
 MIN_SEED_EFFECT = 0.5
-# Flights a level at least, of one group of requirements (five starts) and of one of several (docs/campaigns.md), and
-# the part of all flights that several groups leave to the search for the nearest failure.
-SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
+# Flights per level, with one group of requirements (five starts) and with several (docs/campaigns.md); fraction of all
+# flights that several groups leave to the search for the nearest failure.
+MIN_LEVEL_FLIGHTS, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Budget:
 
     def check(self) -> None:
         """Raise InputError where no level would have enough flights."""
-        if self.size < SMALLEST_LEVEL:
-            least = ceil(self.repeats * (1.0 + self._later_levels) * SMALLEST_LEVEL)
+        if self.size < MIN_LEVEL_FLIGHTS:
+            least = ceil(self.repeats * (1.0 + self._later_levels) * MIN_LEVEL_FLIGHTS)
             raise InputError(
                 f"budget {self.flights}: {self.repeats} repeats of {self.most_levels} levels down to "
                 f"{probability_text(self.target)} take at least {least:,} flights"

@@ -9,19 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cosim.studies import (
-    MAX_TESTED,
-    NormalSpace,
-    Progress,
-    Study,
-    Workers,
-    only_controller,
-    open_study,
-    run_sampler,
-)
+from cosim.studies import MAX_TESTED, NormalSpace, Progress, Study, Workers, only_controller, open_study, run_sampler
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.page import write_page
-from hexjet_prove.rare.simulation import ASKED, Plan, RareResult, simulate
+from hexjet_prove.rare.simulation import SUBJECT, Plan, RareResult, simulate
 from hexjet_prove.search.question import Answered, fly_cases
 
 RESULT, REPORT = "rare.json", "rare.html"
@@ -47,7 +38,7 @@ def resolve_rare(
     # The points do not come from the study's design, and a claim in its file may need up to MAX_TESTED runs.
     study = open_study(name, **options | {"design": "random", "runs": MAX_TESTED})
     study = study.changed(until=None, runs=budget)
-    only_controller(study, ASKED)
+    only_controller(study, SUBJECT)
     NormalSpace(study)
     return study, plan
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 
-QUANTILES, DEVIATIONS = (0.1, 0.01), (1.2816, 2.3263)  # of a margin; those of a normal number
+QUANTILES, DEVIATIONS = (0.1, 0.01), (1.2816, 2.3263)  # of a margin; same for a standard normal
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from hexjet_prove.search.question import Answered
 Figure = dict[str, Any]
 
 CURVES = "A failure is a margin below 0, dotted; the interval is made from how far the curves lie apart there."
-SHIFTED = (
+SHIFTED = (  # note on the table of shifts
     "Where each key is in the failures, in standard deviations of what is drawn: of all flights the mean is 0 and the "
     "spread 1. Furthest out first."
 )
-LIMITS = (
+LIMITS = (  # note on what the method can miss
     "The margin must lead there: failures that nothing announces, in a region that no level leads to, are not found, "
     "and not in the interval"
 )

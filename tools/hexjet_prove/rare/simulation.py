@@ -13,22 +13,14 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.spec.controller_name import short_name
-from cosim.studies import (
-    NormalSpace,
-    Row,
-    Study,
-    describe_not_flown,
-    flight_seed,
-    only_controller,
-    requirement_margins,
-)
+from cosim.studies import NormalSpace, Row, Study, describe_not_flown, flight_seed, only_controller, requirement_margins
 from hexjet_prove.rare.estimate import MIN_SEED_EFFECT, Budget, Estimate, estimate, probability_text, seed_effect
 from hexjet_prove.rare.nearest import NearestSearch, search_nearest
 from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups
 from hexjet_prove.rare.subset import Candidates
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 
-ASKED = "a rare failure"
+SUBJECT = "a rare failure"  # what is searched, in messages
 
 
 @dataclass(frozen=True)
@@ -224,7 +216,7 @@ def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
     Raises InputError for a study with more controllers than one or a budget that is too small, FlightError if flights
     cannot be flown.
     """
-    controller = only_controller(study, ASKED)
+    controller = only_controller(study, SUBJECT)
     plan.budget.check()
     space = NormalSpace(study)
     flyer = _Flyer(study, space, controller)

@@ -34,9 +34,9 @@ from hexjet_prove.rare.groups import Group
 
 Index = np.ndarray[Any, np.dtype[np.int64]]
 
-LEVEL_FRACTION = 0.1  # of flights: next starts (Au and Beck)
-# Chosen by trial on known truths: part of the candidates that are drawn by the linear model, and how well that must
-# agree with the level's flights before any is.
+LEVEL_FRACTION = 0.1  # of flights that start the next level
+# Chosen by trials with known probabilities: fraction of candidates drawn by the linear model, and the agreement with
+# the level's flights that this needs.
 BY_MODEL, LEAST_AGREEMENT = 0.75, 0.3
 DIGITS = 9  # of a coordinate, same on all machines
 

@@ -33,7 +33,7 @@ from hexjet_prove.search.question import Answered, fly_cases
 from hexjet_prove.search.search import Edge, Plan, SearchResult, SecondKey, search
 from hexjet_prove.search.span import span
 
-RESULT, REPORT = "search.json", "search.html"
+RESULT, REPORT = "search.json", "search.html"  # files of a search
 COMMAND = {"command": "hexjet search"}  # as a folder records it
 SavedSearch = Answered[SearchResult]
 

@@ -31,7 +31,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from hexjet_prove.search.line_search import scan_outward
 
-R = TypeVar("R")
+R = TypeVar("R")  # what a search returns
 Steps = Generator[Array, Array, R]  # yields rows of points, is sent margins
 
 DISTANCE_RESOLUTION = 0.01  # standard deviations, of a failure

@@ -17,12 +17,12 @@ from hexjet_prove.search.span import Span
 
 Figure = dict[str, Any]
 
-BOUNDARY = (
+BOUNDARY = (  # note on the figure
     "The first value that breaks; a triangle where it holds to the end of the range. Dotted: where the search starts."
 )
-ROW_PX = 44
+ROW_PX = 44  # height of a row in the figure
 
-COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
+COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")  # table of boundaries
 
 
 def write_page(searched: Answered[SearchResult], path: Path) -> None:

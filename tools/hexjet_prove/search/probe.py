@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 from cosim.base.errors import FlightError
 from cosim.studies import EngineDraw, Flight, Row, Study, Value
 
-A = TypeVar("A")
-R = TypeVar("R")
+A = TypeVar("A")  # type of an answer
+R = TypeVar("R")  # what a search returns
 Asking = Generator[list[Flight], Iterator[Row], R]  # generator of flights, is sent rows
 
 

@@ -32,7 +32,7 @@ class Answer(Protocol):
         ...
 
 
-A = TypeVar("A", bound=Answer)
+A = TypeVar("A", bound=Answer)  # type of an answer
 
 
 @dataclass(frozen=True)

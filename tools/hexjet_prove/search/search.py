@@ -30,7 +30,7 @@ from hexjet_prove.search.probe import Asking, Point, Prober, answer_by, count_ne
 from hexjet_prove.search.span import Span
 
 Side = Literal["up", "down"]
-SIDES: dict[int, Side] = {1: "up", -1: "down"}
+SIDES: dict[int, Side] = {1: "up", -1: "down"}  # name of a search's direction
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,13 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
-from cosim.studies import FURTHEST, NOT_FLOWN, NormalSpace, Row, Study, Value, row_margin, scenario_of
+from cosim.studies import MAX_SIGMA, NOT_FLOWN, NormalSpace, Row, Study, Value, row_margin, scenario_of
 from hexjet_prove.search.minimise import Ball, Box, Found, descend
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 from hexjet_prove.search.search import describe_flight
 
-WORST_WITHIN = 3.0  # standard deviations, by default
-LIKELY_WITHIN = 6.0  # 1e-9 of draws lie beyond, on each side
+DEFAULT_WORST_REGION = 3.0  # standard deviations
+LIKELY_REGION = 6.0  # beyond: 1e-9 of draws, on each side
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class WorstPlan:
     """
 
     likely: bool = False
-    within: float | None = WORST_WITHIN
+    within: float | None = DEFAULT_WORST_REGION
     seeds: tuple[int, ...] = (1,)
     budget: int = 1000  # flights per controller
     seed: int = 1  # seed of the search itself
@@ -217,7 +217,7 @@ class PlaceMargins:
         if self._plan.within is None:
             from scipy.special import ndtri
 
-            normal = np.clip(ndtri(0.5 + 0.5 * places), -FURTHEST, FURTHEST)
+            normal = np.clip(ndtri(0.5 + 0.5 * places), -MAX_SIGMA, MAX_SIGMA)
         return [Point.of(self._controller, values) for values in self._space.values(normal)]
 
     def evaluate(self, places: Array) -> Asking[Array]:

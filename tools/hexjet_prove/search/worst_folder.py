@@ -14,8 +14,8 @@ from cosim.studies import Progress, Study, Workers, open_study, parse_number, ru
 from hexjet_prove.search.folder import COMMAND, REPORT, RESULT, point_seeds
 from hexjet_prove.search.question import Answered, fly_cases
 from hexjet_prove.search.worst_case import (
-    LIKELY_WITHIN,
-    WORST_WITHIN,
+    DEFAULT_WORST_REGION,
+    LIKELY_REGION,
     WorstPlan,
     WorstSearch,
     check_region,
@@ -23,7 +23,7 @@ from hexjet_prove.search.worst_case import (
 )
 from hexjet_prove.search.worst_page import write_page
 
-RANGES = "ranges"
+RANGES = "ranges"  # option value: search ranges
 SavedWorst = Answered[WorstSearch]
 
 
@@ -52,7 +52,7 @@ def resolve_worst(
 
 def _within(text: str | float | None, likely: bool) -> float | None:
     if text is None:
-        return LIKELY_WITHIN if likely else WORST_WITHIN
+        return LIKELY_REGION if likely else DEFAULT_WORST_REGION
     if text == RANGES:
         if likely:
             raise InputError("within ranges: says nothing of what is likely; give a number of standard deviations")

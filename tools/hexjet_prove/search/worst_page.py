@@ -12,11 +12,11 @@ from hexjet_prove.search.page import ROW_PX, cases_card, list_facts, text
 from hexjet_prove.search.question import Answered
 from hexjet_prove.search.worst_case import WorstCase, WorstSearch, important
 
-MEANT = (
+MEANT = (  # note on the table
     "A margin below 0 is a failure. The share is of the squared distance from the middle; without it: the key is put "
     "back to the middle and all others are kept; with it alone: all others are put back."
 )
-NONE = "–"
+NONE = "–"  # shown where there is no number
 
 
 def titles(result: WorstSearch) -> list[str]:

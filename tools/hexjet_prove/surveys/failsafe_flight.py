@@ -33,24 +33,24 @@ if TYPE_CHECKING:
     from cosim.simulation.step import Simulation
     from cosim.spec.scenario import Scenario
 
-# Chosen by us.
+# Chosen by us: s of steady flight before the failure, twice what the estimate of the drag needs.
 MOVING_S = 10.0  # the drag is learnt in half of it
-SLOW_M_S, SLOW_S = 0.3, 1.0  # m/s and s: then it does hold
+SLOW_M_S, SLOW_S = 0.3, 1.0  # slower for this many s: it holds
 MAX_SETTLING_S = 60.0  # then it fails at any speed
 MAX_FLIGHT_S = 180.0  # three descents from 30 m
-PER_METRE_S = 4.0  # of height: slower than any vehicle
-LATER_S = 10.0  # after disarming
-HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
-HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
-MAX_HOLD_S = 60.0
+MAX_S_PER_METRE = 4.0  # of height: slower than any vehicle
+WATCH_S = 10.0  # flown on after disarming
+MAX_HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
+MAX_HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
+MAX_HOLD_S = 60.0  # s of holding that are watched
 
 
-# What is measured of a flight, NaN where there is no number; hexjet_prove.surveys.failsafes.Row says what each is.
+# Measures of a flight, NaN if there is none; hexjet_prove.surveys.failsafes.Row describes them.
 MEASURED = (
     *("touchdown_m_s", "sideways_m_s", "thrust_n", "after_s", "drift_m", "off_m", "height_off_m", "hover_s"),
     *("margin_m_s", "margin_m"),
 )
-OWN = "own."  # before the measured names in a row
+OWN = "own."  # prefix of measures in a row
 
 
 class FailsafeAutopilot(Model):
@@ -192,7 +192,7 @@ class FailsafeFlight:
                 return False
         self.ask((Takeoff(height),))
         is_up = lambda: self.pilot.mode is Mode.HOLD or bool(self.pilot.failsafe)  # noqa: E731
-        self.fly(MAX_SETTLING_S + PER_METRE_S * height, is_up)
+        self.fly(MAX_SETTLING_S + MAX_S_PER_METRE * height, is_up)
         return True
 
     def fail(self) -> tuple[dict[str, float], Verdict]:
@@ -203,16 +203,16 @@ class FailsafeFlight:
         self.ask(case.failing_requests)
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
-        last = begin + round((MAX_HOLD_S if case.holds else MAX_FLIGHT_S + PER_METRE_S * table.height_m) / dt)
+        last = begin + round((MAX_HOLD_S if case.holds else MAX_FLIGHT_S + MAX_S_PER_METRE * table.height_m) / dt)
         disarmed_s = 1.0  # s, flights of a cell but the first
-        watched, disarmed, thrust = LATER_S if table.number <= 1 else disarmed_s, -1, nan
+        watched, disarmed, thrust = WATCH_S if table.number <= 1 else disarmed_s, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
             sample = self._step()
             self._acted = self._acted or pilot.failsafe
             disarmed = -1 if pilot.armed else k if disarmed < 0 else disarmed
             if disarmed >= 0 and (k - disarmed) * dt >= watched:
-                thrust = sum(sample.engines.thrust) if watched == LATER_S else nan
+                thrust = sum(sample.engines.thrust) if watched == WATCH_S else nan
                 break
             if case.holds and target.is_held() and (k - begin) * dt >= 8.0:
                 break
@@ -279,7 +279,7 @@ class HoldTarget:
         self._pilot, self._simulation = pilot, simulation
         self._position = status.track or (north, east)
         self._height = status.altitude
-        self._within = HOLD_RADIUS_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
+        self._within = MAX_HOLD_RADIUS_M + speed**2 / (2.0 * a) + speed * a / (2.0 * j)
 
     def deviation(self) -> tuple[float, float]:
         """Return how far the vehicle is from the place and above the height, m."""
@@ -290,7 +290,7 @@ class HoldTarget:
     def margin(self) -> float:
         """Return by how much the vehicle is within of the place and of the height, m."""
         distance, height_error = self.deviation()
-        return min(self._within - distance, HOLD_HEIGHT_M - abs(height_error))
+        return min(self._within - distance, MAX_HOLD_HEIGHT_M - abs(height_error))
 
     def is_held(self) -> bool:
         """Return whether it is slow in HOLD, near that place, at that height."""

@@ -24,14 +24,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
 from cosim.studies import Campaign, Study, default_draw
 from hexjet_prove.surveys.failsafe_cases import Case, cases
-from hexjet_prove.surveys.failsafe_flight import (
-    MAX_FLIGHT_S,
-    MAX_SETTLING_S,
-    MEASURED,
-    MOVING_S,
-    OWN,
-    PER_METRE_S,
-)
+from hexjet_prove.surveys.failsafe_flight import MAX_FLIGHT_S, MAX_S_PER_METRE, MAX_SETTLING_S, MEASURED, MOVING_S, OWN
 from hexjet_prove.surveys.survey import Subject, load_subject, make_study, select_cases
 from hexjet_prove.surveys.tipping import tip_speed
 
@@ -40,8 +33,8 @@ if TYPE_CHECKING:
 
 HEIGHTS_M = (3.0, 10.0, 30.0)
 TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
-WINDS_M_S = (0.0, 5.0, 10.0)
-# Chosen by us.
+WINDS_M_S = (0.0, 5.0, 10.0)  # winds flown
+# Chosen by us: range of the time from take-off to the failure.
 HOVER_S = (2.0, 20.0)  # from the take-off until it fails
 
 
@@ -295,7 +288,7 @@ def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, A
     """Return the settings of a flight, without what is asked in it; it begins in the air."""
     return subject.settings(
         height,
-        MAX_SETTLING_S + MOVING_S + MAX_FLIGHT_S + 2.0 * PER_METRE_S * height,
+        MAX_SETTLING_S + MOVING_S + MAX_FLIGHT_S + 2.0 * MAX_S_PER_METRE * height,
         monitor=subject.vehicle.control.monitor is not None,
         environment={"wind_ned_m_s": [0.0, wind, 0.0]},
     )

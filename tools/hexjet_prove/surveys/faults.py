@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from cosim.simulation.controllers.source import Source
 
 WHOLE_CONTROLLER = "controller"  # a level: cascade and engine monitor
-STARTS = ("hover", "roll")
-SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault; the roll has settled
-DROPOUTS = ("gyro", "attitude", "barometer", "gnss")
-AFTER_S = 6.0  # flown with the fault
-LIMIT = "limit"
-LOSSES = tuple(k / 10 for k in range(1, 11))
-CONFIRMATIONS_S = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3)
+STARTS = ("hover", "roll")  # flights at the time of the fault
+SETTLED_S = {"hover": 1.0, "roll": 3.0}  # s before the fault; the roll has settled
+DROPOUTS = ("gyro", "attitude", "barometer", "gnss")  # sensors that fail
+AFTER_S = 6.0  # s flown after the fault
+LIMIT = "limit"  # kind of cases that find the limits
+LOSSES = tuple(k / 10 for k in range(1, 11))  # fractions of thrust lost
+CONFIRMATIONS_S = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3)  # detection times tried
 
 
 class Case(NamedTuple):
@@ -106,7 +106,7 @@ class FromRoll(FaultMetrics):
     start = "roll"
 
 
-METRICS = {each.start: [f"{__name__}:{each.__name__}"] for each in (FromHover, FromRoll)}
+METRICS = {each.start: [f"{__name__}:{each.__name__}"] for each in (FromHover, FromRoll)}  # plug-ins by start
 
 
 def cases(vehicle: Vehicle, limits: bool = False) -> list[Case]:

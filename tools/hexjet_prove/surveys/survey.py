@@ -22,7 +22,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 from cosim.studies import Campaign, Study, design_warnings, run_campaign
 
-T = TypeVar("T")
+T = TypeVar("T")  # type of a case
 
 
 class Subject(NamedTuple):

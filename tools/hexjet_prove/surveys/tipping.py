@@ -18,7 +18,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 from hexjet_prove.surveys.survey import Subject
 
-# Chosen by us.
+# Chosen by us: directions of motion relative to the nose, each 45 degrees.
 HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # of motion, relative to the nose
 MAX_TIPPING_S = 8.0  # a turbine idles after 3 to 5 s
 TIPPED = radians(60.0)  # past any centre of gravity over legs

@@ -14,36 +14,32 @@ from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, multiply, normalize, rotate, to_euler
 from cosim.base.signals import ZERO3, Measured, Quaternion, Vector3
 from cosim.control.autopilot.estimation.kalman import Kalman
-from cosim.control.autopilot.estimation.position import (
-    BIAS_WALK,
-    STANDING_NOISE,
-    PositionEstimator,
-    trusted_noise,
-)
+from cosim.control.autopilot.estimation.position import BIAS_WALK, STANDING_NOISE, PositionEstimator, trusted_noise
 from cosim.spec.vehicle import PositionGains, Sensors
 
-# Noise below which no sensor is trusted, whatever it states: rad, rad/s, m.
+# Least noise assumed for any sensor: rad, rad/s, m.
 _MIN_NOISE = (2e-4, 0.002, 0.01)
-# The rest is chosen by us, with the reason.
-# rad/s: calibrated while it stands; and 17 deg/s, when it turns out that the bias is not what it was.
+# rad/s, chosen by us as are the following: after calibration at rest; and 17 deg/s, once the bias turns out to have
+# changed.
 _GYRO_BIAS_AT_START, _GYRO_BIAS_UNKNOWN = 0.01, 0.3
-# The disagreement of gyro and attitude, averaged over so many s, is a surprise from so many standard deviations of the
-# mean and so many rad on (what filters and sampling leave unexplained in a manoeuvre), once in so many s.
+# The difference of gyro and attitude, averaged over this many s, is a surprise if it exceeds this many standard
+# deviations of the mean and this many rad (what filters and sampling cause in a manoeuvre); at most one per this many
+# s.
 _MEAN_S, _SURPRISE, _MIN_SURPRISE, _BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
-# A gyro or attitude sensor has failed after so many repeated samples while the other moves.
+# Repeated samples, while the other moves, after which a gyro or attitude sensor has failed.
 _MAX_REPEATS = 5
-# rad/s for so many s: four times the noise of a sample; the controllers would lean by less than a degree.
-_BIASED, _BIASED_S = 0.02, 0.3
-# m/s^2: 10 mg, more than is left after any calibration; and the most that is taken for a bias.
+# rad/s for this many s: four times the noise of a sample; at less the controllers lean by less than a degree.
+_MIN_BIAS, _BIASED_S = 0.02, 0.3
+# m/s^2: 10 mg, more than remains after calibration; and the largest bias that is estimated.
 _BIAS_AT_START, _MAX_BIAS = 0.1, 0.5
-# Squared normalised error: five standard deviations, passed by chance once in 1.7 million.
-_GATE = 25.0
-# s without news from a barometer or accelerometer that has stopped, and from a receiver.
+# Squared normalised error: five standard deviations, exceeded by chance once in 1.7 million.
+_MAX_SQUARED_ERROR = 25.0
+# s without new values after which a barometer or accelerometer has stopped, or a receiver.
 _FAILED_S, _SILENT_S = 0.1, 1.0
-# s of contradiction by which a barometer loses trust, and of agreement by which it regains it.
+# s of contradiction after which a barometer is not used, and s of agreement after which it is again.
 _IMPLAUSIBLE_S, _AGREEMENT_S = 0.5, 1.0
-# One deviation: a twelfth of the weight pushes sideways unseen.
-LEAN_SURE = radians(5.0)
+# rad, one standard deviation: an error in which a twelfth of the weight pushes sideways.
+MAX_LEAN_DEVIATION = radians(5.0)
 
 
 class EstimateQuality(NamedTuple):
@@ -256,7 +252,7 @@ class Estimator:
             has_position or speed < sure,
             self.has_height or self.has_fix,
             climb < sure,
-            self.has_attitude or lean < LEAN_SURE,
+            self.has_attitude or lean < MAX_LEAN_DEVIATION,
             self.has_rate and not self.is_biased,
             self.has_force,
             self.has_height,
@@ -278,7 +274,7 @@ class Estimator:
         self._turn(measured.rate)
         if self._attitude_repeats == 0:
             self._compare_attitude(measured.attitude)
-        is_biased = self.has_rate and _largest(self.gyro_bias) > _BIASED
+        is_biased = self.has_rate and _largest(self.gyro_bias) > _MIN_BIAS
         self._biased_s = self._biased_s + self._dt if is_biased else 0.0
         attitude = measured.attitude if self.has_attitude else self._attitude
         return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
@@ -399,7 +395,7 @@ class Estimator:
         if not is_new or self._height_age >= _FAILED_S:
             self._agreement_s = 0.0
             return
-        if error * error > _GATE * (self.vertical.pp + self._height_noise):
+        if error * error > _MAX_SQUARED_ERROR * (self.vertical.pp + self._height_noise):
             self._agreement_s = 0.0
             self._refusal_s += self._dt
             self._is_implausible = self._is_implausible or self._refusal_s >= _IMPLAUSIBLE_S
@@ -423,7 +419,7 @@ class Estimator:
         if not fresh:
             return
         error = rate - vertical.delayed[1].real
-        if error * error > _GATE * (vertical.vv + self._velocity_noise):
+        if error * error > _MAX_SQUARED_ERROR * (vertical.vv + self._velocity_noise):
             self._fix_refusal_s += between
             if self._fix_refusal_s < _SILENT_S or self.has_height:
                 return

@@ -14,9 +14,9 @@ from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
 from cosim.spec.vehicle import PositionGains, Sensors
 
-# m/s^2 per root s: the zero of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K in a second.
+# m/s^2 per root s: bias of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K per second.
 BIAS_WALK = 0.001
-# m/s: the noise of standing still as a reading of the velocity.
+# m/s: noise of standing still, used as a measurement of velocity.
 STANDING_NOISE = 0.02
 
 

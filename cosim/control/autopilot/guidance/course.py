@@ -13,12 +13,13 @@ from cosim.control.autopilot.modes import Home
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import RallyPoint
 
-# Chosen by us: large beside the noise of a GNSS receiver, small beside the vehicle's surroundings.
+# Chosen by us: m above the ground in automatic flight, large compared with GNSS noise, small compared with the
+# surroundings.
 MIN_HEIGHT_M = 1.0  # above the ground, in automatic flight
-LANDING_HEIGHT_M = 0.3  # a lower height demand lands
-AT_HEIGHT_M = 0.4  # at take-offs, climbs and waypoints
-ARRIVED_M = 0.7  # from home or a waypoint
-SLOW = 0.5  # m/s, below which a descent may begin
+LANDING_HEIGHT_M = 0.3  # a lower height command means to land
+HEIGHT_OFF_M = 0.4  # at which a climb or descent is complete
+ARRIVAL_M = 0.7  # from home or a waypoint
+MAX_ENTRY_M_S = 0.5  # faster vehicles do not begin a descent
 
 
 class Landmarks:
@@ -156,7 +157,7 @@ class Course:
         speed = 0.0 if track is None else hypot(*track.velocity)
         if self._is_pushed:
             speed = max(speed, hypot(*self.estimates.fix.velocity))
-        if speed < SLOW:
+        if speed < MAX_ENTRY_M_S:
             return inf
         time = speed / p["HJ_ACC_HOR"] + p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"] + 2.0 / max(p["HJ_VEL_P"], 0.1)
         return max(0.0, self.estimates.altitude - self.landmarks.high_ground) / time

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
-from cosim.control.altitude import LEAST_UPRIGHT
-from cosim.control.autopilot.guidance.shaper import BUILD_UP, ROOM_FRACTION
+from cosim.control.altitude import MIN_UPRIGHT
+from cosim.control.autopilot.guidance.shaper import BUILD_UP, COMMAND_FRACTION
 
 
 class HeightLimits(NamedTuple):
@@ -31,7 +31,7 @@ def height_limits(height: float, gain: float, speed: float, up: float, down: flo
     and the vehicle is later than its set-point by ``1/K_h + 1/K`` and half of the jerk's mean, ``0.25/K``.
     """
     k = max(gain, 0.1)
-    a = min(k * speed, ROOM_FRACTION * up, ROOM_FRACTION * down)
+    a = min(k * speed, COMMAND_FRACTION * up, COMMAND_FRACTION * down)
     return HeightLimits(a, a * k / BUILD_UP, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * BUILD_UP) / k)
 
 
@@ -136,7 +136,7 @@ class CollectiveFloor:
         return self._collective(max(up, -self._slowing), upright, weight)
 
     def _collective(self, up: float, upright: float, weight: float) -> float:
-        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, LEAST_UPRIGHT)
+        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, MIN_UPRIGHT)
         return min(max(thrust - self._idle, self._least), self._most)
 
     def limit_rate(self, collective: float) -> float:

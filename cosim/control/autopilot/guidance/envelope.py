@@ -14,8 +14,8 @@ from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angu
 from cosim.control.autopilot.parameters import Parameters
 from cosim.spec.vehicle import Vehicle
 
-_SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # limits of attitude follow from them
-_CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and those of height
+_SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that set attitude limits
+_CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # parameters that set height limits
 
 
 class Envelope:

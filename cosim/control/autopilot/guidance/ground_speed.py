@@ -9,7 +9,7 @@ from cosim.control.autopilot.estimation.wind import drag_limited_speed, estimate
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.course import Course
 from cosim.control.autopilot.guidance.tracker import BRAKE_FRACTION
-from cosim.control.phases.wing import DENSITY
+from cosim.control.phases.wing import DENSITY_0
 from cosim.spec.vehicle import Vehicle
 
 
@@ -49,7 +49,7 @@ class GroundSpeed:
         fastest = self.max_acceleration * self._parameters["HJ_ACC_HOR"]
         if velocity_error > self.max_error_m_s or hypot(*track.acceleration) > fastest:
             return
-        wind = estimate_wind(self._vehicle, fix.disturbance, fix.velocity, estimates.euler, self._thrust, DENSITY)
+        wind = estimate_wind(self._vehicle, fix.disturbance, fix.velocity, estimates.euler, self._thrust, DENSITY_0)
         if wind is not None:
             self._north += self._weight_step * (wind[0] - self._north)
             self._east += self._weight_step * (wind[1] - self._east)
@@ -67,7 +67,7 @@ class GroundSpeed:
         Where drag is not known, or a wing bears, it is the speed that the vehicle's file states.
         """
         lean = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))
-        air = drag_limited_speed(self._vehicle, lean, self._thrust, DENSITY)
+        air = drag_limited_speed(self._vehicle, lean, self._thrust, DENSITY_0)
         if air is None:
             return self._parameters.table["MPC_XY_VEL_MAX"].default
         return max(self.least_speed, air - hypot(*self.wind))

@@ -20,9 +20,10 @@ from cosim.control.autopilot.geometry import Pair, limit_length, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
-# Fraction of the available torque for commands, chosen by us: the rest is for wind, noise and overshoot.
-ROOM_FRACTION = 0.25
-# The acceleration that is asked for builds up in this fraction of the attitude loop's time constant; chosen by us.
+# Chosen by us: the fraction of the torque for commands; the rest is for wind, noise and overshoot.
+COMMAND_FRACTION = 0.25
+# Chosen by us: an acceleration builds up in this fraction of the attitude loop's time constant, fast enough not to be
+# felt as lag.
 BUILD_UP = 0.5
 
 
@@ -97,11 +98,11 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             else:
                 moment = weight * sum(abs(jet.position_m[1]) for jet in jets) / len(jets)
             extra = 1.0 + gain[axis] * servo.lag_s
-            authority.append(ROOM_FRACTION * servo.range_rad * moment / inertia[axis] / extra)
+            authority.append(COMMAND_FRACTION * servo.range_rad * moment / inertia[axis] / extra)
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        authority.append(ROOM_FRACTION * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+        authority.append(COMMAND_FRACTION * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
     return (authority[0], authority[1], authority[2])
 
 
@@ -122,7 +123,7 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     for axis, name in enumerate(AXES):
         extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
         moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
-        authority.append(ROOM_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], least) / extra)
+        authority.append(COMMAND_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], least) / extra)
     return (authority[0], authority[1], authority[2])
 
 

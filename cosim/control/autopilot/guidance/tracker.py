@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from cosim.control.autopilot.geometry import Pair
 
-# Braking is planned with this fraction of the acceleration, so that some is left to turn with.
+# Fraction of the acceleration for planned braking, so that some is left for turning.
 BRAKE_FRACTION = 0.75
 
 

@@ -6,12 +6,12 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Report
 from cosim.base.signals import Command
 from cosim.control.autopilot.failsafes import FailsafeMonitor
-from cosim.control.autopilot.guidance.course import AT_HEIGHT_M, MIN_HEIGHT_M, Course
+from cosim.control.autopilot.guidance.course import HEIGHT_OFF_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
 
-# m above the ground at which a vehicle with no leg in contact is in the air; chosen by us.
-_LIFT_M = 0.3
+# Chosen by us: m above the ground from which a vehicle without leg contact flies, above the height noise.
+_MIN_LIFT_OFF_M = 0.3
 
 
 class TakeOff:
@@ -41,7 +41,7 @@ class TakeOff:
         if height < MIN_HEIGHT_M:
             raise InputError(f"take-off refused: {height:g} m, at least {MIN_HEIGHT_M:g} m above home are needed")
         home = landmarks.home or Home(*estimates.fix.position, estimates.altitude)
-        if home.altitude + height < estimates.altitude + _LIFT_M:
+        if home.altitude + height < estimates.altitude + _MIN_LIFT_OFF_M:
             below = estimates.altitude - home.altitude
             raise InputError(f"take-off refused: {height:g} m above home, and it stands {below:.1f} m above it")
         if why := watch.describe_outside(*estimates.fix.position, home.altitude + height, home):
@@ -81,7 +81,7 @@ class TakeOff:
     def complete(self) -> bool:
         """Whether that height is reached."""
         height = self._course.height
-        return height is not None and abs(self._estimates.altitude - height) < AT_HEIGHT_M
+        return height is not None and abs(self._estimates.altitude - height) < HEIGHT_OFF_M
 
 
 class Landing:
@@ -124,7 +124,7 @@ class Landing:
         """Whether the vehicle, which has just been on the ground, is in the air for certain."""
         above = self._estimates.altitude - self._landmarks.ground
         clear = above - 3.0 * self._estimates.altitude_deviation > self.clear_m
-        return clear or (self.touchdown.is_off_ground and above > _LIFT_M)
+        return clear or (self.touchdown.is_off_ground and above > _MIN_LIFT_OFF_M)
 
     def lift_off(self) -> None:
         """Start the flight with the legs' switch trusted, unless it still reports the ground."""
@@ -135,7 +135,7 @@ class Landing:
     @property
     def is_still_grounded(self) -> bool:
         """Whether a vehicle that takes off is still on the ground."""
-        return not self.touchdown.is_off_ground and self._estimates.altitude < self._landmarks.ground + _LIFT_M
+        return not self.touchdown.is_off_ground and self._estimates.altitude < self._landmarks.ground + _MIN_LIFT_OFF_M
 
     @property
     def has_weight_on_legs(self) -> bool:
@@ -166,7 +166,7 @@ class Landing:
     def _low(self) -> bool:
         """Whether it may be as low as where it took off, within the deviation of the height."""
         estimates = self._estimates
-        return estimates.altitude - 3.0 * estimates.altitude_deviation < self._landmarks.ground + _LIFT_M
+        return estimates.altitude - 3.0 * estimates.altitude_deviation < self._landmarks.ground + _MIN_LIFT_OFF_M
 
     def settle(self, collective: float) -> Command:
         """Return the command that takes the thrust away, from this collective on."""

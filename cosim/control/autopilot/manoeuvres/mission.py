@@ -71,7 +71,7 @@ class Mission:
         return None
 
 
-_NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)
+_NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)  # items that take no flight time
 
 
 def find_endless_jump(items: Sequence[MissionItem]) -> int | None:

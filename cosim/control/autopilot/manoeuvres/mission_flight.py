@@ -8,7 +8,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Command
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.failsafes import FailsafeMonitor
-from cosim.control.autopilot.guidance.course import ARRIVED_M, AT_HEIGHT_M, MIN_HEIGHT_M, Course
+from cosim.control.autopilot.guidance.course import ARRIVAL_M, HEIGHT_OFF_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
@@ -153,12 +153,12 @@ class MissionFlight:
         item, course = self.mission.item, self._course
         if item is None:
             return None
-        if self._climb_to is not None and self._estimates.altitude < self._climb_to - AT_HEIGHT_M:
+        if self._climb_to is not None and self._estimates.altitude < self._climb_to - HEIGHT_OFF_M:
             return course.fly_to(None, self._climb_to, None)
         self._climb_to = None
         if item.kind is ItemKind.LAND:
             self._is_in_position = (
-                self._is_in_position or course.position is None or course.distance_to(course.position) <= ARRIVED_M
+                self._is_in_position or course.position is None or course.distance_to(course.position) <= ARRIVAL_M
             )
             if self._is_in_position:
                 return course.descend(course.position)
@@ -197,7 +197,7 @@ class MissionFlight:
         if item.kind is not ItemKind.DELAY:
             altitude = self._altitude_of(item)
             height_error = 0.0 if altitude is None else self._estimates.altitude - altitude
-            if height_error < -AT_HEIGHT_M or (height_error > AT_HEIGHT_M and item.kind is not ItemKind.TAKEOFF):
+            if height_error < -HEIGHT_OFF_M or (height_error > HEIGHT_OFF_M and item.kind is not ItemKind.TAKEOFF):
                 return False
             if item.kind is ItemKind.WAYPOINT and place is not None:
                 radius = item.acceptance_m or self._parameters["HJ_ACC_RADIUS"]

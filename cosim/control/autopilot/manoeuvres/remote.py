@@ -15,7 +15,7 @@ from cosim.spec.vehicle import AllocationLimits
 Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
 _NEVER = -(10**9)  # a step long before the first
-_CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
+_CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)  # sticks released, half throttle
 
 
 class RemoteControl:

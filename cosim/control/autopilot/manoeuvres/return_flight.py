@@ -6,9 +6,9 @@ from math import hypot
 
 from cosim.base.signals import Command
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.guidance.course import ARRIVED_M, AT_HEIGHT_M, SLOW, Course
+from cosim.control.autopilot.guidance.course import ARRIVAL_M, HEIGHT_OFF_M, MAX_ENTRY_M_S, Course
 
-_CLIMB, _CRUISE, _DESCENT = range(3)
+_CLIMB, _CRUISE, _DESCENT = range(3)  # phases of the return
 
 
 class ReturnFlight:
@@ -34,9 +34,9 @@ class ReturnFlight:
             self._phase = _CRUISE if near else _CLIMB
         position = self._to
         distance = course.distance_to(position)
-        if self._phase == _CLIMB and estimates.altitude > course.height - AT_HEIGHT_M:
+        if self._phase == _CLIMB and estimates.altitude > course.height - HEIGHT_OFF_M:
             self._phase = _CRUISE
-        if self._phase == _CRUISE and distance < ARRIVED_M and hypot(*estimates.fix.velocity) < SLOW:
+        if self._phase == _CRUISE and distance < ARRIVAL_M and hypot(*estimates.fix.velocity) < MAX_ENTRY_M_S:
             self._phase = _DESCENT
         if self._phase == _DESCENT:
             return course.descend(position)

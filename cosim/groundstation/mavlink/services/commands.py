@@ -11,8 +11,8 @@ from math import hypot, radians, remainder, tau
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
-from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
-from cosim.groundstation.mavlink.services.items import FARTHEST
+from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, MODES, UNSUPPORTED, from_custom, from_main_sub
+from cosim.groundstation.mavlink.services.items import MAX_DISTANCE_M
 from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
     RELATIVE_FRAMES,
@@ -25,22 +25,22 @@ from cosim.groundstation.mavlink.streams import BY_ID, MIN_INTERVAL_S, stream_in
 from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
-# m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us.
+# m: what rounding to 1e-7 deg (1 cm) and a station's own arithmetic change.
 MAX_ORIGIN_ERROR_M = 1.0
-ORIGIN_FIXED = "the origin stays where the flight began; place puts it elsewhere"
+ORIGIN_FIXED = "the origin stays where the flight began; place puts it elsewhere"  # reason of a refusal
 
-# INJECT_FAILURE states no severity.  We choose one that is noticeable in flight and can still be flown with.
+# INJECT_FAILURE has no severity; ours is noticeable in flight and can still be flown.
 _MOTOR, _SERVO = 101, 102
-_SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}
-_OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6
-_ENGINE_FAULTS = {  # kind of the fault and its severity
+_SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}  # sensor by FAILURE_UNIT
+_OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6  # FAILURE_TYPE
+_ENGINE_FAULTS = {  # fault and severity by FAILURE_TYPE
     _OFF: ("flame_out", None),
     _STUCK: ("stuck_throttle", None),
     _WRONG: ("thrust_loss", 0.5),
     _SLOW: ("slow_spool", 0.5),  # s
     _DELAYED: ("delay_growth", 0.1),  # s
 }
-_GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)  # rad/s; m; m, NED
+_GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)  # injected biases, rad/s; m; m, NED
 
 
 class _FrameError(Exception):
@@ -158,7 +158,7 @@ def _orbit(command: MavCommand, context: Context) -> Plan:
     )
 
 
-_ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR
+_ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # yaw by ORBIT_YAW_BEHAVIOUR
 
 
 def _yaw(command: MavCommand, context: Context) -> Plan:
@@ -234,8 +234,8 @@ def _local(position: tuple[float, float], context: Context, above: float | None 
     geodesy = context.vehicle.geodesy
     height = geodesy.ground + (context.state.altitude if above is None else above)
     north, east = geodesy.to_local(lat, lon, height)[:2]
-    if max(abs(north), abs(east)) > FARTHEST:
-        far, most = hypot(north, east) / 1e3, FARTHEST / 1e3
+    if max(abs(north), abs(east)) > MAX_DISTANCE_M:
+        far, most = hypot(north, east) / 1e3, MAX_DISTANCE_M / 1e3
         raise InputError(f"{lat:g}, {lon:g} is {far:.0f} km from where the flight began; {most:.0f} km is the most")
     return north, east
 
@@ -301,9 +301,9 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
 def _modes(command: MavCommand, context: Context) -> Plan:
     index = 0 if command.params[1] is None else _whole(command.params[1])
     if index == 0:
-        return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(LIST) + 1)))
-    if not 1 <= index <= len(LIST):
-        return _refuse(f"mode {index}: there are 1 to {len(LIST)}")
+        return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(MODES) + 1)))
+    if not 1 <= index <= len(MODES):
+        return _refuse(f"mode {index}: there are 1 to {len(MODES)}")
     return Plan(messages=(mode_line(context.vehicle, index),))
 
 
@@ -370,7 +370,7 @@ def _reboot(command: MavCommand, context: Context) -> Plan:
     return _do(context.shutdown_requests[number - 1])
 
 
-_HANDLERS: dict[int, Handler] = {
+_HANDLERS: dict[int, Handler] = {  # function for each MAV_CMD
     17: lambda command, context: _do(rq.Hold()),  # NAV_LOITER_UNLIM
     20: lambda command, context: _do(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND
@@ -398,6 +398,6 @@ _HANDLERS: dict[int, Handler] = {
     520: _requester_of("AUTOPILOT_VERSION"),  # REQUEST_AUTOPILOT_CAPABILITIES
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
-KNOWN = frozenset(_HANDLERS)
-# Commands that are not executed again where only their acknowledgement was lost.
+KNOWN = frozenset(_HANDLERS)  # commands that are answered
+# Commands that are not executed again if only their acknowledgement was lost.
 ONCE = frozenset({22, 420})

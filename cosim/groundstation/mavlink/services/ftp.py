@@ -19,13 +19,13 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-NONE, TERMINATE, RESET, LIST, OPEN, READ = 0, 1, 2, 3, 4, 5
-CRC, BURST, ACK, NAK = 14, 15, 128, 129
-_WRITING = range(6, 14)  # create, write, remove, rename ...
-FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10
+NONE, TERMINATE, RESET, LIST, OPEN, READ = 0, 1, 2, 3, 4, 5  # opcodes of MAVLink FTP
+CRC, BURST, ACK, NAK = 14, 15, 128, 129  # opcodes of MAVLink FTP
+_WRITING = range(6, 14)  # opcodes that would change files
+FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10  # error codes of MAVLink FTP
 
-DATA = 239  # bytes in one message
-_HEAD = struct.Struct("<HBBBBBxI")
+MAX_DATA_BYTES = 239  # data in one message
+_HEAD = struct.Struct("<HBBBBBxI")  # header of a payload
 
 
 class File(Protocol):
@@ -143,7 +143,7 @@ class FileService(Service):
             return _nak(request, PROTECTED)
         if code not in (LIST, OPEN, CRC, READ, BURST):
             return _nak(request, UNKNOWN)
-        if request.size > DATA:
+        if request.size > MAX_DATA_BYTES:
             return _nak(request, BAD_SIZE)
         return self._read(request, state) if code in (READ, BURST) else self._look_up(request, state)
 
@@ -182,7 +182,7 @@ class FileService(Service):
         if request.opcode == BURST:
             state.burst = _Burst(request, request.offset, self.burst_length, request.sequence)
             return None
-        return _ack(request, file.read(request.offset, request.size or DATA), request.offset)
+        return _ack(request, file.read(request.offset, request.size or MAX_DATA_BYTES), request.offset)
 
     def _list(self, request: _Request, path: str | None) -> bytes:
         entries = None if path is None else _entries(self._files(path), path)
@@ -192,7 +192,7 @@ class FileService(Service):
             return _nak(request, END)
         data = b""
         for entry in entries[request.offset :]:
-            if len(data) + len(entry) > DATA:
+            if len(data) + len(entry) > MAX_DATA_BYTES:
                 break
             data += entry
         return _ack(request, data, request.offset)
@@ -207,7 +207,7 @@ def _next_burst_message(state: _State) -> bytes:
     if file is None:
         state.burst = None
         return _nak(request, BAD_SESSION, burst.sequence)
-    data = file.read(burst.offset, request.size or DATA)
+    data = file.read(burst.offset, request.size or MAX_DATA_BYTES)
     offset = burst.offset
     burst.offset += len(data)
     burst.remaining -= 1
@@ -255,7 +255,7 @@ def _parse(payload: list[int]) -> _Request | None:
     if len(data) < _HEAD.size:
         return None
     sequence, session, opcode, size, _, _, offset = _HEAD.unpack_from(data)
-    return _Request(sequence, session, opcode, size, offset, data[_HEAD.size : _HEAD.size + min(size, DATA)])
+    return _Request(sequence, session, opcode, size, offset, data[_HEAD.size : _HEAD.size + min(size, MAX_DATA_BYTES)])
 
 
 def _ack(request: _Request, data: bytes = b"", offset: int = 0) -> bytes:
@@ -268,7 +268,7 @@ def _nak(request: _Request, code: int, sequence: int | None = None) -> bytes:
 
 def _pack(request: _Request, code: int, data: bytes, offset: int, sequence: int, last: bool = False) -> bytes:
     head = _HEAD.pack(sequence & 0xFFFF, request.session, code, len(data), request.opcode, last, offset)
-    return (head + data).ljust(_HEAD.size + DATA, b"\0")
+    return (head + data).ljust(_HEAD.size + MAX_DATA_BYTES, b"\0")
 
 
 def _message(client: Client, payload: bytes) -> Message:

@@ -17,24 +17,24 @@ from cosim.control.autopilot.requests import ItemKind, Metres, MissionItem, Zone
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
-ACCEPTED, ERROR = wire.MAV_MISSION_ACCEPTED, wire.MAV_MISSION_ERROR
-WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_UNSUPPORTED
-NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID
-PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2
-PARAM3, PARAM4 = wire.MAV_MISSION_INVALID_PARAM3, wire.MAV_MISSION_INVALID_PARAM4
-PARAM5, PARAM6 = wire.MAV_MISSION_INVALID_PARAM5_X, wire.MAV_MISSION_INVALID_PARAM6_Y
-PARAM7 = wire.MAV_MISSION_INVALID_PARAM7
-SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED
+ACCEPTED, ERROR = wire.MAV_MISSION_ACCEPTED, wire.MAV_MISSION_ERROR  # MAV_MISSION_RESULT
+WRONG_FRAME, UNSUPPORTED = wire.MAV_MISSION_UNSUPPORTED_FRAME, wire.MAV_MISSION_UNSUPPORTED  # MAV_MISSION_RESULT
+NO_SPACE, INVALID = wire.MAV_MISSION_NO_SPACE, wire.MAV_MISSION_INVALID  # MAV_MISSION_RESULT
+PARAM1, PARAM2 = wire.MAV_MISSION_INVALID_PARAM1, wire.MAV_MISSION_INVALID_PARAM2  # MAV_MISSION_RESULT
+PARAM3, PARAM4 = wire.MAV_MISSION_INVALID_PARAM3, wire.MAV_MISSION_INVALID_PARAM4  # MAV_MISSION_RESULT
+PARAM5, PARAM6 = wire.MAV_MISSION_INVALID_PARAM5_X, wire.MAV_MISSION_INVALID_PARAM6_Y  # MAV_MISSION_RESULT
+PARAM7_INVALID = wire.MAV_MISSION_INVALID_PARAM7  # mission result: altitude is invalid
+SEQUENCE, DENIED = wire.MAV_MISSION_INVALID_SEQUENCE, wire.MAV_MISSION_DENIED  # MAV_MISSION_RESULT
 CANCELLED = wire.MAV_MISSION_OPERATION_CANCELLED
 
-WAYPOINT, LOITER_TIME = wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_LOITER_TIME
-LOITER, LOITER_TURNS = wire.MAV_CMD_NAV_LOITER_UNLIM, wire.MAV_CMD_NAV_LOITER_TURNS
-LOITER_ALTITUDE = wire.MAV_CMD_NAV_LOITER_TO_ALT
-RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF
-DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED
+WAYPOINT, LOITER_TIME = wire.MAV_CMD_NAV_WAYPOINT, wire.MAV_CMD_NAV_LOITER_TIME  # MAV_CMD
+LOITER, LOITER_TURNS = wire.MAV_CMD_NAV_LOITER_UNLIM, wire.MAV_CMD_NAV_LOITER_TURNS  # MAV_CMD
+LOITER_ALTITUDE = wire.MAV_CMD_NAV_LOITER_TO_ALT  # command: loiter to an altitude
+RETURN, LAND, TAKEOFF = wire.MAV_CMD_NAV_RETURN_TO_LAUNCH, wire.MAV_CMD_NAV_LAND, wire.MAV_CMD_NAV_TAKEOFF  # MAV_CMD
+DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_DO_CHANGE_SPEED  # MAV_CMD
 
-# Commands for a payload that no vehicle here has (cameras, gimbals, regions of interest, triggers), and the mark of
-# where a landing begins.  Such an item is passed at once.
+# Commands for payloads that no vehicle here has (cameras, gimbals, regions of interest, triggers), and landing marks.
+# Such items are passed at once.
 LEFT_OUT: dict[int, str] = {
     getattr(wire, name): name.removeprefix("MAV_CMD_")
     for name in (
@@ -66,10 +66,10 @@ LEFT_OUT: dict[int, str] = {
     if hasattr(wire, name)
 }
 
-_SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z is above the sea
-_HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z is above home
-FARTHEST: float = get_args(Metres)[1].upper  # m: the limit of the pilot's requests
-NO_POSITION = 2**31 - 1  # of x or y
+_SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # frames with z above the sea
+_HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # frames with z above home
+MAX_DISTANCE_M: float = get_args(Metres)[1].upper  # m, as in the pilot's requests
+NO_POSITION = 2**31 - 1  # x or y that is not stated
 
 
 class Item(NamedTuple):
@@ -218,9 +218,9 @@ def to_local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[fl
     if item.frame not in (*_SEA, *_HOME):
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     north, east, _ = geodesy.to_local(item.x * 1e-7, item.y * 1e-7, geodesy.ground + altitude)
-    if max(abs(north), abs(east)) > FARTHEST:
+    if max(abs(north), abs(east)) > MAX_DISTANCE_M:
         distance = hypot(north, east) / 1e3
-        raise ItemError(PARAM5, f"{distance:,.0f} km from home, {FARTHEST / 1e3:g} km at most")
+        raise ItemError(PARAM5, f"{distance:,.0f} km from home, {MAX_DISTANCE_M / 1e3:g} km at most")
     return north, east
 
 
@@ -229,10 +229,10 @@ def to_altitude(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
     if item.frame not in (*_SEA, *_HOME):
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
     if not isfinite(item.z):
-        raise ItemError(PARAM7, "it has no height")
+        raise ItemError(PARAM7_INVALID, "it has no height")
     height = item.z - geodesy.ground if item.frame in _SEA else item.z + home_altitude
-    if abs(height) > FARTHEST:
-        raise ItemError(PARAM7, f"{height / 1e3:,.0f} km above the ground, {FARTHEST / 1e3:g} km at most")
+    if abs(height) > MAX_DISTANCE_M:
+        raise ItemError(PARAM7_INVALID, f"{height / 1e3:,.0f} km above the ground, {MAX_DISTANCE_M / 1e3:g} km at most")
     return height
 
 
@@ -260,14 +260,14 @@ def _whole(value: float, code: int, what: str, besides: str = "") -> int:
     return int(value)
 
 
-_FIELDS: dict[str, int] = {
+_FIELDS: dict[str, int] = {  # mission result for each wrong field
     **dict.fromkeys(("hold_s", "target", "turns"), PARAM1),
     **dict.fromkeys(("acceptance_m", "speed", "repeat"), PARAM2),
     "radius": PARAM3,
     "yaw": PARAM4,
     "north": PARAM5,
     "east": PARAM6,
-    "altitude": PARAM7,
+    "altitude": PARAM7_INVALID,
 }
 
 
@@ -277,17 +277,17 @@ def _find_code(text: str) -> int:
     return _FIELDS.get(name, int(INVALID))
 
 
-_POLYGONS = {
+_POLYGONS = {  # fence commands that are vertices
     wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ZoneKind.STAY_IN_POLYGON,
     wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ZoneKind.STAY_OUT_OF_POLYGON,
 }
-_CIRCLES = {
+_CIRCLES = {  # fence commands that are circles
     wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ZoneKind.STAY_IN_CIRCLE,
     wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ZoneKind.STAY_OUT_OF_CIRCLE,
 }
-_COMMANDS = {kind: command for command, kind in (_POLYGONS | _CIRCLES).items()}
-_RALLY = wire.MAV_CMD_NAV_RALLY_POINT
-# Old stations send a return point with a fence.  It is ignored, because this vehicle returns home or to a rally point.
+_COMMANDS = {kind: command for command, kind in (_POLYGONS | _CIRCLES).items()}  # fence command of each kind of zone
+_RALLY = wire.MAV_CMD_NAV_RALLY_POINT  # command of a rally point
+# Old stations send a return point with a fence. It is ignored: this vehicle returns home or to a rally point.
 _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 
@@ -381,7 +381,7 @@ def _to_e7(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
     return round(1e7 * latitude), round(1e7 * longitude)
 
 
-CHECKS: dict[int, Callable[[Item], None]] = {
+CHECKS: dict[int, Callable[[Item], None]] = {  # check of an item by mission type
     wire.MAV_MISSION_TYPE_FENCE: check_fence_item,
     wire.MAV_MISSION_TYPE_RALLY: check_rally_item,
 }

@@ -28,8 +28,9 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-DATA = 90  # bytes in a LOG_DATA
-LOG_FOLDER = "log/"
+MAX_DATA_BYTES = 90  # data in one LOG_DATA
+LOG_FOLDER = "log/"  # folder of logs in FTP paths
+# code of the converting process
 _CONVERT = """
 import os, pathlib
 from cosim.results.export import export_log
@@ -230,7 +231,9 @@ class LogService(Service):
             if first > last:
                 del self._lists[client]
         for client, download in list(self._downloads.items()):
-            for _ in range(download.limit.take_tokens(now, -(-(download.end - download.at) // DATA), client.peer)):
+            for _ in range(
+                download.limit.take_tokens(now, -(-(download.end - download.at) // MAX_DATA_BYTES), client.peer)
+            ):
                 out.append((client.peer, download.next()))
                 if download.at >= download.end:
                     break
@@ -286,9 +289,9 @@ class _Download:
     def next(self) -> Message:
         """Return the next LOG_DATA."""
         start = self.at - self._buffer_at
-        if start + DATA > len(self._buffer):
-            self._buffer, self._buffer_at, start = self._file.read(self.at, 100 * DATA), self.at, 0
-        part = self._buffer[start : start + min(DATA, self.end - self.at)]
+        if start + MAX_DATA_BYTES > len(self._buffer):
+            self._buffer, self._buffer_at, start = self._file.read(self.at, 100 * MAX_DATA_BYTES), self.at, 0
+        part = self._buffer[start : start + min(MAX_DATA_BYTES, self.end - self.at)]
         message = _data(self.number, self.at, part)
         self.at = self.at + len(part) if part else self.end
         return message
@@ -321,4 +324,4 @@ def _name(log: LogEntry) -> str:
 
 
 def _data(number: int, offset: int, part: bytes) -> Message:
-    return wire.MAVLink_log_data_message(number, offset, len(part), list(part.ljust(DATA, b"\0")))
+    return wire.MAVLink_log_data_message(number, offset, len(part), list(part.ljust(MAX_DATA_BYTES, b"\0")))

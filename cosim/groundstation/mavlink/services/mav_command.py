@@ -27,10 +27,10 @@ class CommandResult(IntEnum):
     UNSUPPORTED_FRAME = 9
 
 
-OF_RESULT = {result: CommandResult[result.name] for result in Result}
+MAV_RESULTS = {result: CommandResult[result.name] for result in Result}  # MAV_RESULT by result of a request
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
-ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
+ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)  # height above sea; above home
 
 
 class MavCommand(NamedTuple):

@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.telemetry import parse_version
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
-# The same paths as in PX4.
+# Paths as in PX4.
 GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"
 
 

@@ -46,13 +46,13 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
-FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
-_KINDS = (MISSION, FENCE, RALLY)
+MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL  # MAV_MISSION_TYPE
+FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY  # MAV_MISSION_TYPE
+_KINDS = (MISSION, FENCE, RALLY)  # supported mission types
 
 
-_NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}
-_LEGACY_FRAMES = {
+_NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}  # names in messages
+_LEGACY_FRAMES = {  # frames of MISSION_ITEM without INT
     wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
     wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
 }

@@ -33,12 +33,12 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-# PX4's hash of all parameters: a station that has the same set cached reads no list.
+# PX4's parameter that is the hash of all others: a station that has cached this set reads no list.
 HASH = "_HASH_CHECK"
 
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # struct format of each MAV_PARAM_TYPE
-# MAV_PARAM_ERROR; the last two are in the MAVLink project's own definitions, not in pymavlink's
+# MAV_PARAM_ERROR; the last two are in the MAVLink project's definitions but not in pymavlink.
 UNKNOWN, OUT_OF_RANGE, NOT_NOW, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 3, 5, 6, 7
 
 

@@ -19,7 +19,7 @@ Outgoing = list[tuple[Peer | None, Message]]
 # Arguments: the request, a callback for the answer (called later, from any thread), the sender's name.
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
-# Clients for which a service keeps state; chosen by us, more than are ever connected.
+# Chosen by us: clients for which a service keeps state, more than are ever connected.
 MAX_CLIENTS = 16
 _text_id = 0
 

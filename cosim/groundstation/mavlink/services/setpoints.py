@@ -11,10 +11,10 @@ from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message
 
 _OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
-_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities along and across heading
-# Bits of POSITION_TARGET_TYPEMASK: this field is to be ignored.
+_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # frames with velocities along the heading
+# Bits of POSITION_TARGET_TYPEMASK that ignore these fields.
 _POSITION, _VELOCITY, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 1 << 10, 1 << 11
-# Bits of ATTITUDE_TARGET_TYPEMASK: this field is to be ignored.
+# Bits of ATTITUDE_TARGET_TYPEMASK that ignore these fields.
 _NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
 
 OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition

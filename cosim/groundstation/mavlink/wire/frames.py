@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from cosim.groundstation.mavlink.wire.dialect import CHECKSUM, COMPONENT, Message, mav
+from cosim.groundstation.mavlink.wire.dialect import CHECKSUM_BYTES, COMPONENT_ID, Message, mav
 from cosim.groundstation.mavlink.wire.signing import Signing
 
-MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
-SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag
+MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2  # first byte of MAVLink 1, 2
+SIGNED_FLAG = mav.MAVLINK_IFLAG_SIGNED  # the only supported incompatibility flag
 
 
 class Frame(NamedTuple):
@@ -75,7 +75,7 @@ class Parser:
 
     def _read(self, raw: bytes) -> tuple[str, Frame | None]:
         flags = raw[2] if raw[0] == MAGIC_2 else 0
-        if flags & ~SIGNED:
+        if flags & ~SIGNED_FLAG:
             return "flags", None
         try:
             message = self._mav.decode(bytearray(raw))
@@ -84,7 +84,7 @@ class Parser:
         if isinstance(message, mav.MAVLink_unknown):
             return "unknown", None
         system, component = message.get_srcSystem(), message.get_srcComponent()
-        signed = bool(flags & SIGNED)
+        signed = bool(flags & SIGNED_FLAG)
         if self._signing is not None:
             reason = self._signing.find_refusal(raw, system, component) if signed else "unsigned"
             if reason:
@@ -96,7 +96,7 @@ class FramePacker:
     """Packer of frames to one receiver, with its own sequence and link id."""
 
     def __init__(self, system: int, link: int = 0, signing: Signing | None = None) -> None:
-        self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
+        self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=COMPONENT_ID)
         self._signing = signing
         if signing is not None:
             signing.enable_signing(self._mav, link)
@@ -123,6 +123,6 @@ def _length(buffer: bytes, at: int) -> int | None:
         return None
     size = buffer[at + 1]
     if buffer[at] == MAGIC_1:
-        return int(mav.HEADER_LEN_V1) + size + CHECKSUM
-    signature = mav.MAVLINK_SIGNATURE_BLOCK_LEN if buffer[at + 2] & SIGNED else 0
-    return int(mav.HEADER_LEN_V2) + size + CHECKSUM + int(signature)
+        return int(mav.HEADER_LEN_V1) + size + CHECKSUM_BYTES
+    signature = mav.MAVLINK_SIGNATURE_BLOCK_LEN if buffer[at + 2] & SIGNED_FLAG else 0
+    return int(mav.HEADER_LEN_V2) + size + CHECKSUM_BYTES + int(signature)

@@ -13,9 +13,10 @@ import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("hexjet.xml")
-TARGET = "_messages.py"
-BUNDLED = ("development", "common", "standard", "minimal")  # included by hexjet.xml
+SOURCE = Path(__file__).with_name("hexjet.xml")  # definition of our dialect
+TARGET = "_messages.py"  # generated module
+BUNDLED = ("development", "common", "standard", "minimal")  # dialects included by hexjet.xml
+# first lines of the generated module
 _HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavlink/wire/generate.py from hexjet.xml\n"
 
 

@@ -19,9 +19,9 @@ from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
-# Chosen by us.
+# Chosen by us: s after which the link's thread looks again with nothing due, so that it ends soon when asked to.
 _MAX_SLEEP_S = 0.05  # s, longest sleep of the link's thread
-# Refusals that are reported at once.  Damaged frames are usual on a radio, and are only counted.
+# Refusals reported at once. Damaged frames are usual on a radio, so they are only counted.
 _REPORTED = {
     "signature": "frames with a wrong signature refused",
     "unsigned": "frames without a signature refused",
@@ -156,7 +156,7 @@ class Link(Hub):
             self._wake_reader.recv(4096)
 
 
-_OPEN: dict[str, Callable[[Link, Endpoint], Channel]] = {
+_OPEN: dict[str, Callable[[Link, Endpoint], Channel]] = {  # channel class for each kind of endpoint
     "udpout": UdpClient,
     "udpin": UdpServer,
     "tcp": TcpClient,

@@ -25,7 +25,7 @@ class PeerLimits(NamedTuple):
     burst_frames: int = 1000
 
 
-LIMITS = PeerLimits()
+LIMITS = PeerLimits()  # limits of one peer
 
 
 class Priority(Enum):

@@ -16,10 +16,10 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.files import read_text
 
-EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
-_TICKS = 100_000  # time stamps per second
-_MAX_LATENESS = 60 * _TICKS  # most that a new stream may be late
-_HEX = "hex:"
+EPOCH_S = 1420070400.0  # 2015-01-01 as UNIX time
+_TICKS_PER_S = 100_000  # time stamps per second
+_MAX_LATENESS = 60 * _TICKS_PER_S  # ticks, for a new stream
+_HEX = "hex:"  # prefix of a key in hexadecimal
 
 
 def read_key(path: Path, min_length: int = 8) -> bytes:
@@ -82,4 +82,4 @@ class Signing:
         return ""
 
     def _now(self) -> int:
-        return int((self._clock() - EPOCH) * _TICKS)
+        return int((self._clock() - EPOCH_S) * _TICKS_PER_S)

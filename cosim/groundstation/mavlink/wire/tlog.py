@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.frames import FramePacker
 
-_STAMP = struct.Struct(">Q")
+_STAMP = struct.Struct(">Q")  # time stamp before each frame, us
 
 
 class TelemetryLog:

@@ -33,7 +33,7 @@ class TransportLimits(NamedTuple):
     resume_frames: float = 100.0
 
 
-LIMITS = TransportLimits()
+LIMITS = TransportLimits()  # limits of all transports
 Address = Any
 
 

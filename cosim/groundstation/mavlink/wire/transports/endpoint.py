@@ -10,9 +10,9 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 
 SYSTEMS = range(1, 251)  # ids of vehicles, below those of stations
-NETWORK = ("udpout", "udpin", "tcp", "tcpin")
+NETWORK = ("udpout", "udpin", "tcp", "tcpin")  # kinds of endpoints
 LOOPBACK = "127.0.0.1"
-_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"
+_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"  # how to write endpoints
 
 
 def default_urls(system: int = 1, single: int = 10) -> tuple[str, str]:

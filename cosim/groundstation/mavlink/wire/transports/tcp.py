@@ -17,8 +17,7 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-# Bytes that the kernel may buffer for a connection, and how many of them may be unsent: old telemetry is of no use
-# to a slow reader.
+# Limits unsent data in the kernel, because old telemetry is of no use to a slow reader.
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
