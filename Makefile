@@ -77,6 +77,9 @@ pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/page_pictures.py
 	@$(BIN)/python docs/rooms.py
 
+screens: setup ## take every page that a command draws, 1400 and 390 pixels wide, light and dark, into build/screens
+	@$(BIN)/python docs/page_pictures.py --all build/screens $(ARGS)
+
 docs: setup ## make the documentation's site, in build/site; a warning or a link that leads nowhere is an error
 	@$(BIN)/python docs/website.py $(ARGS)
 
@@ -97,7 +100,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test long fast wheel fmus pictures docs lock clean help missing
+.PHONY: demo bench setup check test long fast wheel fmus pictures screens docs lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

@@ -1,8 +1,8 @@
 """Takes the documentation's pictures of every page in a real browser: ``make pictures``.
 
-``python docs/page_pictures.py [NAME...]`` takes some of them.  ``python docs/page_pictures.py --all FOLDER [NAME...]``
-takes every page that a command draws, whole, in light and dark, 1400 and 390 pixels wide, into a folder, for eyes; it
-says which page is wider than its screen or complains, with status 1.
+``python docs/page_pictures.py [NAME...]`` takes some of them.  ``make screens``, ``--all FOLDER [NAME...]``, takes
+every page that a command draws, its first screen and the whole, in light and dark, 1400 and 390 pixels wide, for eyes;
+it says where the first curve is and which page is wider than its screen or complains, with status 1.
 
 Each page is made by the command that makes it for a user, with little to fly.  Needs playwright and Chromium, or the
 browser that ``HEXJET_BROWSER`` names; without one it says so and takes none.
@@ -43,6 +43,8 @@ class Page(NamedTuple):
     commands: list[str]
     path: str
     at: float | None = None  # s of the flight that is shown
+    width: int = 1100
+    scheme: str = "light"
 
 
 DOUBLET = ["fly roll-doublet --controller baseline --out baseline", "fly roll-doublet --controller smith --out smith"]
@@ -50,9 +52,11 @@ MODEL = "identify log smith --axis roll --out logged"
 ROOT = Path(__file__).parents[1]
 START = ROOT / "tests" / "designs" / "edf-as-flown.toml"  # a search anew takes minutes
 VARIED = "--vary vehicle.mass_kg=5:6.5 --vary mismatch.delay_samples=0:20"
+FAULT = ["fly fault-flame-out --out fault"]
 PAGES = {
-    "flight": Page(["fly fault-flame-out --out fault"], "fault/report.html", 1.8),
-    "comparison": Page([*DOUBLET, "compare baseline smith --out compared"], "compared/comparison.html", 4.4),
+    "flight": Page(FAULT, "fault/report.html", 1.8, 1280),
+    "phone": Page(FAULT, "fault/report.html", 1.8, 390, "dark"),
+    "comparison": Page([*DOUBLET, "compare baseline smith --out compared"], "compared/comparison.html", 4.4, 1280),
     "campaign": Page(
         [f"sweep roll-doublet {VARIED} --runs 24 --controller smith --controller baseline --out swept"],
         "swept/report.html",
@@ -87,8 +91,13 @@ MORE = {  # looked at, and not in the documentation
         ["prove roll-doublet-claim --claim 80%@90% --budget 20 --search 30 --out proved"], "proved/proof.html"
     ),
     "phases": Page(["fly climb-and-land --out landed"], "landed/report.html"),
+    "bench": Page(
+        [DOUBLET[1], "identify bench smith/flight.parquet --command throttle_1 --output thrust_1_N --out benched"],
+        "benched/report.html",
+    ),
+    "batch": Page(["batch check roll-doublet --out batched"], "batched/report.html"),
 }
-WIDTHS, SCHEMES = (1400, 390), ("light", "dark")
+SIZES, SCHEMES = ((1400, 900), (390, 844)), ("light", "dark")
 HIGHEST = 12_000  # pixels of a whole page, at most: what a browser still takes
 
 
@@ -136,23 +145,16 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
             thread.join()
 
 
-def take(
-    browser: Any,
-    url: str,
-    name: str,
-    at: float | None = None,
-    width: int = 1100,
-    scheme: str = "light",
-    high: int | None = None,
-) -> None:
-    """The beginning of a page, or the replay of a page and what is below it, at a time of the flight."""
-    high = high or {"flight": 820, "comparison": 820, "phone": 760, "live": 800, "runs": 620}.get(name)
-    context = browser.new_context(viewport={"width": width, "height": high or 1000}, color_scheme=scheme)
+def take(browser: Any, url: str, name: str, page: Page) -> None:
+    """Take the beginning of a page, at a time of its flight."""
+    at, width, high = page.at, page.width, None if page.at is None else 830
+    high = {"phone": 844, "live": 800, "runs": 620, "tutorial-verdict": 820}.get(name, high)
+    context = browser.new_context(viewport={"width": width, "height": high or 1000}, color_scheme=page.scheme)
     tab = context.new_page()
     tab.goto(url)
     if at is not None:
         tab.wait_for_function("document.documentElement.dataset.replay")
-        tab.evaluate("t => { hexjet.setTime(t); document.getElementById('replay-card').scrollIntoView(); }", at)
+        tab.evaluate("t => hexjet.setTime(t)", at)
         tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{at:.4f}")
         tab.wait_for_timeout(800)  # with smooth edges when it stands
     if name in ("live", "runs"):
@@ -169,16 +171,20 @@ def take(
 def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
     """Take a page in every width and scheme; return what is wrong with it, a line each."""
     wrong: list[str] = []
-    for width in WIDTHS:
+    for width, height in SIZES:
         touch = width < 800
         for scheme in SCHEMES:
             context = browser.new_context(
-                viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, is_mobile=touch
+                viewport={"width": width, "height": height}, color_scheme=scheme, has_touch=touch, is_mobile=touch
             )
             tab, where = context.new_page(), f"{name}, {width}, {scheme}"
             tab.on("pageerror", lambda error, where=where: wrong.append(f"{where}: {error}"))
             tab.goto(url)
+            if tab.query_selector("#replay"):
+                tab.wait_for_function("document.documentElement.dataset.replay")
             tab.wait_for_timeout(4000 if name == "live" else 1500)
+            curve = tab.query_selector(".u-over, .plot, .stage canvas")
+            print(f"{where}: first curve at {curve.bounding_box()['y']:.0f} pixels" if curve else f"{where}: no curve")
             shown = tab.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
             if shown[0] > width:
                 wrong.append(f"{where}: {shown[0]} pixels wide")
@@ -211,7 +217,6 @@ def review(browser: Any, names: list[str], out: Path) -> int:
         for each in names:
             with address(each, Path(name), done) as url:
                 wrong += take_whole(browser, url, each, out)
-            print(f"{each}: {len(WIDTHS) * len(SCHEMES)} times in {out}", flush=True)
         os.chdir(home)
     print("\n".join(wrong or ["no page is wider than its screen, none complains"]))
     return 1 if wrong else 0
@@ -221,7 +226,7 @@ def main(arguments: list[str]) -> int:
     """Make the pages, and take them."""
     out = Path(arguments[1]).absolute() if arguments[:1] == ["--all"] and arguments[1:] else None
     names = arguments if out is None else arguments[2:]
-    known = [*PAGES, *(["phone"] if out is None else MORE), "runs", "live"]
+    known = [*PAGES, *([] if out is None else MORE), "runs", "live"]
     if unknown := set(names) - set(known):
         print(f"{', '.join(sorted(unknown))}: no such page; there are {', '.join(known)}", file=sys.stderr)
         return 2
@@ -237,13 +242,8 @@ def main(arguments: list[str]) -> int:
         if out is not None:
             return review(browser, names or known, out)
         for each in names or known:
-            if each == "phone":
-                page = PAGES["flight"]
-                take(browser, write(page, folder, done).as_uri(), each, page.at, 390, "dark")
-            else:
-                with address(each, folder, done) as url:
-                    at = PAGES[each].at if each in PAGES else None
-                    take(browser, url, each, at, width=1280 if each == "live" else 1100)
+            with address(each, folder, done) as url:
+                take(browser, url, each, PAGES.get(each, Page([], "", width=1280 if each == "live" else 1100)))
         browser.close()
         os.chdir(home)
     return 0

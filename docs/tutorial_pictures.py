@@ -9,13 +9,13 @@ import shutil
 import sys
 from pathlib import Path
 
-from page_pictures import FLAGS, FOLDER, take
+from page_pictures import FLAGS, FOLDER, Page, take
 
 from benchmarks.measures.browser import find_browser
 
-PAGES = {  # a picture's name, its page, and the time of the flight that is shown
-    "tutorial-comparison": ("runs/compared/comparison.html", 4.6),
-    "tutorial-verdict": ("runs/verdict/report.html", None),
+PAGES = {
+    "tutorial-comparison": Page([], "runs/compared/comparison.html", 4.6, 1280),
+    "tutorial-verdict": Page([], "runs/verdict/report.html"),
 }
 
 
@@ -30,8 +30,8 @@ def main(folder: Path) -> int:
     shutil.copy(folder / "runs" / "check-my-vehicle-001" / "aircraft.svg", FOLDER / "tutorial-aircraft.svg")
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=found, args=FLAGS)
-        for name, (page, at) in PAGES.items():
-            take(browser, (folder / page).resolve().as_uri(), name, at, high=820)
+        for name, page in PAGES.items():
+            take(browser, (folder / page.path).resolve().as_uri(), name, page)
         browser.close()
     return 0
 

@@ -55,10 +55,10 @@ def page(found: Identification) -> Page:
     movements = describe_movements(held_back, found.unit, found.problem.swing)
     text = "Each by the model as fitted to every second movement, not to this one; times since the command moves."
     cards = [
+        Card("Measured and modelled", figure="signals"),
         Card("Models", columns, rows(found, every=True), BOUNDS),
         Card("What the log does not tell, and the next test", lines=found.untold or ("nothing that was asked",)),
         *([Card("Movements, foretold", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
-        Card("Measured and modelled", figure="signals"),
         *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),
     ]
     figures = {"signals": draw_signals(_signals(found), units)}

@@ -58,9 +58,9 @@ def page(result: LogIdentification) -> Page:
     tests = [(check.name, f"{check.p:.2g}", f"{100.0 * check.share:.2g} %") for check in result.checks]
     columns = [WITH_BOUNDS, *(estimate.form.label for estimate in result.estimates)]
     cards = [
+        Card("Measured and modelled", text=ALONE, figure="signals"),
         Card("Models", columns, rows(result), BOUNDS),
         Card("Tests of what is left over", ("test", "p", "share of the power"), tests),
-        Card("Measured and modelled", text=ALONE, figure="signals"),
         Card("What the log told", text=TOLD, figure="tells"),
     ]
     units = result.signals.command_unit, result.signals.output_unit
