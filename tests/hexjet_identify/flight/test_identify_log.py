@@ -14,8 +14,9 @@ from known_logs import Flaws, Log, Truth, closed_loops, drawn
 from scipy.signal import lfilter
 
 from cosim.base.errors import InputError, NotIdentifiedError
+from hexjet_identify.fit.forms import Poles
+from hexjet_identify.fit.problem import spread
 from hexjet_identify.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
-from hexjet_identify.prediction_error.estimate import spread
 from hexjet_identify.prediction_error.identify_log import LogIdentification, _test_against, identify_log
 from hexjet_identify.prediction_error.stretches import WORKING_STEP_S
 from hexjet_identify.prediction_error.validate import StatedModel, read_model, validate
@@ -45,12 +46,13 @@ def logs() -> list[Log]:
 def test_a_closed_loop_with_noise_jitter_and_lost_rows_gives_the_truth(logs: list[Log]) -> None:
     """Delay, gain and the sum of delay and lag within four standard deviations each; fewer would fail by chance."""
     chosen = found(flight_log(logs[0]), lags=1).chosen
-    off = (chosen.delay - TRUTH.delay_samples * TRUTH.step) / chosen.deviation(2)
+    off = (chosen.delay - TRUTH.delay_samples * TRUTH.step) / chosen.deviation(0)
     assert abs(off) < 4.0
-    assert abs(chosen.gain - TRUTH.gain) < 4.0 * chosen.gain_deviation
-    value, deviation = chosen.all_delay
+    gain, deviation = chosen.gain
+    assert abs(gain - TRUTH.gain) < 4.0 * deviation
+    value, deviation = chosen.total
     assert abs(value - TRUTH.delay_samples * TRUTH.step - TRUTH.lags[0]) < 4.0 * deviation
-    assert chosen.deviation(2) < TRUTH.step
+    assert chosen.deviation(0) < TRUTH.step
     assert chosen.delay_bounds[0] < chosen.delay < chosen.delay_bounds[1]
 
 
@@ -59,8 +61,8 @@ def test_without_noise_the_truth_comes_out() -> None:
     (log,) = closed_loops(1, seconds=8.0, size=0.5, flaws=Flaws(1e-7, 1e-6, 0.5, 0.0, 0.0, 0.0))
     chosen = found(flight_log(log), lags=1).chosen
     assert chosen.delay / TRUTH.step == pytest.approx(TRUTH.delay_samples, abs=0.02)
-    assert chosen.x[1] == pytest.approx(TRUTH.lags[0], rel=0.01)
-    assert chosen.gain == pytest.approx(TRUTH.gain, rel=0.01)
+    assert chosen.x[2] == pytest.approx(TRUTH.lags[0], rel=0.01)
+    assert chosen.gain[0] == pytest.approx(TRUTH.gain, rel=0.01)
 
 
 def test_an_own_flights_engine_comes_out_of_its_run_and_its_ulog(hexjet: Hexjet, tmp_path: Path) -> None:
@@ -76,7 +78,7 @@ def test_an_own_flights_engine_comes_out_of_its_run_and_its_ulog(hexjet: Hexjet,
         result = identify_log(log, "engine:1", signals_of(log, "engine:1"), longest_delay=0.2, lags=0)
         model = result.model(0.004)
         assert model.delay_samples == pytest.approx(stated["delay_samples"]["start"], abs=near)
-        assert np.exp(-0.004 * result.chosen.x[0]) == pytest.approx(stated["pole"]["start"], abs=1e-3 * near)
+        assert np.exp(-0.004 * result.chosen.x[1]) == pytest.approx(stated["pole"]["start"], abs=1e-3 * near)
         assert any("the log has no noise" in note for note in result.notes) == (name != "flown.ulg")
 
 
@@ -134,7 +136,7 @@ def test_noise_that_the_controller_feeds_back_at_once_is_no_misfit() -> None:
     # and a command that holds nothing but fed-back noise has it at its own time, not before
     noise = rng.standard_normal(4000)
     command = 0.1 * rng.standard_normal(4000) - noise
-    together, before = (_test_against("", noise, np.ones(4000, bool), command, 5, first) for first in (0, 1))
+    together, before = (_test_against("", noise, np.ones(4000, bool), command, 0.01, first) for first in (0, 1))
     assert together.failed
     assert together.share > 0.9
     assert not before.failed
@@ -148,19 +150,20 @@ def test_the_noises_model_is_as_long_as_delay_and_lags_and_the_gains_bounds_hold
     flaws = Flaws(0.01, 0.05, jitter=0.0, lost=0.0)
     log, truth = closed_loops(10, 14.0, 1, truths, flaws, p, attitude, size=0.5)[1], truths[1]
     chosen = found(flight_log(log), longest_delay=0.3).chosen
-    assert chosen.order * WORKING_STEP_S >= 0.98 * chosen.all_delay[0]
-    assert abs(chosen.gain - truth.gain) < 1.96 * chosen.gain_deviation
-    covered = spread(chosen.order)
-    assert covered.shape[0] == chosen.order
-    assert np.linalg.matrix_rank(covered) == covered.shape[1] < chosen.order
+    order, (gain, deviation) = len(chosen.noise), chosen.gain
+    assert order * WORKING_STEP_S >= 0.98 * chosen.total[0]
+    assert abs(gain - truth.gain) < 1.96 * deviation
+    covered = spread(order)
+    assert covered.shape[0] == order
+    assert np.linalg.matrix_rank(covered) == covered.shape[1] < order
 
 
 def test_a_slow_pole_at_its_end_leaves_the_gain_its_bounds() -> None:
     """Of an integrator the pole ends at 0: held there the gain looked surer than it is."""
     (log,) = closed_loops(1, 14.0, 2, Truth(rate=0.0), Flaws(jitter=0.0, lost=0.0), size=0.5)
     chosen = identify_log(flight_log(log), "roll", LogSignals("u", "y"), lags=1).chosen
-    assert chosen.x[0] < 0.05
-    assert chosen.deviation(0) > 0.0
+    assert chosen.x[1] < 0.05
+    assert chosen.deviation(1) > 0.0
 
 
 def test_a_file_becomes_a_model_that_flies(hexjet: Hexjet, tmp_path: Path, logs: list[Log]) -> None:
@@ -185,12 +188,12 @@ def test_the_bounds_allow_for_a_command_that_is_logged_more_seldom_than_it_moves
     true, (low, high) = TRUTH.delay_samples * TRUTH.step, result.delay_bounds
     assert high - 0.02 < true < high
     assert low < result.chosen.delay < true
-    total, deviation = result.chosen.all_delay
+    total, deviation = result.chosen.total
     assert abs(total - true - TRUTH.lags[0]) < 1.96 * deviation
     assert any("has a row every 20 ms" in note and "their bounds allow for it" in note for note in result.notes)
     assert not any("has a row every" in note for note in found(flight_log(log), lags=1).notes)
-    stated = StatedModel(Path("known"), "roll", WANTED, result.chosen.form, result.chosen.x.copy(), result.chosen.gain)
-    stated.x[1], stated.x[2] = TRUTH.lags[0], true
+    x = np.array([true, result.chosen.x[1], TRUTH.lags[0]])
+    stated = StatedModel(Path("known"), "roll", WANTED, Poles(False, 1), x, result.chosen.gain[0])
     beside = validate(stated, seldom)
     assert beside.again is not None
     assert abs(beside.again.delay) < beside.again.delay_half
@@ -228,7 +231,8 @@ def test_bounds_above_the_value_are_refused() -> None:
         arguments = (flight_log(log), "engine:1", LogSignals("u", "y"))
         if told:
             chosen = identify_log(*arguments, longest_delay=0.12, lags=0).chosen
-            assert abs(chosen.gain - 1.0) < 3.0 * chosen.gain_deviation < 1.0
+            gain, deviation = chosen.gain
+            assert abs(gain - 1.0) < 3.0 * deviation < 1.0
         else:
             with pytest.raises(NotIdentifiedError, match=r"does not tell the gain.*: the 95 % bounds exceed the value"):
                 identify_log(*arguments, longest_delay=0.12, lags=0)
@@ -312,9 +316,9 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
     delays = [each.chosen.delay_bounds for each in both]
     gains, lags, sums = [], [], []
     for chosen in (each.chosen for each in both):
-        lag, (total, deviation) = 1.0 / chosen.x[0], chosen.all_delay
-        gains.append((chosen.gain - 1.96 * chosen.gain_deviation, chosen.gain + 1.96 * chosen.gain_deviation))
-        wide = 1.96 * chosen.deviation(0) * lag**2
+        lag, (total, deviation), (gain, wide) = 1.0 / chosen.x[1], chosen.total, chosen.gain
+        gains.append((gain - 1.96 * wide, gain + 1.96 * wide))
+        wide = 1.96 * chosen.deviation(1) * lag**2
         lags.append((lag - wide, lag + wide))
         sums.append((total - 1.96 * deviation, total + 1.96 * deviation))
     for (a, b), (c, d) in (delays, gains, lags, sums):
@@ -327,9 +331,8 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
         cells = [" to ".join(format(unit * end, form) for end in pair) for pair in pairs]
         assert f"| {name} | {cells[0]} | {cells[1]} |" in page
     for model, other in ((both[0], read[1]), (both[1], read[0])):
-        stated = StatedModel(
-            Path("model"), "engine:1", model.signals, model.chosen.form, model.chosen.x, model.chosen.gain
-        )
+        chosen = model.chosen
+        stated = StatedModel(Path("model"), "engine:1", model.signals, Poles(True, 0), chosen.x, chosen.gain[0])
         assert validate(stated, other).fit > 0.75
 
 

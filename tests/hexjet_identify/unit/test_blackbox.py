@@ -183,4 +183,4 @@ def test_a_flight_of_known_truth_comes_out_of_the_format(tmp_path: Path) -> None
     low, high = result.delay_bounds
     assert low < truth.delay_samples * truth.step < high
     assert high - low < 2.5 * truth.step
-    assert result.chosen.gain * 1e5 == pytest.approx(truth.gain, rel=0.05)
+    assert result.chosen.gain[0] * 1e5 == pytest.approx(truth.gain, rel=0.05)

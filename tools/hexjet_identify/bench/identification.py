@@ -140,7 +140,7 @@ class Identification:
             "standard_deviations": {name: _finite(deviation) for name, (_, deviation) in numbers.items()},
             "levels": [[float(a), float(b)] for a, b in zip(at, levels, strict=True)] if len(levels) else [],
             "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
-            "noise_memory": estimate.memory,
+            "noise_memory": float(estimate.noise.sum()),
             "rows": len(estimate.residual),
             "bic": estimate.bic,
         }

@@ -57,6 +57,29 @@ def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, f
     return average_over_rows(log, answer)
 
 
+def answer_of_poles(log: Log, delay: float, poles: Mapping[float, float]) -> Array:
+    """Return the answer of the sum of weight / (s + pole) to a held command at the output's rows, from rest at 0."""
+    times, gap = log.command_times, np.diff(log.command_times)
+    states = [
+        _recur(np.exp(-pole * gap), np.concatenate([[0.0], hold_response(pole, gap) * log.command[:-1]])[:, None])[:, 0]
+        for pole in poles
+    ]
+
+    def answer(when: Array) -> Array:
+        row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
+        since, value = np.maximum(when - delay - times[row], 0.0), np.zeros(len(when))
+        for (pole, weight), state in zip(poles.items(), states, strict=True):
+            value += weight * (state[row] * np.exp(-pole * since) + hold_response(pole, since) * log.command[row])
+        return value
+
+    return average_over_rows(log, answer)
+
+
+def hold_response(pole: float, seconds: Array) -> Array:
+    """Return the answer of ``1 / (s + pole)`` to a command of 1 after so many seconds."""
+    return np.asarray(-np.expm1(-pole * seconds) / pole if pole > 1e-6 else seconds)
+
+
 def _recur(kept: Array, added: Array) -> Array:
     """Return what comes of each row as ``kept`` of the row before and what is ``added``."""
     from scipy.linalg.lapack import dtbtrs

@@ -1,13 +1,15 @@
-"""The one fit: output error by variable projection, noise of order 0 or 1 by evidence, bounds that stand model errors.
+"""The one fit: output error by variable projection, noise by evidence, bounds that stand model errors.
 
-What is left over is made white before it is squared: with noise of order 1 each row is less ``memory`` times the row
-before.  The order is the one of the smaller BIC.  Deviations are those of Newey and West (1987), which hold where what
-is left over is correlated, and at least the plain ones; the delay has bounds by its profile likelihood.
+What is left over is made white before it is squared: each row is less what noise keeps of the rows before.  Of a bench
+the order is 0 or 1, by BIC.  Of a closed loop it is higher, for the command contains the noise that came back, and its
+terms are fitted with the rest: the direct method (Ljung, System Identification, 2nd ed., section 13.4).  Deviations are
+those of Newey and West (1987), which hold where what is left over is correlated, and at least the plain ones; the delay
+has bounds by its profile likelihood.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,23 +17,29 @@ import numpy as np
 from cosim.base.arrays import Array
 from hexjet_identify.fit.forms import Form, Lags, Limits
 from hexjet_identify.fit.logs import Log
-from hexjet_identify.fit.problem import Problem
+from hexjet_identify.fit.problem import Problem, spread
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A form as fitted: parameters ``x``, what is linear, their covariance, and what is left over of the output."""
+    """A form as fitted: parameters ``x``, what is linear, and what is left over of the output.
+
+    ``noise``: what each row keeps of the noise of those before; ``covariance``: of ``x``, what is linear, and terms of
+    the noise; ``held``: numbers of parameters that were not fitted; ``loss``: sum of squares of ``rows``, made white.
+    """
 
     form: Form
     x: Array
     linear: Array
     covariance: Array
     residual: Array
-    memory: float
+    noise: Array
     loss: float
+    rows: int
     deviance: float
     count: int
     widening: float
+    held: tuple[int, ...] = ()
     delay_bounds: tuple[float, float] = (np.nan, np.nan)
 
     @property
@@ -42,7 +50,17 @@ class Estimate:
     @property
     def bic(self) -> float:
         """Schwarz' criterion: of two forms the smaller one is the likelier."""
-        return self.deviance + self.count * float(np.log(len(self.residual)))
+        return self.deviance + self.count * float(np.log(self.rows))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion."""
+        return self.deviance + 2.0 * self.count
+
+    @property
+    def gain(self) -> tuple[float, float]:
+        """The first linear parameter, and its standard deviation."""
+        return float(self.linear[0]), self.deviation(len(self.x))
 
     def deviation(self, number: int) -> float:
         """Return a parameter's standard deviation."""
@@ -86,14 +104,14 @@ class Estimate:
         return np.asarray(columns @ self.linear if len(self.linear) else columns[:, 0])
 
 
-def project(problem: Problem, form: Form, x: Array, memory: float) -> tuple[Array, Array]:
+def project(problem: Problem, form: Form, x: Array, noise: Array) -> tuple[Array, Array]:
     """Return the linear parameters that suit ``x`` best, and what is left over, made white, with what binds levels."""
     columns = form.columns(problem, x)
     if form.linear_count(problem) == 0:
         levels = form.levels(problem, x, x)
         bound = problem.binding @ levels if len(levels) else levels
-        return np.zeros(0), np.concatenate([problem.whiten(problem.output - columns[:, 0], memory), -bound])
-    matrix, output = problem.whiten(columns, memory), problem.whiten(problem.output, memory)
+        return np.zeros(0), np.concatenate([problem.whiten(problem.output - columns[:, 0], noise), -bound])
+    matrix, output = problem.whiten(columns, noise), problem.whiten(problem.output, noise)
     count = len(problem.knots)
     gram = matrix.T @ matrix
     gram[:count, :count] += problem.binding.T @ problem.binding
@@ -107,55 +125,76 @@ def project(problem: Problem, form: Form, x: Array, memory: float) -> tuple[Arra
     return linear, np.concatenate([output - matrix @ linear, -(problem.binding @ linear[:count])])
 
 
-def solve(problem: Problem, form: Form, start: Array, memory: float, held: int | None = None) -> tuple[Array, float]:
-    """Return the parameters nearest ``start`` that leave least, and what they leave; that numbered ``held`` is kept."""
+def leave(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
+    """Return what is left over of the output."""
+    columns = form.columns(problem, x)
+    return np.asarray(problem.output - (columns @ linear if len(linear) else columns[:, 0]))
+
+
+def solve(
+    problem: Problem, form: Form, start: Array, noise: Array, held: Sequence[int] = ()
+) -> tuple[Array, Array, float]:
+    """Return the parameters nearest ``start`` that leave least, their noise, and what they leave.
+
+    Parameters numbered ``held`` are kept; noise of order 1 too, that of a higher one is fitted with the rest.
+    """
     from scipy.optimize import least_squares
 
     low, high = form.limits(problem)
     inside = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
-    x = np.clip(start, low + inside, high - inside)
-    free = np.flatnonzero(np.arange(len(x)) != (-1 if held is None else held))
-    size = 1e-6 * problem.swing
+    x = np.where(np.isin(np.arange(len(low)), held), start, np.clip(start, low + inside, high - inside))
+    free = np.setdiff1d(np.arange(len(x)), held)
+    size, terms, begin = 1e-6 * problem.swing, spread(len(noise)), noise
+    many = terms.shape[1]
 
-    at, last = np.empty(0), np.empty(0)
+    at, last, linear = np.empty(0), np.empty(0), np.empty(0)
 
     def left(values: Array) -> Array:
-        nonlocal at, last
+        nonlocal at, last, linear, noise
         if not np.array_equal(at, values):
-            x[free] = values
-            at, last = values.copy(), project(problem, form, x, memory)[1] / size
+            x[free], noise = values[: len(free)], begin + terms @ values[len(free) :]
+            linear, rest = project(problem, form, x, noise)
+            at, last = values.copy(), rest / size
         return last
 
     def slopes(values: Array) -> Array:
         base = left(values)
         if (known := form.slopes(problem, x)) is not None:
             bound = np.pad(problem.binding, ((0, 0), (len(x) - len(problem.knots), 0)))
-            return np.asarray(-np.concatenate([problem.whiten(known, memory), bound])[:, free] / size)
+            return np.asarray(-np.concatenate([problem.whiten(known, noise), bound])[:, free] / size)
         widths = form.widths(problem, x)[free]
-        widths = np.where(values + widths <= high[free], widths, -widths)
-        return np.column_stack(
-            [(left(values + step) - base) / width for step, width in zip(np.diag(widths), widths, strict=True)]
-        )
+        widths = np.where(values[: len(free)] + widths <= high[free], widths, -widths)
+        of_noise = np.zeros((len(base), 0))
+        if many:
+            # What the noise's terms change of it, less what the linear parameters make good (Kaufman, 1975).
+            late = problem.earlier(leave(problem, form, x, linear), len(noise)) @ terms
+            frame = np.linalg.qr(problem.whiten(form.columns(problem, x), noise))[0]
+            of_noise = (frame @ (frame.T @ late) - late) / size
+        moved = np.pad(np.diag(widths), ((0, 0), (0, many)))
+        columns = [(left(values + step) - base) / width for step, width in zip(moved, widths, strict=True)]
+        return np.column_stack([*columns, of_noise])
 
-    if len(free):
-        scale = 1e3 * form.widths(problem, x)[free]
-        found = least_squares(
-            left, x[free], slopes, bounds=(low[free], high[free]), x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=40
-        )
-        x[free] = found.x
-    rest = project(problem, form, x, memory)[1]
-    return x.copy(), max(float(rest @ rest), len(problem.output) * (1e-7 * problem.swing) ** 2)
+    if len(free) + many:
+        scale = np.concatenate([1e3 * form.widths(problem, x)[free], np.ones(many)])
+        ends = [np.concatenate([end[free], sign * np.full(many, np.inf)]) for end, sign in ((low, -1.0), (high, 1.0))]
+        values = np.concatenate([x[free], np.zeros(many)])
+        found = least_squares(left, values, slopes, bounds=ends, x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=40)
+        left(found.x)
+    rest = project(problem, form, x, noise)[1]
+    return x.copy(), noise, max(float(rest @ rest), len(problem.output) * (1e-7 * problem.swing) ** 2)
 
 
 def fit(problem: Problem, form: Form, start: Array) -> Estimate:
     """Fit a form from a start, with white noise and with noise of order 1, and keep what the evidence prefers."""
-    best = _estimate(problem, form, solve(problem, form, start, 0.0)[0], 0.0)
+    white = np.zeros(0)
+    best = estimate_at(problem, form, solve(problem, form, start, white)[0], white)
     memory = problem.memory_of(best.residual)
     if memory < 2.0 / np.sqrt(len(best.residual)):
         return best
     found, before = best, 0.0
     while abs(memory - before) > 0.01 and (before == 0.0 or memory > before):
-        found = _estimate(problem, form, solve(problem, form, found.x, memory)[0], memory)
+        noise = np.array([memory])
+        found = estimate_at(problem, form, solve(problem, form, found.x, noise)[0], noise)
         before, memory = memory, problem.memory_of(found.residual)
     return found if found.bic < best.bic else best
 
@@ -164,8 +203,9 @@ def fit_static(problem: Problem) -> Estimate:
     """Fit the static line alone: as if there were neither delay nor lag, of which nothing is told."""
     form = Lags(0)
     x = form.limits(problem)[0]
-    white = _estimate(problem, form, x, 0.0)
-    best = min((white, _estimate(problem, form, x, problem.memory_of(white.residual))), key=lambda each: each.bic)
+    white = estimate_at(problem, form, x, np.zeros(0))
+    memory = np.array([problem.memory_of(white.residual)])
+    best = min((white, estimate_at(problem, form, x, memory)), key=lambda each: each.bic)
     covariance = best.covariance.copy()
     covariance[:2], covariance[:, :2] = 0.0, 0.0
     covariance[[0, 1], [0, 1]] = np.inf
@@ -186,11 +226,11 @@ def find_start(problem: Problem) -> Array:
     delays = np.concatenate([[0.0], np.geomspace(0.02 * high[0], 0.95 * high[0], 14)])
     found = []
     for lag in np.linspace(max(low[1], np.log(2e-3)), high[1] + np.log(0.5), 10):
-        losses = [float(np.sum(project(coarse, form, np.array([delay, lag]), 0.0)[1] ** 2)) for delay in delays]
+        losses = [float(np.sum(project(coarse, form, np.array([delay, lag]), np.zeros(0))[1] ** 2)) for delay in delays]
         best = int(np.argmin(losses))
         found.append((losses[best], np.array([delays[best], lag])))
     likeliest = sorted(found, key=lambda each: each[0])[:3]
-    return min((solve(coarse, form, x, 0.0) for _, x in likeliest), key=lambda each: each[1])[0]
+    return min((solve(coarse, form, x, np.zeros(0)) for _, x in likeliest), key=lambda each: each[2])[0]
 
 
 def fit_limits(problem: Problem, lags: Estimate, share: float = 0.9) -> Estimate | None:
@@ -202,13 +242,13 @@ def fit_limits(problem: Problem, lags: Estimate, share: float = 0.9) -> Estimate
     rise = max(float(np.percentile(rates, 97.0)), 1e-3 * problem.swing)
     fall = max(float(-np.percentile(rates, 3.0)), 1e-3 * problem.swing)
     total, levels = lags.form.total(lags.x), lags.levels(problem)
-    coarse, form = thin(problem), Limits()
+    coarse, form, white = thin(problem), Limits(), np.zeros(0)
     starts = [
         np.array([delay * total, np.log(lag * total), np.log(rise), np.log(fall), *levels])
         for delay, lag in ((0.3, 0.5), (0.3, 0.15), (0.1, 0.3))
     ]
-    near, loss = min((solve(coarse, form, start, 0.0) for start in starts), key=lambda each: each[1])
-    if loss > share * solve(coarse, lags.form, lags.x, 0.0)[1]:
+    near, _, loss = min((solve(coarse, form, start, white) for start in starts), key=lambda each: each[2])
+    if loss > share * solve(coarse, lags.form, lags.x, white)[2]:
         return None
     return fit(problem, form, near)
 
@@ -219,28 +259,41 @@ def _rates(log: Log) -> Array:
     return np.asarray((log.output[rows:] - log.output[:-rows]) / (log.times[rows:] - log.times[:-rows]))
 
 
-def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate:
-    linear, white = project(problem, form, x, memory)
-    count = len(problem.output)
-    white = white[:count]
+def estimate_at(
+    problem: Problem, form: Form, x: Array, noise: Array, held: Sequence[int] = (), width: int = 0
+) -> Estimate:
+    """Return the estimate with these parameters and noise; those numbered ``held`` have no deviation.
+
+    ``width``: rows over which what is left over may be correlated at least.
+    """
+    linear = project(problem, form, x, noise)[0]
+    residual = leave(problem, form, x, linear)
+    white = problem.whiten(residual, noise)
+    count = len(white)
     loss = max(float(white @ white), count * (1e-7 * problem.swing) ** 2)
-    columns = form.columns(problem, x)
-    parts = [_slopes(problem, form, x, linear)]
-    parts += [columns] if len(linear) else []
-    jacobian = problem.whiten(np.column_stack(parts), memory)
+    slopes = _slopes(problem, form, x, linear)
+    jacobian = problem.whiten(np.column_stack([slopes, form.columns(problem, x)[:, : len(linear)]]), noise)
+    if len(noise) > 1:
+        jacobian = np.column_stack([jacobian, problem.earlier(residual, len(noise)) @ spread(len(noise))])
+    fitted = np.setdiff1d(np.arange(jacobian.shape[1]), held)
+    jacobian = jacobian[:, fitted]
     inverse = invert(jacobian.T @ jacobian)
     free = max(count - jacobian.shape[1], 1)
     plain = loss / free * inverse
-    robust = _newey_west(jacobian, white, inverse) * count / free
+    robust = _newey_west(jacobian, white, inverse, width) * count / free
     wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
-    residual = problem.output - (columns @ linear if len(linear) else columns[:, 0])
-    deviance = count * float(np.log(loss / count)) + problem.whitening_deviance(memory)
-    parameters = jacobian.shape[1] + 1 + (memory > 0.0)
-    covariance = plain * np.outer(wider, wider)
+    deviance = count * float(np.log(loss / count)) + problem.whitening_deviance(noise)
+    parameters = jacobian.shape[1] + 1 + (len(noise) == 1 and noise[0] > 0.0)
+    covariance = np.zeros((len(x) + len(linear) + spread(len(noise)).shape[1],) * 2)
+    covariance[np.ix_(fitted, fitted)] = plain * np.outer(wider, wider)
     # What changes nothing is not told.
-    silent = np.flatnonzero(~np.any(parts[0] != 0.0, axis=0))
+    silent = np.setdiff1d(np.flatnonzero(~np.any(slopes != 0.0, axis=0)), held)
     covariance[silent, silent] = np.inf
-    return Estimate(form, x, linear, covariance, residual, memory, loss, deviance, parameters, float(wider[0]))
+    # Noise that is fitted with the rest already says how what is left over is correlated.
+    widening = float(wider[0]) if len(noise) < 2 and 0 not in held else 1.0
+    return Estimate(
+        form, x, linear, covariance, residual, noise, loss, count, deviance, parameters, widening, tuple(held)
+    )
 
 
 def invert(matrix: Array) -> Array:
@@ -264,13 +317,13 @@ def _slopes(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
     return np.column_stack(columns)
 
 
-def _newey_west(jacobian: Array, white: Array, inverse: Array) -> Array:
-    """Return the covariance where what is left over may be correlated over a few rows.
+def _newey_west(jacobian: Array, white: Array, inverse: Array, width: int = 0) -> Array:
+    """Return the covariance where what is left over may be correlated over a few rows, at least ``width``.
 
     The width is that of Newey and West (1994), 4 (n / 100)^(2/9) rows.
     """
     scores = jacobian * white[:, None]
-    width = int(min(np.ceil(4.0 * (len(white) / 100.0) ** (2.0 / 9.0)), len(white) // 4))
+    width = min(max(int(np.ceil(4.0 * (len(white) / 100.0) ** (2.0 / 9.0))), width), len(white) // 4)
     middle = scores.T @ scores
     for lag in range(1, width + 1):
         product = scores[lag:].T @ scores[:-lag]
@@ -301,17 +354,24 @@ def find_end(
     return at
 
 
-def bound_delay(problem: Problem, estimate: Estimate, deviations: float = 1.96) -> tuple[float, float]:
-    """Return 95 % bounds of the delay [s] by its profile, as much wider as its robust deviation is."""
+def bound_delay(
+    problem: Problem, estimate: Estimate, above: float = 0.0, near: float = 0.08, deviations: float = 1.96
+) -> tuple[float, float]:
+    """Return 95 % bounds of the delay [s] by its profile; of noise of order 0 or 1 as much wider as robust deviations.
+
+    ``above``: by how much the deviance is above one that the bounds are measured from; ``near`` is near enough.
+    """
+    if 0 in estimate.held:
+        return estimate.delay, estimate.delay
     width = max(1.96 * estimate.deviation(0) / estimate.widening, 1e-3 * problem.step)
     ends = []
     for limit in (end[0] for end in estimate.form.limits(problem)):
-        x = estimate.x
+        x, noise = estimate.x, estimate.noise
 
         def risen(at: float) -> float:
-            nonlocal x
-            x, loss = solve(problem, estimate.form, np.array([at, *x[1:]]), estimate.memory, 0)
-            return float(np.sqrt(max(len(estimate.residual) * np.log(loss / estimate.loss), 0.0)))
+            nonlocal x, noise
+            x, noise, loss = solve(problem, estimate.form, np.array([at, *x[1:]]), noise, (0, *estimate.held))
+            return float(np.sqrt(max(estimate.rows * np.log(loss / estimate.loss) + above, 0.0)))
 
-        ends.append(find_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen))
+        ends.append(find_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen, near))
     return ends[0], ends[1]

@@ -104,8 +104,8 @@ def hold_back(problem: Problem, estimate: Estimate, total: float) -> tuple[Foret
     for parity in (0, 1):
         others = _all_but(problem, spans[parity::2])
         part = problem.at(others)
-        x = solve(part, estimate.form, estimate.x, estimate.memory)[0]
-        fitted = replace(estimate, x=x, linear=project(part, estimate.form, x, estimate.memory)[0])
+        x = solve(part, estimate.form, estimate.x, estimate.noise)[0]
+        fitted = replace(estimate, x=x, linear=project(part, estimate.form, x, estimate.noise)[0])
         answer = fitted.answer(problem)
         for number, span in spans[parity::2]:
             log, rows = problem.logs[number], problem.spans[number]

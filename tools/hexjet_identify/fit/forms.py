@@ -8,12 +8,14 @@ they are parameters like the others.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import Protocol
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits
+from cosim.identify.sweep.fit import separate_equal
+from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, answer_of_poles, hold_response
 from hexjet_identify.fit.problem import Problem
 
 
@@ -162,3 +164,72 @@ class Limits:
     def natural(self, x: Array) -> dict[str, float]:
         """Return the parameters by name, in s and in the output's unit a second."""
         return dict(zip(("delay_s", "lag_s", "rise", "fall"), [float(x[0]), *np.exp(x[1:4]).tolist()], strict=True))
+
+
+@dataclass(frozen=True)
+class Poles(Form):
+    """``gain e^(-delay s) / ((s + rate) prod(lag s + 1))``, the gain times the rate where it ``is_engine``.
+
+    ``x`` = delay [s], rate [1/s], then so many ``lags`` [s].  An engine's pole is fast and its gain that at rest; that
+    of an axis is slow.
+    """
+
+    is_engine: bool
+    lags: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of ``x``."""
+        return ("delay_s", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(self.lags)))
+
+    @property
+    def label(self) -> str:
+        """What the form is called."""
+        count = self.lags + 1 if self.is_engine else self.lags
+        return f"{count} lag" if count == 1 else f"{count} lags"
+
+    def limits(self, problem: Problem, longest: float = 5.0, fastest: float = 20.0) -> tuple[Array, Array]:
+        """Return the least and the greatest of each of ``x``; lags are up to ``longest`` s, the rate of an axis 1/s."""
+        shortest = 0.002 * problem.step
+        rate = (1.0 / longest, 1.0 / shortest) if self.is_engine else (0.0, fastest)
+        ends = [(0.0, problem.max_delay), rate, *[(shortest, longest)] * self.lags]
+        low, high = np.array(ends).T
+        return low, high
+
+    def widths(self, problem: Problem, x: Array) -> Array:
+        """Return by how much each of ``x`` is changed to see what it does."""
+        return 1e-3 * np.concatenate([[50.0 * problem.step, max(x[1], 0.1)], np.maximum(x[2:], 1e-3)])
+
+    def columns(self, problem: Problem, x: Array) -> Array:
+        """Return the answer, and of each log an offset and a free decay of the pole."""
+        rate, lags = float(x[1]), x[2:].tolist()
+        poles = separate_equal([rate, *(1.0 / lag for lag in lags)])
+        scale = (rate if self.is_engine else 1.0) / prod(lags)
+        weights = {pole: scale / prod(other - pole for other in poles if other != pole) for pole in poles}
+        columns = np.zeros((len(problem.output), self.linear_count(problem)))
+        for n, (log, rows) in enumerate(zip(problem.logs, problem.spans, strict=True)):
+            since = log.times - log.times[0]
+            columns[rows, 0] = answer_of_poles(log, float(x[0]), weights)
+            columns[rows, 1 + 2 * n] = 1.0
+            columns[rows, 2 + 2 * n] = np.exp(-rate * since) if self.is_engine else hold_response(rate, since)
+        return columns
+
+    def linear_count(self, problem: Problem) -> int:
+        """Return how many linear parameters there are."""
+        return 1 + 2 * len(problem.logs)
+
+    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
+        """Return none: the static line is straight."""
+        return np.zeros(0)
+
+    def total(self, x: Array) -> float:
+        """Return delay and lags together, s."""
+        return self.without_pole(x) + (1.0 / float(x[1]) if self.is_engine else 0.0)
+
+    def without_pole(self, x: Array) -> float:
+        """Return delay and lags together, but for an engine's pole, s."""
+        return float(x[0] + x[2:].sum())
+
+    def natural(self, x: Array) -> dict[str, float]:
+        """Return the parameters by name."""
+        return dict(zip(self.names, x.tolist(), strict=True))

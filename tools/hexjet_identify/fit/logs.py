@@ -16,7 +16,7 @@ class Log:
     """A command from each of ``command_times`` on, and rows of the output at ``times`` [s].
 
     ``is_straight``: the command goes straight between its rows instead of standing still.  ``width`` [s]: each row of
-    the output is a mean over so long.
+    the output is a mean over so long.  ``index``: number of each row on an even clock, where rows may be lost.
     """
 
     command_times: Array
@@ -26,6 +26,7 @@ class Log:
     step: float
     is_straight: bool = False
     width: float = 0.0
+    index: NDArray[np.int64] | None = None
 
     @property
     def command_row(self) -> float:
@@ -34,7 +35,8 @@ class Log:
 
     def at(self, rows: Flags) -> Log:
         """Return the log with these rows of the output alone."""
-        return replace(self, times=self.times[rows], output=self.output[rows])
+        index = None if self.index is None else self.index[rows]
+        return replace(self, times=self.times[rows], output=self.output[rows], index=index)
 
     def averaged(self, seconds: float) -> Log:
         """Return the log with rows averaged over at most ``seconds``; rows beside a gap are left out."""

@@ -1,13 +1,14 @@
-"""Logs of one engine that are fitted together: the static line's levels, and noise that remembers itself."""
+"""Logs that are fitted together: the static line's levels, and noise that remembers itself."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Flags
 from hexjet_identify.fit.answers import hats
@@ -15,6 +16,8 @@ from hexjet_identify.fit.logs import Log
 
 # The correlation of noise from row to row is looked for up to this.
 MAX_MEMORY = 0.999
+# Orders of the noise that are tried of logs of a closed loop.
+ORDERS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 52, 64, 80, 100, 128, 160)
 
 
 @dataclass
@@ -72,12 +75,21 @@ class Problem:
         logs = [log.at(rows[span]) for log, span in zip(self.logs, self.spans, strict=True)]
         return Problem(logs, self.knots, self.max_delay, self.drift[rows])
 
-    def whiten(self, values: Array, memory: float) -> Array:
-        """Return rows less what the row before says of them, all of one size; a gap makes that less."""
-        if memory == 0.0:
+    def whiten(self, values: Array, noise: Array) -> Array:
+        """Return rows less what the rows before say of them: ``noise`` is kept of each, the nearest first.
+
+        Of one row it may be farther before, of which less is kept, and all rows come out; of more those alone that have
+        all their predecessors.
+        """
+        if len(noise) == 0:
             return values
+        if len(noise) > 1:
+            from scipy.signal import lfilter
+
+            white = lfilter(np.concatenate([[1.0], -noise]), [1.0], self.on_grid(values), axis=0)
+            return np.asarray(white[self.grid[self.equations(len(noise))]])
         white = np.array(values, dtype=float)
-        shape = (-1,) + (1,) * (white.ndim - 1)
+        shape, memory = (-1,) + (1,) * (white.ndim - 1), float(noise[0])
         for log, span in zip(self.logs, self.spans, strict=True):
             kept, scale = _kept(log, memory)
             own = values[span]
@@ -85,12 +97,65 @@ class Problem:
             white[span] = np.concatenate([own[:1] * np.sqrt(1.0 - memory**2), new])
         return white
 
-    def whitening_deviance(self, memory: float) -> float:
+    def whitening_deviance(self, noise: Array) -> float:
         """Return what the whitening adds to the deviance."""
-        if memory == 0.0:
+        if len(noise) != 1:
             return 0.0
+        memory = float(noise[0])
         own = (2.0 * float(np.log(_kept(log, memory)[1]).sum()) for log in self.logs)
         return sum(own) - len(self.logs) * float(np.log(1.0 - memory**2))
+
+    @cached_property
+    def grid(self) -> NDArray[np.int64]:
+        """Place of each row on an even clock, on which logs are farther apart than any order."""
+        places, begin = [], 0
+        for log in self.logs:
+            index = np.arange(len(log.times)) if log.index is None else log.index
+            places.append(begin + index - index[0])
+            begin = int(places[-1][-1]) + max(ORDERS) + 2
+        return np.concatenate(places)
+
+    def on_grid(self, values: Array, rows: Flags | None = None) -> Array:
+        """Return values of all ``rows``, or of these, on the even clock, 0 where there is no row."""
+        spread_out = np.zeros((int(self.grid[-1]) + 1, *values.shape[1:]))
+        spread_out[self.grid if rows is None else self.grid[rows]] = values
+        return spread_out
+
+    def equations(self, order: int) -> Flags:
+        """Return which rows have so many predecessors without a gap."""
+        counts = np.concatenate([[0.0], np.cumsum(self.on_grid(np.ones(len(self.grid))))])
+        return np.asarray(counts[self.grid + 1] - counts[np.maximum(self.grid - order, 0)] > order)
+
+    def earlier(self, values: Array, order: int) -> Array:
+        """Return the values before each row with so many predecessors, a column for each, the nearest first."""
+        rows = self.grid[self.equations(order)]
+        return np.asarray(self.on_grid(values)[rows[:, None] - np.arange(1, order + 1)])
+
+    def fit_noise(self, residual: Array, order: int) -> Array:
+        """Return noise of an order, from what is left over."""
+        terms = spread(order)
+        late = self.earlier(residual, order) @ terms
+        return np.asarray(terms @ np.linalg.lstsq(late, residual[self.equations(order)])[0])
+
+    def best_order(self, residual: Array, seconds: float, valid: float = 0.4) -> int:
+        """Return the order for what is left over: by Akaike's criterion on equal equations, and at least ``seconds``.
+
+        As long as delay and lags it has to be in a loop: the command of that long before carries the noise of that time
+        and earlier, and what a shorter one leaves of it would be taken for an answer to the command.  A share of
+        ``valid`` of the rows has to have all predecessors.
+        """
+        rows = len(residual)
+        allowed = [n for n in ORDERS if self.equations(n).sum() >= valid * rows and n < rows // 10] or list(ORDERS[:1])
+        orders = [n for n in allowed if n * self.step >= seconds] or allowed[-1:]
+        late, own = self.earlier(residual, orders[-1]), residual[self.equations(orders[-1])]
+        gram, right, power, best = late.T @ late, late.T @ own, float(own @ own), (np.inf, orders[0])
+        for order in orders:
+            terms = spread(order)
+            projected = terms.T @ right[:order]
+            part = np.linalg.lstsq(terms.T @ gram[:order, :order] @ terms, projected)[0]
+            loss = max(power - float(projected @ part), 1e-12 * power)
+            best = min(best, (len(own) * float(np.log(loss)) + 2.0 * terms.shape[1], order))
+        return best[1]
 
     def memory_of(self, residual: Array) -> float:
         """Return the correlation of a residual with the row before, of rows that follow each other, not below 0."""
@@ -106,3 +171,17 @@ def _kept(log: Log, memory: float) -> tuple[Array, Array]:
     """Return what each row keeps of the noise of the one before, and the size of what is new in it, relative."""
     kept = memory ** (np.diff(log.times) / log.step)
     return kept, np.sqrt((1.0 - kept**2) / (1.0 - memory**2))
+
+
+@cache
+def spread(order: int, separate: int = 20) -> Array:
+    """Return the matrix from estimated terms to noise of an order, (order, terms); below order 2 none is estimated.
+
+    So many ``separate`` terms stand alone.  Those beyond are linear between the orders, because noise that goes through
+    an airframe fades slowly and smoothly.
+    """
+    if order < 2:
+        return np.zeros((order, 0))
+    knots = [*range(1, min(order, separate) + 1), *(n for n in ORDERS if separate < n < order), order]
+    at = np.unique(knots)
+    return np.asarray([np.interp(np.arange(1, order + 1), at, row) for row in np.eye(len(at))]).T

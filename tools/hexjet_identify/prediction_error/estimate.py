@@ -1,135 +1,146 @@
-"""The forms that are fitted, and what an estimate of one holds."""
+"""Poles behind a delay, fitted to stretches of a flight's log: starts, forms of more and fewer lags, and bounds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
-from math import log
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-
-ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 52, 64, 80, 100, 128, 160)  # of A, tried
-SEPARATE = 20  # terms of A that are each estimated; those beyond are linear between the orders above; chosen by us
-
-
-@dataclass(frozen=True)
-class Form:
-    """A form of model: an engine (its pole is fast and its gain that at rest), or an axis (its pole is slow)."""
-
-    engine: bool
-    lags: int  # beside the pole
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The parameters that do not enter linearly: pole, lags, delay [s]."""
-        lags = (f"lag_{i + 1}_s" if i else "lag_s" for i in range(self.lags))
-        return ("rate_1_s", *lags, "delay_s")
-
-    @property
-    def label(self) -> str:
-        """Description of the form in words."""
-        count = self.lags + 1 if self.engine else self.lags
-        return f"{count} lag" if count == 1 else f"{count} lags"
+from cosim.base.errors import InputError
+from hexjet_identify.fit.estimate import Estimate, bound_delay, estimate_at, leave, project, solve
+from hexjet_identify.fit.forms import Poles
+from hexjet_identify.fit.problem import Problem
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """The fitted parameters, with the sums on which their bounds rest."""
+def identify_poles(
+    problem: Problem, is_engine: bool, hold: Mapping[str, float], lags: int | None = None
+) -> list[Estimate]:
+    """Return the estimate with so many lags; without a number of two forms, the best by Akaike's criterion first.
 
-    form: Form
-    x: Array  # rate, lags, delay: in their own units
-    gain: float
-    order: int  # of A
-    ar: Array  # A without its leading 1: e = v + ar[0] v[-1] + ...
-    linear: Array
-    loss: float  # sum of e^2
-    count: int  # equations
-    covariance: Array  # of (x, linear, terms of A), 0 for what is at its limit
-    free: tuple[int, ...]  # of x
-    fixed: tuple[str, ...] = ()
-    delay_bounds: tuple[float, float] = (float("nan"), float("nan"))
-
-    @property
-    def delay(self) -> float:
-        """The delay [s]."""
-        return float(self.x[-1])
-
-    @property
-    def parameters(self) -> int:
-        """Count of the estimated parameters."""
-        return len(self.free) + len(self.linear) + int(spread(self.order).shape[1])
-
-    @property
-    def deviance(self) -> float:
-        """-2 ln of the likelihood, but for a constant."""
-        return self.count * log(self.loss / self.count)
-
-    @property
-    def aic(self) -> float:
-        """Akaike's criterion."""
-        return self.deviance + 2.0 * self.parameters
-
-    @property
-    def bic(self) -> float:
-        """Schwarz' criterion."""
-        return self.deviance + log(self.count) * self.parameters
-
-    def deviation(self, index: int) -> float:
-        """Return the standard deviation of ``x[index]``, by the linearised problem."""
-        return float(np.sqrt(max(self.covariance[index, index], 0.0)))
-
-    @property
-    def gain_deviation(self) -> float:
-        """Standard deviation of the gain."""
-        n = len(self.x)
-        return float(np.sqrt(max(self.covariance[n, n], 0.0)))
-
-    @property
-    def all_delay(self) -> tuple[float, float]:
-        """Delay and lags together [s], which is what low frequencies show, and its standard deviation."""
-        value = float(self.x[1:].sum()) + (1.0 / float(self.x[0]) if self.form.engine else 0.0)
-        slope = np.zeros(len(self.covariance))
-        slope[1 : len(self.x)] = 1.0
-        if self.form.engine:
-            slope[0] = -1.0 / float(self.x[0]) ** 2
-        return value, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
+    The bounds of the delay are of the best, and of the richest: which holds the others, and no data refute it.
+    """
+    fewest = (0 if is_engine else 1) if lags is None else lags
+    simple = fit_poles(problem, Poles(is_engine, fewest), hold)
+    if lags is not None:
+        return [_with_bounds(problem, simple)]
+    rich = fit_poles(problem, Poles(is_engine, fewest + 1), hold, simple)
+    low, high = bound_delay(problem, rich, near=0.01)
+    # A form with a lag less that is not refuted is the richer one with a lag of nothing, which a search only nears.
+    # From there the deviance falls as an even mixture of chi-squared of one and two degrees of freedom if it is true,
+    # 95 % of which lie below 5.14 (Self and Liang, J. Am. Stat. Assoc. 82, 1987, p. 605).
+    above = simple.deviance - rich.deviance - 5.138
+    if above < 0.0:
+        ends = bound_delay(problem, simple, above + 3.841, 0.01)
+        low, high = min(low, ends[0]), max(high, ends[1])
+    both = [_with_bounds(problem, simple), replace(rich, delay_bounds=(low, high))]
+    return sorted(both, key=lambda estimate: estimate.aic)
 
 
-def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
+def _with_bounds(problem: Problem, estimate: Estimate) -> Estimate:
+    return replace(estimate, delay_bounds=bound_delay(problem, estimate, near=0.01))
+
+
+def fit_poles(problem: Problem, form: Poles, hold: Mapping[str, float], near: Estimate | None = None) -> Estimate:
+    """Return the best of the starts, ``near`` of one with a lag less, whose order of the noise is kept.
+
+    Raises InputError for an unknown name in ``hold``.
+    """
+    for name in hold:
+        if name not in form.names:
+            raise InputError(f"hold {name}: not a parameter of this form; allowed: {', '.join(form.names)}")
+    held = [form.names.index(name) for name in hold]
+    # Two forms are compared on the same equations, which the order of the noise decides.
+    order = None if near is None else near.noise
+    tried = []
+    for x in _starts(problem, form) if near is None else _starts_with_a_lag(near):
+        x[held] = list(hold.values())
+        tried.append(_fit_in_loop(problem, form, x, held, order))
+    x, noise, _ = min(tried, key=lambda each: each[2] / problem.equations(len(each[1])).sum())
+    # Where a command comes as rows, several delays within a row leave less than those beside them.
+    shifts = problem.step * np.array([0.0, -1.0, -0.5, 0.5, 1.0])
+    beside = [np.array([max(x[0] + shift, 0.0), *x[1:]]) for shift in shifts[: 1 if 0 in held else None]]
+    x, noise, _ = min((solve(problem, form, one, noise, held) for one in beside), key=lambda each: each[2])
+    low, high = form.limits(problem)
+    at_end = np.isclose(x, low, rtol=1e-6, atol=1e-9 * problem.step) | np.isclose(x, high, rtol=1e-6)
+    # A pole that ended as slow as can be is uncertain as any other, and the gain with it.
+    at_end[1] &= form.is_engine and x[1] > 2.0 * low[1]
+    fixed = sorted({*held, *np.flatnonzero(at_end).tolist()})
+    estimate = estimate_at(problem, form, x, noise, fixed, round(form.total(x) / problem.step))
+    return replace(estimate, held=tuple(held))
+
+
+def _fit_in_loop(
+    problem: Problem, form: Poles, x: Array, held: Sequence[int], noise: Array | None
+) -> tuple[Array, Array, float]:
+    """Fit poles from a start together with noise, of the order of ``noise``, or of the best one, as solve does."""
+    if noise is not None:
+        residual = leave(problem, form, x, project(problem, form, x, noise)[0])
+        return solve(problem, form, x, problem.fit_noise(residual, len(noise)), held)
+    found = solve(problem, form, x, np.array([0.98]), held)
+    for _ in range(3):
+        x, noise, _ = found
+        residual = leave(problem, form, x, project(problem, form, x, noise)[0])
+        order = problem.best_order(residual, form.without_pole(x))
+        if order == len(noise):
+            break
+        found = solve(problem, form, x, problem.fit_noise(residual, order), held)
+    return found
+
+
+def _starts(problem: Problem, form: Poles, lags: Sequence[float] = (0.5, 2.0, 8.0, 32.0)) -> list[Array]:
+    """Return where a search begins: the two likeliest of these ``lags``, in rows, at their best delays."""
+    noise, tried = np.array([0.98]), []
+    for lag in lags:
+        seconds = min(lag * problem.step, 2.5)
+        rate = 1.0 / seconds if form.is_engine else 0.3
+        more = [(0.3 if form.is_engine else 1.0) * seconds * 0.6**i for i in range(form.lags)]
+        for delay in np.linspace(0.0, problem.max_delay, 31):
+            x = np.array([delay, rate, *more])
+            tried.append((float(np.sum(project(problem, form, x, noise)[1] ** 2)), x))
+    best = [min(tried[n : n + 31], key=lambda each: each[0]) for n in range(0, len(tried), 31)]
+    return [x for _, x in sorted(best, key=lambda each: each[0])[:2]]
+
+
+def _starts_with_a_lag(near: Estimate) -> list[Array]:
+    """Return where the search for a form with a lag more begins: that lag shorter or as long, out of the delay."""
+    last = float(near.x[-1]) if len(near.x) > 2 else 1.0 / float(near.x[1])
+    return [np.array([max(near.delay - lag, 0.0), *near.x[1:], lag]) for lag in (0.2 * last, last)]
+
+
+def without_command(problem: Problem, estimate: Estimate) -> float:
+    """Return the deviance of a model of noise alone, of the same order on the same equations."""
+    columns, noise = estimate.form.columns(problem, estimate.x)[:, 1:], estimate.noise
+    for _ in range(4):
+        linear = np.linalg.lstsq(problem.whiten(columns, noise), problem.whiten(problem.output, noise))[0]
+        residual = problem.output - columns @ linear
+        noise = problem.fit_noise(residual, len(noise))
+    loss = float(np.sum(problem.whiten(residual, noise) ** 2))
+    return estimate.rows * float(np.log(loss / estimate.rows))
+
+
+def estimate_dict(estimate: Estimate, step: float) -> dict[str, Any]:
     """Return one form's parameters, standard deviations, bounds and criteria, for JSON."""
-    value, deviation = estimate.all_delay
-    low, high = estimate.delay_bounds
-    bounded = bool(np.isfinite(low))
+    (total, deviation), (gain, gain_deviation) = estimate.total, estimate.gain
+    numbers = estimate.form.natural(estimate.x)
     return {
         "form": estimate.form.label,
-        "gain": estimate.gain,
-        **{name: float(value) for name, value in zip(estimate.form.names, estimate.x, strict=True)},
-        "delay_bounds_95_s": [low, high] if bounded else None,
-        "delay_samples": estimate.delay / sample,
+        "gain": gain,
+        **numbers,
+        "delay_bounds_95_s": list(estimate.delay_bounds),
+        "delay_samples": estimate.delay / step,
         "standard_deviations": {
-            "gain": estimate.gain_deviation,
-            **{name: estimate.deviation(i) for i, name in enumerate(estimate.form.names)},
+            "gain": gain_deviation,
+            **{name: estimate.deviation(n) for n, name in enumerate(numbers)},
         },
-        "all_delay_s": value,
+        "all_delay_s": total,
         "all_delay_deviation_s": deviation,
-        "noise_order": estimate.order,
-        "held": list(estimate.fixed),
-        "equations": estimate.count,
-        "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
+        "noise_order": len(estimate.noise),
+        "held": [list(numbers)[n] for n in estimate.held],
+        "equations": estimate.rows,
+        "residual_rms": float(np.sqrt(estimate.loss / estimate.rows)),
         "aic": estimate.aic,
         "bic": estimate.bic,
     }
-
-
-@cache
-def spread(order: int) -> Array:
-    """Return the matrix from estimated terms to coefficients of A, (order, terms): the first ``SEPARATE`` alone.
-
-    Those beyond are linear between ``ORDERS``, because noise that goes through an airframe fades slowly and smoothly.
-    """
-    knots = [*range(1, min(order, SEPARATE) + 1), *(n for n in ORDERS if SEPARATE < n < order), order]
-    at = np.unique(knots)
-    return np.asarray([np.interp(np.arange(1, order + 1), at, row) for row in np.eye(len(at))]).T

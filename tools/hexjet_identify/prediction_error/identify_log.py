@@ -8,24 +8,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Flags
 from cosim.base.errors import NotIdentifiedError
 from cosim.identify.sweep.fit import Model
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 from hexjet_identify.engine_file import DEVIATIONS_95
+from hexjet_identify.fit.estimate import Estimate, estimate_at, solve
+from hexjet_identify.fit.forms import Poles
+from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import Channel, FlightLog, LogSignals
-from hexjet_identify.prediction_error.confidence import identify, robust, with_delay_bounds
-from hexjet_identify.prediction_error.estimate import SEPARATE, Estimate, Form, estimate_dict
-from hexjet_identify.prediction_error.problem import Problem
-from hexjet_identify.prediction_error.search import fit, solve
-from hexjet_identify.prediction_error.stretches import Prepared, halves, prepare
+from hexjet_identify.prediction_error.estimate import estimate_dict, identify_poles, without_command
+from hexjet_identify.prediction_error.stretches import Prepared, prepare
 
-LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
-TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
-TEST_S = 0.6  # over which they are spread
+# The command lowers the deviance by so much where it is told; chance alone gives 10 once in 25 (four parameters).
+MIN_DEVIANCE_FALL = 30.0
 NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
 
 
@@ -44,7 +42,11 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class LogIdentification:
-    """The models that were identified from a log; ``estimates`` has the chosen form first."""
+    """The models that were identified from a log; ``estimates`` has the chosen form first.
+
+    ``coherence``: frequencies [Hz], and that of command with output; ``band_hz``: in which a command tells most of the
+    delay, in this noise.
+    """
 
     path: Path
     kind: str
@@ -54,8 +56,8 @@ class LogIdentification:
     problem: Problem
     estimates: tuple[Estimate, ...]
     checks: tuple[Check, ...]
-    coherence: tuple[Array, Array]  # Hz, and of command with output
-    band_hz: tuple[float, float]  # in which a command tells most of the delay, in this noise
+    coherence: tuple[Array, Array]
+    band_hz: tuple[float, float]
     notes: tuple[str, ...]
 
     @property
@@ -72,18 +74,17 @@ class LogIdentification:
     def judgement(self) -> Judgement:
         """That the model explains the log, for no other is returned, and how its residuals pass their tests."""
         tests = (f"{check.name}: p {check.p:.2g}, {100.0 * check.share:.2g} % of their power" for check in self.checks)
-        return judge_model(True, f"{self.prepared.seconds:.1f} s used, {self.chosen.count} equations", *tests)
+        return judge_model(True, f"{self.prepared.seconds:.1f} s used, {self.chosen.rows} equations", *tests)
 
     @property
     def engine(self) -> bool:
         """Whether it is an engine, and not an axis."""
-        return self.chosen.form.engine
+        return self.what.startswith("engine")
 
     def model(self, step: float) -> Model:
         """Return the chosen estimate as a model behind a hold of this step, s."""
-        x = self.chosen.x
-        gain = self.chosen.gain * (float(x[0]) if self.engine else 1.0)
-        return Model(gain, float(x[0]), tuple(float(lag) for lag in x[1:-1]), float(x[-1]) / step, step)
+        delay, rate, *lags = self.chosen.x.tolist()
+        return Model(self.chosen.gain[0] * (rate if self.engine else 1.0), rate, tuple(lags), delay / step, step)
 
     def rate_model(self, step: float) -> RateModel:
         """Return the chosen estimate as a sampled model, as a predictor reads it."""
@@ -104,7 +105,7 @@ class LogIdentification:
             "what": self.what,
             "engine": self.engine,
             "seconds": self.prepared.seconds,
-            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.stretches],
+            "stretches_s": [[float(s.command_times[0]), float(s.times[-1])] for s in self.prepared.stretches],
             "working_step_s": self.prepared.working_step,
             "longest_delay_s": self.prepared.longest_delay,
             "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
@@ -138,8 +139,8 @@ def identify_log(
     of_sums: list[str] = []
     command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
     prepared = prepare(command, output, longest_delay, step, begin, end)
-    engine = signal.startswith("engine")
-    problem, estimates = _estimate(prepared, engine, dict(hold or {}), lags)
+    problem = prepared.problem()
+    estimates = identify_poles(problem, signal.startswith("engine"), dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
     _refuse(problem, estimates, prepared, where)
@@ -149,7 +150,7 @@ def identify_log(
     if reason:
         raise NotIdentifiedError(f"{where}: {reason}")
     notes += _describe_failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
-    band = _band(chosen, problem.working_step)
+    band = _band(chosen, problem.step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
     estimates = [_allow_for_late(estimate, prepared.late) for estimate in estimates]
     return LogIdentification(
@@ -167,34 +168,19 @@ def identify_log(
     )
 
 
-# ---- estimating
-
-
-def _estimate(
-    prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
-) -> tuple[Problem, list[Estimate]]:
-    problem = Problem(prepared.stretches, prepared.working_step, prepared.longest_delay)
-    if lags is not None:
-        estimates = [with_delay_bounds(problem, fit(problem, Form(engine, lags), hold))]
-    else:
-        estimates = identify(problem, engine, hold)
-    return problem, [robust(problem, estimate) for estimate in estimates]
-
-
 def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
     """Return an estimate whose bounds allow for a command that moved up to so many seconds before its row."""
-    if not late or "delay_s" in estimate.fixed:
+    if not late or 0 in estimate.held:
         return estimate
-    last = len(estimate.x) - 1
     covariance = estimate.covariance.copy()
-    covariance[last, last] += (late / DEVIATIONS_95) ** 2
+    covariance[0, 0] += (late / DEVIATIONS_95) ** 2
     low, high = estimate.delay_bounds
     return replace(estimate, covariance=covariance, delay_bounds=(low, high + late))
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
     """Return bounds of the delay, s, by the richest form, which contains the others, so that no data refute it."""
-    return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
+    return max(estimates, key=lambda estimate: len(estimate.x)).delay_bounds
 
 
 def _refuse(
@@ -202,11 +188,11 @@ def _refuse(
 ) -> None:
     """Raise NotIdentifiedError for what is not told, as a delay whose bounds are ``widest`` of the search apart."""
     chosen = estimates[0]
-    fall = problem.without_command(chosen) - chosen.deviance
-    if not fall >= LEAST_DEVIANCE_FALL:
+    fall = without_command(problem, chosen) - chosen.deviance
+    if not fall >= MIN_DEVIANCE_FALL:
         raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
-            f"{LEAST_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
+            f"{MIN_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
         )
     unknown = _not_determined(chosen)
     if unknown:
@@ -214,7 +200,7 @@ def _refuse(
             f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
             "larger or longer, or state what is known by hold"
         )
-    if "delay_s" in chosen.fixed:
+    if 0 in chosen.held:
         return
     if chosen.delay > prepared.longest_delay - prepared.working_step:
         raise NotIdentifiedError(
@@ -231,96 +217,94 @@ def _refuse(
 
 def _not_determined(chosen: Estimate) -> str:
     """Name gain, or the sum of delay and lags, where its bounds exceed it; their split may be unknown."""
-    total, wide = chosen.all_delay
-    bounds = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
-    return " and ".join(name for name, (value, one) in bounds.items() if not DEVIATIONS_95 * one <= abs(value))
+    numbers = {"the gain": chosen.gain, "delay and lags together": chosen.total}
+    return " and ".join(name for name, (value, one) in numbers.items() if not DEVIATIONS_95 * one <= abs(value))
 
 
 def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str]:
     """Return what is to be doubted: a sign, and halves that are ``apart`` by so many deviations (p = 0.001)."""
     doubts = []
-    if chosen.gain < 0.0:
+    if chosen.gain[0] < 0.0:
         doubts.append("the gain is negative: the output moves against the command")
-    half_stretches = halves(problem.stretches)
-    if half_stretches is not None and "delay_s" not in chosen.fixed:
-        try:
-            ends = [
-                solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed_indices(chosen), chosen.order)
-                for half in (Problem(part, problem.working_step, problem.longest_delay) for part in half_stretches)
-            ]
-        except (np.linalg.LinAlgError, ValueError):
-            return doubts
-        for name, values in (
-            ("the gain", [(half.gain, half.gain_deviation) for half in ends]),
-            ("the sum of delay and lags", [half.all_delay for half in ends]),
-        ):
-            (a, sa), (b, sb) = values
-            if abs(a - b) > apart * np.hypot(sa, sb) > 0.0:
-                doubts.append(
-                    f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
-                    "what flew changed, and the bounds are too narrow"
-                )
+    early = np.arange(len(problem.output)) < len(problem.output) // 2
+    if 0 in chosen.held or len(early) < 4 * len(chosen.noise):
+        return doubts
+    ends = []
+    for rows in (early, ~early):
+        parts = zip(problem.logs, problem.spans, strict=True)
+        half = Problem(
+            [log.at(rows[span]) for log, span in parts if rows[span].any()], problem.knots, problem.max_delay
+        )
+        x, noise, _ = solve(half, chosen.form, chosen.x, chosen.noise, chosen.held)
+        ends.append(estimate_at(half, chosen.form, x, noise, chosen.held))
+    for name, values in (
+        ("the gain", [half.gain for half in ends]),
+        ("the sum of delay and lags", [half.total for half in ends]),
+    ):
+        (a, sa), (b, sb) = values
+        if abs(a - b) > apart * np.hypot(sa, sb) > 0.0:
+            doubts.append(
+                f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
+                "what flew changed, and the bounds are too narrow"
+            )
     return doubts
-
-
-def _fixed_indices(estimate: Estimate) -> list[int]:
-    return [estimate.form.names.index(name) for name in estimate.fixed]
 
 
 # ---- tests of what is left
 
 
-def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> list[Check]:
+def on_clock(problem: Problem, estimate: Estimate) -> tuple[Array, Flags]:
+    """Return what is left over, made white, on an even clock, and where it is told."""
+    use = problem.equations(len(estimate.noise))
+    white = problem.on_grid(problem.whiten(estimate.residual, estimate.noise), use)
+    return white, problem.on_grid(np.ones(use.sum()), use) > 0.0
+
+
+def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None, lags: int = 20) -> list[Check]:
     from scipy.stats import chi2
 
-    white, use = problem.residuals(estimate)
-    rows = np.flatnonzero(use)
-    lags = 20
-    value = np.where(use, white, 0.0)
-    power = float(value @ value)
-    count, total = len(rows), 0.0
-    first = min(estimate.order, SEPARATE) + 1  # up to there each term of the noise's model made it white
+    white, use = on_clock(problem, estimate)
+    power, count, total = float(white @ white), int(use.sum()), 0.0
+    # Up to there each term of the noise's model made it white.
+    first = min(len(estimate.noise), 20) + 1
     for lag in range(first, first + lags):
         together = use[lag:] & use[:-lag]
         if together.any():
-            r = float(value[lag:] @ value[:-lag]) / power
+            r = float(white[lag:] @ white[:-lag]) / power
             total += r * r * count * count / max(int(together.sum()), 1)
     checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
-    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
-    command = _on_blocks(problem, None)
-    checks.append(_test_against("residuals: free of the command", white, use, command, spread))
+    command = _held_on_clock(problem, None)
+    checks.append(_test_against("residuals: free of the command", white, use, command, problem.step))
     if setpoint is not None:
-        checks.append(
-            _test_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread)
-        )
+        asked = _held_on_clock(problem, setpoint)
+        checks.append(_test_against("residuals: free of the set-point", white, use, asked, problem.step))
     return checks
 
 
-def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
-    """Return the command, or a channel, less its mean at the working samples, 0 between stretches."""
-    blocks = []
-    for stretch in problem.stretches:
-        first = stretch.averaged(stretch.times)
-        at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
-        if channel is None:
-            values = stretch.commanded(at)
-        else:
+def _held_on_clock(problem: Problem, channel: Channel | None) -> Array:
+    """Return the command, or a channel, less its mean in each stretch, on the even clock, 0 between stretches."""
+    clock = np.zeros(int(problem.grid[-1]) + 1)
+    for log, span in zip(problem.logs, problem.spans, strict=True):
+        own = problem.grid[span]
+        every = np.arange(own[0], own[-1] + 1)
+        times, values = log.command_times, log.command
+        if channel is not None:
             good = np.isfinite(channel.values) & np.isfinite(channel.times)
-            times, good_values = channel.times[good], channel.values[good]
-            row = np.clip(np.searchsorted(times, stretch.start + at, side="right") - 1, 0, None)
-            values = good_values[row] if good_values.size else np.zeros(len(at))
-        blocks += [values - values.mean(), np.zeros(problem.gap)]
-    return np.concatenate(blocks)
+            times, values = channel.times[good], channel.values[good]
+        row = np.clip(np.searchsorted(times, np.interp(every, own, log.times), side="right") - 1, 0, None)
+        held = values[row] if values.size else np.zeros(len(every))
+        clock[every] = held - held.mean()
+    return clock
 
 
 def _noisy(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
     """Return whether what is left over is more than ``rounding`` beside the output: else no test says anything."""
-    return float(np.sqrt(chosen.loss / chosen.count)) > rounding * float(np.std(problem.output[problem.present]))
+    return float(np.sqrt(chosen.loss / chosen.rows)) > rounding * float(np.std(problem.output))
 
 
 def _explained_power(problem: Problem, chosen: Estimate) -> float:
     """Return by how much the command lowers the sum of squares of the whitened residuals."""
-    return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
+    return float(np.exp(without_command(problem, chosen) / chosen.rows) * chosen.rows - chosen.loss)
 
 
 def _residuals_follow(
@@ -345,9 +329,8 @@ def _why_refused(
     ``fed_back`` of what it explains at all, the loop feeds the disturbance back: the model of the noise is of finite
     order, and what it lacks is in command and residual alike.
     """
-    white, use = problem.residuals(chosen)
-    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
-    together = _test_against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
+    white, use = on_clock(problem, chosen)
+    together = _test_against("fed back", white, use, _held_on_clock(problem, None), problem.step, first=0)
     explained = max(_explained_power(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= enough * chosen.loss and together.share * chosen.loss > fed_back * explained
@@ -368,16 +351,25 @@ def _why_refused(
     )
 
 
-def _test_against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
+def _test_against(
+    name: str,
+    white: Array,
+    use: Flags,
+    signal: Array,
+    step: float,
+    first: int = 1,
+    lags: int = 12,
+    seconds: float = 0.6,
+) -> Check:
     """Regress the residuals on a signal's past, and test by F that this explains nothing.
 
-    ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
-    residual or after contains that very noise where a controller is at work, and would be found there whatever the form
-    (Ljung, System Identification, 2nd ed., section 16.6).
+    So many ``lags`` are spread over ``seconds`` from ``first`` steps before on: 1 at least for a test of the form,
+    because what the command is at the time of a residual or after contains that very noise where a controller is at
+    work, and would be found there whatever the form (Ljung, System Identification, 2nd ed., section 16.6).
     """
     from scipy.special import fdtrc
 
-    by = [first + n * spread for n in range(TEST_LAGS)]
+    by = [first + n * max(1, round(seconds / lags / step)) for n in range(lags)]
     late = [np.concatenate([np.zeros(n), signal[: len(signal) - n]]) for n in by]
     use = use.copy()
     use[: by[-1] + 1] = False
@@ -418,21 +410,15 @@ def _describe_failed(checks: Sequence[Check]) -> list[str]:
 # ---- what the flight lacked
 
 
-def _response(estimate: Estimate, hertz: Array) -> NDArray[np.complex128]:
-    s = 2j * np.pi * hertz
-    x = estimate.x
-    value = estimate.gain * (float(x[0]) if estimate.form.engine else 1.0) / (s + float(x[0]))
-    for lag in x[1:-1]:
-        value = value / (float(lag) * s + 1.0)
-    return np.asarray(value * np.exp(-s * float(x[-1])))
-
-
 def information(estimate: Estimate, hertz: Array, step: float) -> Array:
     """Return the information on the delay of a command of unit power at each frequency: |w G A|^2 / power of e."""
-    z = np.exp(-2j * np.pi * hertz * step)
-    whitening = np.polyval(np.concatenate([[1.0], estimate.ar])[::-1], z)
-    slope = 2.0 * np.pi * hertz * np.abs(_response(estimate, hertz) * whitening)
-    return np.asarray(slope**2 * estimate.count / estimate.loss)
+    s, (_, rate, *lags) = 2j * np.pi * hertz, estimate.x.tolist()
+    answer = estimate.gain[0] * (rate if isinstance(estimate.form, Poles) and estimate.form.is_engine else 1.0)
+    answer = answer / (s + rate)
+    for lag in lags:
+        answer = answer / (lag * s + 1.0)
+    whitening = np.polyval(np.concatenate([[1.0], -estimate.noise])[::-1], np.exp(-s * step))
+    return np.asarray(np.abs(s * answer * whitening) ** 2 * estimate.rows / estimate.loss)
 
 
 def _band(estimate: Estimate, step: float, drop: float = 0.5) -> tuple[float, float]:
@@ -454,7 +440,7 @@ def _advice(
     """Return what would tell the delay to so many ``samples``, where its bounds are wider."""
     low, high = ends
     target = samples * prepared.working_step
-    if "delay_s" in estimate.fixed or high - low <= 2.0 * target:
+    if 0 in estimate.held or high - low <= 2.0 * target:
         return []
     more = 0.5 * (high - low) / target
     return [
@@ -467,16 +453,13 @@ def _coherence(problem: Problem) -> tuple[Array, Array]:
     """Return Hz and the coherence of command and output, by Welch's method over all stretches, gaps bridged."""
     from scipy.signal import coherence
 
-    command = _on_blocks(problem, None)
-    rows = np.flatnonzero(problem.present)
-    output = np.interp(np.arange(len(problem.output)), rows, problem.output[rows])
+    command = _held_on_clock(problem, None)
+    output = np.interp(np.arange(len(command)), problem.grid, problem.output)
     moving = np.concatenate([command, output])
     if not np.all(np.isfinite(moving)):
         return np.empty(0), np.empty(0)
-    per = min(len(output) - 1, max(64, round(4.0 / problem.working_step)))
-    hertz, value = coherence(
-        np.diff(command), np.diff(output), 1.0 / problem.working_step, nperseg=per, detrend="constant"
-    )
+    per = min(len(output) - 1, max(64, round(4.0 / problem.step)))
+    hertz, value = coherence(np.diff(command), np.diff(output), 1.0 / problem.step, nperseg=per, detrend="constant")
     return np.asarray(hertz[1:]), np.asarray(value[1:])
 
 

@@ -22,10 +22,9 @@ from hexjet_identify.engine_file import (
     whole_delay,
     write_with_engine,
 )
-from hexjet_identify.prediction_error.estimate import Estimate
-from hexjet_identify.prediction_error.identify_log import LogIdentification, information
+from hexjet_identify.fit.estimate import Estimate
+from hexjet_identify.prediction_error.identify_log import LogIdentification, information, on_clock
 
-THROTTLE = (-0.01, 1.05)  # that a log's command may have, to be taken for an engine's
 BOUNDS = (
     "The first model is the one that is written. The bounds of the delay are those of its profile likelihood; the "
     "others are 1.96 standard deviations of the linearised problem, noise model included. They hold where the form "
@@ -84,21 +83,24 @@ def page(result: LogIdentification) -> Page:
     return judged_page(result.judgement, shown)
 
 
-def why_no_engine(result: LogIdentification) -> str:
-    """Return why an engine's log leaves no engine, or an empty string where it leaves one."""
+def why_no_engine(result: LogIdentification, throttle: tuple[float, float] = (-0.01, 1.05)) -> str:
+    """Return why an engine's log leaves no engine, or an empty string where it leaves one.
+
+    ``throttle``: what a log's command may be, to be taken for an engine's.
+    """
     unit, (low, high) = result.signals.output_unit, _command_range(result)
     if unit != "N":
         return f"the output is in {unit or 'no unit'}, and an engine's is a thrust in N"
-    if low < THROTTLE[0] or high > THROTTLE[1]:
+    if low < throttle[0] or high > throttle[1]:
         return (
             f"{result.signals.command} goes from {low:.4g} to {high:.4g}, and an engine's throttle from 0 to 1: "
             "hexjet engine from-bench --throttle-range LOW HIGH"
         )
-    return "" if result.chosen.gain > 0.0 else "the thrust falls where the throttle rises"
+    return "" if result.chosen.gain[0] > 0.0 else "the thrust falls where the throttle rises"
 
 
 def _command_range(result: LogIdentification) -> tuple[float, float]:
-    commands = [stretch.command for stretch in result.problem.stretches]
+    commands = [log.command for log in result.problem.logs]
     return min(float(each.min()) for each in commands), max(float(each.max()) for each in commands)
 
 
@@ -108,26 +110,26 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     Its internal step is 4 ms, which the delay is rounded to; lags beyond the two slowest are added to the delay, which
     is what low frequencies see of them.  The delay's deviation is that of its bounds and of whole steps.
     """
-    x, size = result.chosen.x, len(result.chosen.covariance)
-    lags = [1.0 / float(x[0]), *map(float, x[1:-1])]
+    chosen, size = result.chosen, len(result.chosen.covariance)
+    count, lags = len(chosen.x), [1.0 / float(chosen.x[1]), *chosen.x[2:].tolist()]
     by_parameter = np.eye(size)
-    slopes = [by_parameter[0] * -(lags[0] ** 2), *by_parameter[1 : len(lags)]]
+    slopes = [by_parameter[1] * -(lags[0] ** 2), *by_parameter[2:count]]
     order = np.argsort(lags)[::-1]
-    delay = float(x[-1]) + sum(lags[n] for n in order[2:])
-    # of each stretch the output at no throttle, which weighs as its rows do; behind each stands a free decay
-    rows_of = np.array([float(stretch.present.sum()) for stretch in result.problem.stretches])
+    delay = chosen.delay + sum(lags[n] for n in order[2:])
+    # The output at no throttle is told of each stretch, which weighs as its rows do; behind each stands a free decay.
+    rows_of = np.array([len(log.times) for log in result.problem.logs])
     level = np.zeros(size)
-    level[len(x) + 1 : len(x) + 1 + 2 * len(rows_of) : 2] = rows_of / rows_of.sum()
-    offset = float(level[len(x) : len(x) + len(result.chosen.linear)] @ result.chosen.linear)
+    level[count + 1 : count + 1 + 2 * len(rows_of) : 2] = rows_of / rows_of.sum()
+    offset = float(level[count : count + len(chosen.linear)] @ chosen.linear)
     values = {
-        "delay_samples": (delay, sum((slopes[n] for n in order[2:]), by_parameter[len(x) - 1])),
+        "delay_samples": (delay, sum((slopes[n] for n in order[2:]), by_parameter[0])),
         **{name: (lags[n], slopes[n]) for name, n in zip(("lag", "lag_2"), order, strict=False)},
-        "gain": (result.chosen.gain, by_parameter[len(x)]),
+        "gain": (chosen.gain[0], by_parameter[count]),
         "offset": (offset, level),
     }
     matrix = np.array([slope for _, slope in values.values()])
     matrix[0] /= FITTED_STEP_S
-    covariance = matrix @ result.chosen.covariance @ matrix.T
+    covariance = matrix @ chosen.covariance @ matrix.T
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     low, high = result.delay_bounds
     if np.isfinite(low):
@@ -145,13 +147,13 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
 def readme(result: LogIdentification) -> str:
     """Return the page of the engine in Markdown."""
     low, high = _command_range(result)
-    white, use = result.problem.residuals(result.chosen)
+    rms = float(np.sqrt(result.chosen.loss / result.chosen.rows))
     return engine_readme(
         "log",
         rows(result),
         f"{summary(result)}. `hexjet identify log`",
         f"{result.signals.command} from {low:.4g} to {high:.4g}",
-        f"{float(np.sqrt(np.mean(white[use] ** 2))):.3g} {result.signals.output_unit} (rms, made white).",
+        f"{rms:.3g} {result.signals.output_unit} (rms, made white).",
         (),
         result.notes,
     )
@@ -180,13 +182,13 @@ def rows(result: LogIdentification) -> list[list[str]]:
         if result.engine
         else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
-    lines.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    lines.append([gain, *(_about(*estimate.gain) for estimate in result.estimates)])
     titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
     if result.engine:
         titles["lag_s"] = "second lag, ms"
-    richest = max(result.estimates, key=lambda estimate: estimate.form.lags)
-    for name in richest.form.names[:-1]:
-        cells = [_parameter(estimate, name) if name in estimate.form.names else "" for estimate in result.estimates]
+    richest = max(result.estimates, key=lambda each: len(each.x))
+    for name in list(richest.form.natural(richest.x))[1:]:
+        cells = [_parameter(estimate, name, result.engine) for estimate in result.estimates]
         lines.append([titles.get(name, "further lag, ms"), *cells])
     lines.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
     low, high = result.delay_bounds
@@ -196,28 +198,31 @@ def rows(result: LogIdentification) -> list[list[str]]:
     lines.append(
         [
             "delay and lags together, ms",
-            *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in result.estimates)),
+            *(_about(1e3 * v, 1e3 * s) for v, s in (each.total for each in result.estimates)),
         ]
     )
     best = min(estimate.aic for estimate in result.estimates)
     lines.append(
         ["Akaike's criterion, above the best", *(f"{estimate.aic - best:.1f}" for estimate in result.estimates)]
     )
-    lines.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
+    lines.append(["order of the noise", *(f"{len(estimate.noise)}" for estimate in result.estimates)])
     return lines
 
 
-def _parameter(estimate: Estimate, name: str) -> str:
+def _parameter(estimate: Estimate, name: str, is_engine: bool) -> str:
     """Describe a pole or a lag with its bound; an engine's pole as its time constant, times in ms."""
-    index = estimate.form.names.index(name)
+    names = list(estimate.form.natural(estimate.x))
+    if name not in names:
+        return ""
+    index = names.index(name)
     value, deviation = float(estimate.x[index]), estimate.deviation(index)
     if name != "rate_1_s":
         value, deviation = 1e3 * value, 1e3 * deviation
-    elif estimate.form.engine:
+    elif is_engine:
         value, deviation = 1e3 / value, 1e3 * deviation / value**2
-    if name in estimate.fixed:
+    if index in estimate.held:
         return f"{value:.4g} held"
-    return _slow_pole(value, deviation) if name == "rate_1_s" and not estimate.form.engine else _about(value, deviation)
+    return _slow_pole(value, deviation) if name == "rate_1_s" and not is_engine else _about(value, deviation)
 
 
 def _slow_pole(value: float, deviation: float) -> str:
@@ -237,12 +242,9 @@ def _about(value: float, deviation: float) -> str:
 
 
 def _delay(estimate: Estimate) -> str:
-    if "delay_s" in estimate.fixed:
-        return f"{1e3 * estimate.delay:.4g} held"
     low, high = estimate.delay_bounds
-    if not np.isfinite(low):
-        return f"{1e3 * estimate.delay:.4g}"
-    return f"{1e3 * estimate.delay:.4g} ({1e3 * low:.4g} to {1e3 * high:.4g})"
+    bounds = "held" if 0 in estimate.held else f"({1e3 * low:.4g} to {1e3 * high:.4g})"
+    return f"{1e3 * estimate.delay:.4g} {bounds}"
 
 
 # ---- figures
@@ -251,28 +253,18 @@ def _delay(estimate: Estimate) -> str:
 def _signals(result: LogIdentification) -> Iterator[Signals]:
     """Yield the stretches, with the model's output from the command alone and the residuals."""
     problem, estimate = result.problem, result.chosen
-    simulated = problem.simulated(estimate)
-    white, use = problem.residuals(estimate)
-    row = 0
-    for stretch in problem.stretches:
-        block = slice(row, row + stretch.blocks)
-        keep = np.flatnonzero(stretch.present)
-        yield Signals(
-            np.asarray(stretch.start + np.arange(len(stretch.command)) * stretch.step, np.float64),
-            stretch.command,
-            stretch.start + stretch.averaged(stretch.times)[keep],
-            problem.output[block][keep],
-            np.asarray(simulated[block][keep], np.float64),
-            np.where(use[block], white[block], np.nan)[keep],
-        )
-        row += stretch.blocks + problem.gap
+    white, use = on_clock(problem, estimate)
+    left = np.where(use, white, np.nan)[problem.grid]
+    for log, rows in zip(result.prepared.stretches, problem.spans, strict=True):
+        model = log.output - estimate.residual[rows]
+        yield Signals(log.command_times, log.command, log.times, log.output, model, left[rows])
 
 
 def _draw_information(result: LogIdentification) -> dict[str, Any]:
     """Draw the coherence, and the information on the delay that a command of each frequency would give."""
     hertz, value = result.coherence
-    grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)
-    density = information(result.chosen, grid, result.problem.working_step)
+    grid = np.geomspace(0.05, 0.45 / result.problem.step, 300)
+    density = information(result.chosen, grid, result.problem.step)
     data = [
         trace("coherence of command and output", GREEN, hertz, value),
         trace(

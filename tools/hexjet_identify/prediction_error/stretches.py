@@ -1,14 +1,9 @@
-"""From two channels of a log to stretches on one clock: what is usable, when samples were taken, what is missing.
-
-A stretch gives the exact answer of a pole to its command.
-"""
+"""From two channels of a log to stretches on one clock: what is usable, when samples were taken, what is missing."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from math import exp
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,124 +11,55 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from hexjet_identify.fit.logs import Log
+from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import Channel
 
-WORKING_STEP_S = 0.004  # of the house's control steps; samples that come faster are averaged to about this
-MOST_MISSING = 12  # samples that may be missing in a row; after more a new stretch begins
-SETTLE_S = 0.3  # beside the longest delay, before the first output that counts: what was commanded before is not known
-SHORTEST_S = 3.0  # that a stretch must have beyond that, and all of them together
-_CACHE_SIZE = 8  # answers that are remembered
-
-
-Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """One stretch of a log without a break; times in s from its beginning.
-
-    ``command[k]`` acts over ``[k step, (k + 1) step)``.  Sample ``i`` of the output was taken at ``times[i]`` and
-    counts to number ``block[i]`` of ``blocks`` working samples, each the mean of its samples.
-    """
-
-    start: float  # in the time of the log
-    step: float
-    command: Array
-    times: Array
-    output: Array
-    block: Ints
-    blocks: int
-
-    @property
-    def seconds(self) -> float:
-        """Duration of the stretch, s."""
-        return len(self.command) * self.step
-
-    @cached_property
-    def _counts(self) -> Array:
-        return np.bincount(self.block, minlength=self.blocks).astype(np.float64)
-
-    @cached_property
-    def present(self) -> NDArray[np.bool_]:
-        """Which working samples have values."""
-        return self._counts > 0.0
-
-    def commanded(self, times: Array) -> Array:
-        """Return the command that acts at these times, s."""
-        return self.command[self._cell(times)]
-
-    def _cell(self, times: Array) -> Ints:
-        return np.clip((times / self.step).astype(np.int64), 0, len(self.command) - 1)
-
-    def averaged(self, values: Array) -> Array:
-        """Return the mean over each working sample, 0 for a sample without values."""
-        return np.bincount(self.block, values, minlength=self.blocks) / np.maximum(self._counts, 1.0)
-
-    def answer(self, pole: float, delay: float) -> Array:
-        """Return the answer of ``1 / (s + pole)`` to the delayed command at ``times``, from rest at the first value."""
-        states = self._states(pole)
-        cell, within, begun = self._late(delay)
-        fade = np.exp(-pole * within)
-        input_gain = (1.0 - fade) / pole if pole > 1e-6 else within
-        return np.asarray((states[cell] * fade + input_gain * self.command[cell]) * begun)
-
-    @cached_property
-    def _caches(self) -> tuple[dict[float, Array], dict[float, tuple[Ints, Array, Array]]]:
-        """Cache of recent results: a derivative changes one parameter at a time."""
-        return {}, {}
-
-    def _states(self, pole: float) -> Array:
-        from scipy.signal import lfilter
-
-        cache = self._caches[0]
-        if pole not in cache:
-            if len(cache) >= _CACHE_SIZE:
-                cache.pop(next(iter(cache)))
-            states = lfilter([float(hold_response(pole, self.step))], [1.0, -exp(-pole * self.step)], self.command)
-            cache[pole] = np.concatenate([[0.0], states])
-        return cache[pole]
-
-    def _late(self, delay: float) -> tuple[Ints, Array, Array]:
-        """Return the cell of each delayed sample, the time within it, s, and 0 before the stretch or else 1."""
-        cache = self._caches[1]
-        if delay not in cache:
-            if len(cache) >= _CACHE_SIZE:
-                cache.pop(next(iter(cache)))
-            late = self.times - delay
-            cell = self._cell(late)
-            cache[delay] = cell, late - cell * self.step, (late > 0.0).astype(np.float64)
-        return cache[delay]
-
-
-def hold_response(pole: float, seconds: float | Array) -> Array:
-    """Return the answer of ``1 / (s + pole)`` to a command of 1 after so many seconds."""
-    return np.asarray(-np.expm1(-pole * seconds) / pole if pole > 1e-6 else seconds)
+# Samples that come faster than the shipped vehicles' control steps are averaged to about one.
+WORKING_STEP_S = 0.004
+# So many samples may be missing in a row; after more a new stretch begins.
+MAX_MISSING = 12
+# The output counts so long after the longest delay of a stretch: what was commanded before is not known.
+SETTLE_S = 0.3
+# A stretch has to last so long beyond that, and all of them together.
+MIN_STRETCH_S = 3.0
 
 
 class Clock(NamedTuple):
-    """Step, jitter and loss of a channel's times."""
+    """Step [s], jitter and loss of a channel's times.
 
-    step: float  # s
-    jitter: float  # standard deviation around an even clock, in samples; NaN where there is no such clock
-    lost_fraction: float  # of the samples
+    ``jitter``: standard deviation around an even clock, in samples, NaN where there is no such clock;
+    ``lost_fraction``: of the samples.
+    """
+
+    step: float
+    jitter: float
+    lost_fraction: float
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """The stretches of a log, and what was found of its clocks."""
+    """The stretches of a log, and what was found of its clocks.
 
-    stretches: tuple[Stretch, ...]
+    ``late``: by how much the command may have moved before its row, s; 0 where rows come as controllers command.
+    """
+
+    stretches: tuple[Log, ...]
     working_step: float
     longest_delay: float
     command: Clock
     output: Clock
-    late: float  # s, by which the command may have moved before its row; 0: rows come as controllers command
+    late: float
     notes: tuple[str, ...]
 
     @property
     def seconds(self) -> float:
         """Duration of the output in all stretches, s."""
-        return self.working_step * sum(stretch.blocks for stretch in self.stretches)
+        return sum(float(log.times[-1] - log.times[0]) + log.step for log in self.stretches)
+
+    def problem(self) -> Problem:
+        """Return the stretches as they are fitted together."""
+        return Problem(self.stretches, np.empty(0), self.longest_delay)
 
 
 def prepare(
@@ -176,21 +102,18 @@ def prepare(
     spans = [
         span
         for span in _find_movement(command, _find_unbroken(output.times, command.times, clocks))
-        if span[1] - span[0] > lead + SHORTEST_S
+        if span[1] - span[0] > lead + MIN_STRETCH_S
     ]
     usable = sum(last - first - lead for first, last in spans)
-    if usable < SHORTEST_S:
+    if usable < MIN_STRETCH_S:
         raise InputError(
             "no stretch that can be used: the command must move, without gaps, for "
-            f"{lead + SHORTEST_S:.3g} s or longer in flight; {_why(command, output, longest_delay)}"
+            f"{lead + MIN_STRETCH_S:.3g} s or longer in flight; {_why(command, output, longest_delay)}"
         )
     if len(spans) > 1:
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
-    uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > 0.02
     filled = _interpolate_lost(command)
-    shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
-    cells = sample / shared
-    stretches = tuple(_stretch(filled, output, span, lead, cells, sample, factor) for span in spans)
+    stretches = tuple(_cut(filled, output, span, lead, sample, factor) for span in spans)
     late = _late(command.times, sample)
     if late:
         notes.append(
@@ -209,7 +132,8 @@ def clock_of(times: Array) -> Clock:
         return Clock(step, float("nan"), max(0.0, 1.0 - len(times) * step / (float(np.ptp(times)) + step)))
     fitted = float((even[-1] - even[0]) / max(index[-1] - index[0], 1))
     gaps = np.diff(index)
-    short = gaps[(gaps > 1) & (gaps <= MOST_MISSING)] - 1  # longer ones are breaks, and not lost samples
+    # Longer ones are breaks, and not lost samples.
+    short = gaps[(gaps > 1) & (gaps <= MAX_MISSING)] - 1
     return Clock(fitted, float(np.std((times - even) / fitted)), float(short.sum() / (short.sum() + len(times))))
 
 
@@ -260,7 +184,7 @@ def _index(
     for _ in range(5):
         slope, offset = np.polyfit(index, times - times[0], 1)
         even = times[0] + offset + slope * index
-        # a sample that jitter brings nearer to another tick stands alone; after a lost one all stand a tick further
+        # A sample that jitter brings nearer to another tick stands alone; after a lost one all stand a tick further.
         further = median_filter(np.rint((times - even) / slope), 2 * run + 1, mode="nearest")
         if not further.any():
             break
@@ -279,9 +203,10 @@ def _find_unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -
     """Return the spans, s, from where to where neither output nor command has a gap."""
     edges = []
     for times, clock in ((output, clocks[1]), (command, clocks[0])):
-        wide = np.flatnonzero(np.diff(times) > MOST_MISSING * clock.step * 1.05)
+        wide = np.flatnonzero(np.diff(times) > MAX_MISSING * clock.step * 1.05)
         if clock is clocks[0] and not np.isfinite(clock.jitter):
-            continue  # a command without a clock is written down when it changes
+            # A command without a clock is written down when it changes.
+            continue
         edges += [(times[i], times[i + 1]) for i in wide]
     spans, at = [], float(max(output[0], command[0]))
     for begin, end in sorted(edges):
@@ -316,7 +241,8 @@ def _find_movement(
         for at in edges:
             part = command.values[(command.times >= at) & (command.times < at + idle_s)]
             moving.append(bool(part.size) and float(np.ptp(part)) > 1e-3 * size)
-        rows = np.flatnonzero(moving)  # a pause of pause_s at most between movement is none
+        # A pause of pause_s at most between movement is none.
+        rows = np.flatnonzero(moving)
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > round(pause_s / idle_s) + 1) + 1) if rows.size else ():
             first, after = int(run[0]), int(run[-1]) + 1
             low = edges[first] + (edge_s if first > 0 else 0.0)
@@ -331,7 +257,7 @@ def _interpolate_lost(command: Channel) -> Channel:
     if even is None:
         return command
     gaps = np.diff(index)
-    gap_rows = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MOST_MISSING]
+    gap_rows = [np.arange(1, gap) + index[n] for n, gap in enumerate(gaps) if 1 < gap <= MAX_MISSING]
     if not gap_rows:
         return command
     missing = np.concatenate(gap_rows)
@@ -343,34 +269,25 @@ def _interpolate_lost(command: Channel) -> Channel:
     )
 
 
-def _stretch(
-    command: Channel,
-    output: Channel,
-    span: tuple[float, float],
-    lead: float,
-    cell: float,
-    sample: float,
-    factor: int,
-) -> Stretch:
-    """Cut a stretch out."""
+def _cut(command: Channel, output: Channel, span: tuple[float, float], lead: float, sample: float, factor: int) -> Log:
+    """Cut a stretch out; its output counts from ``lead`` s on, a row the mean of so many (``factor``) samples."""
     begin, end = span
-    count = int((end - begin) / cell + 1e-6) + 1
-    edges = begin + np.arange(count + 1) * cell
-    cell_means = np.diff(_integral(command, np.asarray(edges, np.float64))) / cell
+    part = slice(
+        max(int(np.searchsorted(command.times, begin, "right")) - 1, 0), np.searchsorted(command.times, end, "right")
+    )
     use = (output.times >= begin + lead) & (output.times <= end)
-    times, values = output.times[use], output.values[use]
+    times = output.times[use]
     index, even = _index(times)
     if even is None:
         index = np.rint((times - times[0]) / sample).astype(np.int64)
-    block = (index - index[0]) // factor
-    return Stretch(begin, cell, cell_means, times - begin, values, block.astype(np.int64), int(block[-1]) + 1)
-
-
-def _integral(command: Channel, at: Array) -> Array:
-    """Return the integral, at these times, of a command that holds from each of its times to the next."""
-    integral = np.concatenate([[0.0], np.cumsum(command.values[:-1] * np.diff(command.times))])
-    row = np.clip(np.searchsorted(command.times, at, side="right") - 1, 0, None)
-    return np.asarray(integral[row] + command.values[row] * (at - command.times[row]))
+    rows, row = np.unique((index - index[0]) // factor, return_inverse=True)
+    means = [np.bincount(row, values) / np.bincount(row) for values in (times - begin, output.values[use])]
+    step = factor * sample
+    width = step if factor > 1 else 0.0
+    return Log(
+        np.maximum(command.times[part], begin), command.values[part], begin + means[0], means[1], step,
+        width=width, index=rows,
+    )  # fmt: skip
 
 
 def _span(times: Array) -> str:
@@ -394,36 +311,6 @@ def _why(command: Channel, output: Channel, longest_delay: float) -> str:
     if not np.ptp(command.values) > 0.0:
         return "the command never changes"
     seconds = min(command.times[-1], output.times[-1]) - max(command.times[0], output.times[0])
-    if seconds < longest_delay + SETTLE_S + SHORTEST_S:
+    if seconds < longest_delay + SETTLE_S + MIN_STRETCH_S:
         return f"the log has {seconds:.3g} s; a smaller longest_delay_s ({longest_delay:g} s) asks for less"
     return "there are gaps, or it stands still between"
-
-
-def halves(stretches: Sequence[Stretch]) -> tuple[list[Stretch], list[Stretch]] | None:
-    """Split the stretches into the first and the second half of the output; None where that leaves one empty."""
-    total = sum(stretch.blocks for stretch in stretches)
-    first: list[Stretch] = []
-    second: list[Stretch] = []
-    done = 0
-    for stretch in stretches:
-        cut = total // 2 - done
-        done += stretch.blocks
-        if cut >= stretch.blocks:
-            first.append(stretch)
-        elif cut <= 0:
-            second.append(stretch)
-        else:
-            early = stretch.block < cut
-            first.append(_part(stretch, early, 0, cut))
-            second.append(_part(stretch, ~early, cut, stretch.blocks - cut))
-    return (first, second) if first and second else None
-
-
-def _part(stretch: Stretch, use: NDArray[np.bool_], first: int, blocks: int) -> Stretch:
-    return replace(
-        stretch,
-        times=stretch.times[use],
-        output=stretch.output[use],
-        block=stretch.block[use] - first,
-        blocks=blocks,
-    )

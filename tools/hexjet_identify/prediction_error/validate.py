@@ -19,12 +19,12 @@ from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_mod
 from cosim.pages import Card, Page
 from cosim.spec.vehicle import RateModel, read_models
 from hexjet_identify.engine_file import DEVIATIONS_95
+from hexjet_identify.fit.estimate import estimate_at, solve
+from hexjet_identify.fit.forms import Poles
+from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import FlightLog, LogSignals, signals_of
-from hexjet_identify.prediction_error.confidence import robust
-from hexjet_identify.prediction_error.estimate import Form
-from hexjet_identify.prediction_error.identify_log import LEAST_DEVIANCE_FALL
-from hexjet_identify.prediction_error.problem import Problem
-from hexjet_identify.prediction_error.search import solve
+from hexjet_identify.prediction_error.estimate import without_command
+from hexjet_identify.prediction_error.identify_log import MIN_DEVIANCE_FALL
 from hexjet_identify.prediction_error.stretches import Prepared, prepare
 
 MODELLED = "Measured and modelled"
@@ -44,7 +44,7 @@ class StatedModel:
     path: Path
     what: str
     signals: LogSignals
-    form: Form
+    form: Poles
     x: Array
     gain: float
 
@@ -93,8 +93,7 @@ class Validation:
         if again is None:
             return Judgement(NOT_TOLD, (compared, "the output does not show the command"))
         evidence = (compared, again.text)
-        lags = 1.0 / float(self.model.x[0]) if self.model.form.engine else 0.0
-        least = max(MAX_MISFIT * (float(self.model.x[1:].sum()) + lags), self.step)
+        least = max(MAX_MISFIT * self.model.form.total(self.model.x), self.step)
         off = abs(again.gain - 1.0) - again.gain_half > MAX_MISFIT or abs(again.delay) - again.delay_half > least
         if not off and again.gain_half > WIDEST:
             return Judgement(NOT_TOLD, evidence)
@@ -152,7 +151,7 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep
             return _of_model_file(beside, axis)
         best = data["estimates"][0]
-        form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
+        form = Poles(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
         wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
         x = np.array([float(best[name]) for name in form.names])
         return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
@@ -186,8 +185,8 @@ def _of_model_file(file: Path, axis: str | None) -> StatedModel:
     gain = model.gain / unit.gain
     if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
         raise InputError(f"{file}: {label}: {OTHER_FORM}")
-    x = np.array([rate, *lags, model.delay_samples * step])
-    return StatedModel(file, label, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
+    x = np.array([model.delay_samples * step, rate, *lags])
+    return StatedModel(file, label, LogSignals("", ""), Poles(False, len(lags)), x, float(gain))
 
 
 def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
@@ -199,16 +198,15 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     if not (log.has(chosen.command) and log.has(chosen.output)):
         chosen = signals_of(log, model.what)
         model = replace(model, signals=chosen)
-    longest = max(2.0 * float(model.x[-1]), 0.1)
+    longest = max(2.0 * float(model.x[0]), 0.1)
     of_sums: list[str] = []
     command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
     prepared = prepare(command, output, longest, None, begin, end)
-    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.stretches]
     signals = []
-    for stretch, problem in zip(prepared.stretches, problems, strict=True):
-        use = problem.present
-        times, answer = stretch.averaged(stretch.times)[use], _simulate(problem, model, model.x)
-        signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
+    for stretch in prepared.stretches:
+        problem = Problem([stretch], np.empty(0), longest)
+        commanded = stretch.command[np.searchsorted(stretch.command_times, stretch.times, side="right") - 1]
+        signals.append((stretch.times, commanded, stretch.output, _simulate(problem, model)))
     fits = [(output, answer) for _, _, output, answer in signals]
     measured = np.concatenate([output - output.mean() for output, _ in fits])
     error = np.concatenate([output - answer for output, answer in fits])
@@ -230,38 +228,36 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         rms / size,
         rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
         1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
-        _fit_anew(prepared, model, longest),
+        _fit_anew(prepared, model),
         tuple(signals),
         (*log.remarks, *of_sums, *prepared.notes),
     )
 
 
-def _fit_anew(prepared: Prepared, model: StatedModel, longest: float) -> Refit | None:
+def _fit_anew(prepared: Prepared, model: StatedModel) -> Refit | None:
     """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell."""
-    problem = Problem(prepared.stretches, prepared.working_step, longest)
-    left = np.where(problem.present, problem.output - _simulate(problem, model, model.x), 0.0)
-    order = problem.best_order(left, float(model.x[1:].sum()))
-    kept = list(range(len(model.x) - 1))
-    try:
-        found = robust(problem, solve(problem, model.form, model.x.copy(), problem.noise(left, order), kept, order))
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    if not problem.without_command(found) - found.deviance >= LEAST_DEVIANCE_FALL or not found.gain_deviation > 0.0:
+    problem = prepared.problem()
+    left = problem.output - _simulate(problem, model)
+    noise = problem.fit_noise(left, problem.best_order(left, model.form.without_pole(model.x)))
+    kept = range(1, len(model.x))
+    x, noise, _ = solve(problem, model.form, model.x, noise, kept)
+    found = estimate_at(problem, model.form, x, noise, kept, round(model.form.total(x) / problem.step))
+    gain, deviation = found.gain
+    if not without_command(problem, found) - found.deviance >= MIN_DEVIANCE_FALL or not deviation > 0.0:
         return None
     return Refit(
-        found.gain / model.gain,
-        DEVIATIONS_95 * found.gain_deviation / abs(model.gain),
-        found.delay - float(model.x[-1]),
-        DEVIATIONS_95 * found.deviation(len(model.x) - 1) + prepared.late,
+        gain / model.gain,
+        DEVIATIONS_95 * deviation / abs(model.gain),
+        found.delay - float(model.x[0]),
+        DEVIATIONS_95 * found.deviation(0) + prepared.late,
     )
 
 
-def _simulate(problem: Problem, model: StatedModel, x: Array) -> Array:
+def _simulate(problem: Problem, model: StatedModel) -> Array:
     """Simulate with the model's own gain; offset and initial states are those that suit the output best."""
-    columns = problem.columns(model.form, x)
+    columns = model.form.columns(problem, model.x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
-    use = problem.present
-    offset = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
+    offset = np.linalg.lstsq(others, problem.output - answer, rcond=1e-12)[0]
     return np.asarray(answer + others @ offset)
 
 
