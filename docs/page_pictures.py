@@ -92,7 +92,7 @@ MORE = {  # looked at, and not in the documentation
     ),
     "phases": Page(["fly climb-and-land --out landed"], "landed/report.html"),
     "bench": Page(
-        [DOUBLET[1], "identify bench smith/flight.parquet --command throttle_1 --output thrust_1_N --out benched"],
+        [DOUBLET[1], "engine from-bench smith/flight.parquet --command throttle_1 --output thrust_1_N --out benched"],
         "benched/report.html",
     ),
     "batch": Page(["batch check roll-doublet --out batched"], "batched/report.html"),

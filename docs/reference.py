@@ -2,19 +2,15 @@
 
 Commands from the command line's own tree, keys from the models that read the files, columns from the one description
 of the log, metrics from their records.  They are made anew whenever the site is built and are not kept, so none can be
-older than the code.  A key's meaning is the comment behind its field, or above it; a name that is used in many tables
-has it here.
+older than the code.  A key's meaning is the comment behind its field, or above it, or in ``cosim/spec/meanings.toml``.
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
-import textwrap
 import types
 from collections.abc import Iterable, Iterator
-from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel
@@ -33,6 +29,7 @@ from cosim.engine.fmu.mapping import MappingFile
 from cosim.results.log.columns import log_columns
 from cosim.results.metrics import Metrics
 from cosim.simulation.controllers.controller_file import ControllerFile
+from cosim.spec.meanings import comments, meaning_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_sitl.study import AutopilotTable
@@ -90,228 +87,6 @@ class Key(NamedTuple):
     meaning: str
 
 
-# What a name means wherever its field has no comment of its own.
-COMMON = {
-    "kind": "which of them it is",
-    "name": "what it is called; that of the file or folder, where it has one",
-    "title": "one line about it",
-    "description": "some lines about it, for people",
-    "start_s": "when it begins",
-    "duration_s": "how long it lasts",
-    "signal": "which set-point it moves",
-    "amplitude": "how far, in the unit of the signal",
-    "axis": "about which it acts",
-    "jet": "the number of the jet, or a list of them",
-    "servo": "which of the two tilt servos",
-    "sensor": "which sensor",
-    "file": "a CSV, seen from the scenario's folder",
-    "from_hz": "frequency at its beginning",
-    "to_hz": "frequency at its end",
-    "noise_m": "standard deviation of the white noise on each sample",
-    "latency_samples": "control steps by which it is late",
-    "source": "where the numbers come from",
-    "p": "proportional gain",
-    "i": "integral gain, per second",
-    "d": "gain of the derivative of the measurement, in seconds",
-    "north_m": "the place, north of the start",
-    "east_m": "the place, east of the start",
-    "altitude_m": "height above the ground below the start",
-    "yaw_deg": "heading, from north",
-    "speed_m_s": "at most on the way; not stated: the vehicle's own",
-    "min": "not below",
-    "max": "not above",
-}
-# What needs more than its name and has no comment in the model: by class and field.
-MEANING = {
-    "DoubletCommand.width_s": "length of each of its two sides",
-    "RampCommand.duration_s": "until the amplitude is reached",
-    "SweepCommand.duration_s": "of the whole sweep",
-    "TableCommand.interpolate": "between two rows: the first of them is held, or a straight line",
-    "SticksCommand.tilt_deg": "lean at full stick",
-    "SticksCommand.yaw_rate_deg_s": "turn rate at full stick",
-    "SticksCommand.climb_m_s": "climb rate at full stick",
-    "Waypoint.hold_s": "at this one; not stated: as at all",
-    "WaypointsCommand.hold_s": "at each, before the next is flown to",
-    "WaypointsCommand.waypoint": "the places, in order",
-    "VelocityCommand.north_m_s": "velocity over the ground, to the north",
-    "VelocityCommand.east_m_s": "velocity over the ground, to the east",
-    "ForceDisturbance.force_n": "the force, body axes",
-    "MomentDisturbance.moment_n_m": "the moment, body axes",
-    "TorqueCommandDisturbance.shape": "how it goes over time",
-    "TorqueCommandDisturbance.amplitude": "throttle on roll, rad of tilt on pitch and yaw",
-    "TorqueCommandDisturbance.at": "where it is added",
-    "PayloadDisturbance.mass_kg": "of the point mass",
-    "PayloadDisturbance.offset_m": "where it is fixed, body, from the centre of gravity as built",
-    "WindDisturbance.velocity_ned_m_s": "where the air moves to, beside the wind that is there",
-    "GustDisturbance.velocity_ned_m_s": "where the air moves to at the gust's height",
-    "GustDisturbance.rise_s": "from nothing to all of it",
-    "GustDisturbance.hold_s": "at all of it",
-    "GustDisturbance.fall_s": "from all of it to nothing",
-    "StuckThrottle.throttle": "at which it stays; not stated: the one that it has at the start",
-    "ThrustLoss.share": "of the thrust that is missing",
-    "SlowSpool.lag_s": "time constant of the further lag",
-    "DelayGrowth.delay_s": "of the further delay",
-    "ServoJam.angle_deg": "where it stays; not stated: where it stands",
-    "Initial.on_ground": "the vehicle stands on its legs, the engines as `initial.engines` says",
-    "Initial.attitude_deg": "roll, pitch, yaw",
-    "Initial.velocity_ned_m_s": "over the ground",
-    "Initial.rate_deg_s": "body rates",
-    "Environment.latitude_deg": "of the start",
-    "Environment.longitude_deg": "of the start",
-    "Environment.ground_m": "height of the ground above the sea, which sets the air",
-    "Environment.wind_ned_m_s": "where the air moves to, steadily",
-    "Expectation.controller": "for which this is expected",
-    "Expectation.engine": "for which this is expected",
-    "Expectation.outcome": "those that are right",
-    "Expectation.metrics": "a table of [metrics](metrics.md), each with `min`, `max` or both",
-    "Scenario.engine": "of the library, or the path of an FMU or of a mapping file",
-    "Scenario.controller": "a predictor, a controller file of `hexjet design`, or [one of your own](../docs/own-controller.md)",
-    "Scenario.duration_s": "of the flight",
-    "Scenario.step_s": "control step; a whole multiple of every engine's internal step",
-    "Scenario.substeps": "runs of JSBSim in a control step",
-    "Scenario.seed": "of sensor noise and turbulence: the same seed, the same flight to the last bit",
-    "Scenario.sensor_noise": "whether the sensors have the noise that the vehicle states",
-    "Scenario.initial": "where the flight begins",
-    "Scenario.environment": "place, wind, turbulence",
-    "Scenario.mismatch": "how what flies differs from what the controller knows",
-    "Scenario.command": "what is asked of the vehicle, in any order",
-    "Scenario.disturbance": "what acts on it from outside",
-    "Scenario.fault": "what fails",
-    "Scenario.engine_parameters": "written over the parameters of the engines, by the FMU's names",
-    "Scenario.vehicle": "written over the [vehicle's keys](vehicle.md)",
-    "Scenario.limits": "the most that the flight may come to",
-    "Scenario.expect": "what it must come to",
-    "Vehicle.mass_kg": "of the whole vehicle, with a full tank",
-    "Vehicle.inertia_kg_m2": "about the body axes through the centre of gravity, with a full tank",
-    "Vehicle.jets": "jet 1 first",
-    "Vehicle.contacts": "legs and points of the hull",
-    "Vehicle.servo": "the tilt servos; none where no jet tilts",
-    "Vehicle.fuel": "the tank; none: nothing is burnt off",
-    "Vehicle.aero": "drag and damping",
-    "Vehicle.sensors": "errors and latency of each sensor",
-    "Vehicle.control": "gains of the built-in controller",
-    "Vehicle.identified": "models by engine and axis, which predictors believe",
-    "Vehicle.limits": "where a flight is over",
-    "Airflow.kg_s": "air that one engine swallows at the thrust beside it",
-    "Airflow.at_thrust_n": "thrust at which it does so",
-    "Airflow.exponent": "of the thrust",
-    "Servo.lag_s": "time constant of its first-order lag",
-    "Servo.rate_limit_rad_s": "most it can turn",
-    "Vehicle.surfaces": "control surfaces, whose forces the JSBSim model knows",
-    "Hinge.lag_s": "time constant of its first-order lag",
-    "Hinge.rate_limit_rad_s": "most it can turn",
-    "Hinge.mass_kg": "of what it carries, for the reaction on the body",
-    "Hinge.effort": "of allocation by effectiveness: how dear its range is beside that of the others",
-    "Surface.lag_s": "time constant of its first-order lag",
-    "Surface.range": "of its command, least and most",
-    "Surface.effort": "of allocation by effectiveness: how dear its range is beside that of the others",
-    "Fuel.mass_kg": "in a full tank",
-    **{f"Mismatch.thrust_factor_{jet}": f"the same, of jet {jet}" for jet in range(2, 7)},
-    "Aero.damping_n_m_s": "moment per rate about x, y, z",
-    "Contact.kind": "a leg carries the vehicle; a hull that touches is a crash",
-    "Contact.position_m": "body, from the centre of gravity",
-    "Contact.spring_n_m": "stiffness",
-    "Contact.damping_n_s_m": "damping",
-    "Contact.friction_static": "coefficient while it sticks",
-    "Contact.friction_dynamic": "coefficient while it slides",
-    "GyroSensor.filter_s": "time constant of its low-pass",
-    "GyroSensor.noise_rad_s": "standard deviation of the white noise on each sample",
-    "GyroSensor.bias_rad_s": "constant, body axes",
-    "AttitudeSensor.noise_rad": "standard deviation about each body axis",
-    "AttitudeSensor.bias_rad": "constant, about the body axes",
-    "AttitudeSensor.ahrs_time_constant_s": "of a complementary filter; 0: the lean is the true one",
-    "PositionSensor.position_noise_m": "standard deviation of each fix, each axis",
-    "PositionSensor.velocity_noise_m_s": "standard deviation of each fix, each axis",
-    "PositionSensor.period_samples": "control steps from one fix to the next",
-    "AltitudeSensor.bias_m": "constant",
-    "ForceSensor.noise_m_s2": "standard deviation of the white noise on each sample",
-    "ForceSensor.bias_m_s2": "constant, body axes",
-    "Sensors.gyro": "angular rate", "Sensors.attitude": "attitude quaternion", "Sensors.gnss": "place and velocity",
-    "Sensors.barometer": "height", "Sensors.accelerometer": "specific force",
-    "AttitudeGains.gain_1_s": "rate set-point per attitude error: roll, pitch, yaw",
-    "AttitudeGains.rate_limit_rad_s": "most rate asked for: roll, pitch, yaw",
-    "RateGains.d_filter_s": "time constant of the derivative's filter",
-    "RateGains.integral_limit": "most of the integral's share, in the unit of the output",
-    "RateControl.roll": "its gains", "RateControl.pitch": "its gains", "RateControl.yaw": "its gains",
-    "Leads.roll": "of the roll command; false: none", "Leads.pitch": "of the pitch command; false: none",
-    "Leads.yaw": "of the yaw command; false: none", "Leads.altitude": "of the collective; false: none",
-    "ScheduledGains.d": "factor on the derivative gain",
-    "ScheduledGains.damping": "of the engine's two poles at this thrust",
-    "ScheduledGains.pole_rad_s": "each of them is moved to minus this",
-    "EngineLead.damping": "of the engine's two poles; not stated: it is one lag",
-    "ThrustLevel.roll": "factors on the roll gains", "ThrustLevel.altitude": "factors on the height gains",
-    "AltitudeGains.position_1_s": "climb rate per height error",
-    "AltitudeGains.climb_limit_m_s": "most climb asked for",
-    "AltitudeGains.descent_limit_m_s": "most sink asked for",
-    "AltitudeGains.velocity_1_s": "acceleration per error of the climb rate",
-    "AltitudeGains.integral_1_s2": "of that error's integral",
-    "AltitudeGains.integral_limit_m_s2": "most of the integral's share",
-    "AllocationLimits.throttle_min": "least throttle in flight",
-    "AllocationLimits.throttle_max": "most throttle in flight",
-    "PositionGains.position_1_s": "velocity asked for per position error",
-    "PositionGains.velocity_1_s": "acceleration asked for per velocity error",
-    "PilotSettings.speed_m_s": "over the ground, at most",
-    "PilotSettings.acceleration_m_s2": "of horizontal set-points, at most",
-    "PilotSettings.jerk_m_s3": "of horizontal set-points, at most",
-    "PilotSettings.climb_m_s": "climb, at most", "PilotSettings.descent_m_s": "sink, at most",
-    "PilotSettings.land_m_s": "sink in the last metres of a landing",
-    "PilotSettings.yaw_rate_rad_s": "turn rate, at most",
-    "PilotSettings.stick_lean_rad": "lean at full stick",
-    "PilotSettings.takeoff_height_m": "to which a take-off goes that names no height",
-    "PilotSettings.return_height_m": "at which it flies home, at least",
-    "Control.attitude": "attitude loop", "Control.rate": "rate loops", "Control.altitude": "height loop",
-    "Control.allocation": "throttles", "Control.predictor": "what predictors are tuned with",
-    "Control.lead": "on the commands that engines answer", "Control.position": "place and velocity loops",
-    "Control.monitor": "the engine monitor; none: `monitor` of a scenario is refused",
-    "Control.pilot": "the autopilot's defaults",
-    "RateModel.gain": "of the response, with poles and zeros as they stand",
-    "RateModel.zeros": "real zeros, of z", "RateModel.poles": "real poles, of z",
-    "RateModel.pole_pairs": "real and imaginary part",
-    "RateModel.sample_time_s": "of the model, which is the control step of the flights that it is for",
-    "Limits.rate_deg_s": "any axis, in the air: diverged",
-    "Study.design": "how draws are made",
-    "Study.seed": "of the draws; each flight's own seed follows from it",
-    "Study.vary": "what is drawn", "Study.correlate": "rank correlations between what is drawn",
-    "Study.case": "named variants of the scenario, values of the key `case`",
-    "Case.settings": "written over the scenario; a seed is the case's own",
-    "Case.autopilot": "written over `[autopilot]`",
-    "Correlation.keys": "two varied keys", "Correlation.rank": "Spearman's, of what is drawn for them",
-    "Vary.key": "the dotted name of a number of the scenario; `hexjet sweep --keys` lists them",
-    "Vary.range": "uniform between two numbers", "Vary.levels": "grid points in the range, both ends among them",
-    "Vary.scale": "uniform in the number, or in its logarithm", "Vary.values": "each equally likely",
-    "Vary.normal": "a normal distribution", "Vary.lognormal": "a log-normal distribution",
-    "Vary.triangular": "a triangular distribution",
-    "Vary.relative": "a factor on the nominal value, or an offset to it; not stated: the value itself",
-    "Normal.mean": "before it is truncated", "Normal.sd": "standard deviation before it is truncated",
-    "LogNormal.median": "before it is truncated", "LogNormal.sigma": "standard deviation of the logarithm",
-    "Triangular.mode": "the likeliest",
-    "MappingFile.fmu": "the archive, seen from this file",
-    "MappingFile.ports": "which variable stands at which port",
-    "MappingFile.units": "units that the FMU does not declare, or declares wrongly",
-    "MappingFile.range": "the throttle's ends", "MappingFile.scale": "the port is so many times the variable",
-    "MappingFile.parameters": "set before the flight, by the FMU's names",
-    "MappingFile.inputs": "held at a value, by the FMU's names", "MappingFile.start": "how it is started",
-    "MappingFile.rest": "when a thrust stands still", "MappingFile.rotor": "for the gyroscopic moment",
-    "MappingFile.flame_out": "how it goes out", "MappingFile.ledger": "what the delay ledger is told",
-    "_Ports.*": "name of the FMU's variable for this [port](../docs/own-engine.md#ports)",
-    "_Units.*": "unit of the variable, a name of the [table of units](../docs/own-engine.md#units)",
-    "_Scale.*": "factor, where several of it are one engine, say",
-    "_Range.throttle": "the variable's values at throttle 0 and 1",
-    "_Rotor.inertia_kg_m2": "about the jet's axis",
-    "_FlameOut.electric": "true: a motor, without a flame",
-    "_FlameOut.thrust_left": "share of the thrust that the run-down begins with",
-    "_FlameOut.run_down_s": "time constant of the run-down", "_FlameOut.exponent": "of the run-down's law",
-    "_FlameOut.relight_s": "from the relight to idle",
-    "_Start.warm_up_s": "at throttle 0, before checks, measurements and flights",
-    "_Rest.thrust": "N, peak to peak, within which a thrust stands still",
-    "_Ledger.delay_s": "transport delay, where no tool can know it",
-    "ControllerFile.controller": "the predictor", "ControllerFile.design": "what it was designed for; for people",
-    "ControllerFile.vehicle": "written over the [vehicle's keys](vehicle.md): gains, leads, models",
-    "AxisRecord.*": "of the finished design", "LevelRecord.mass_kg": "with this fuel",
-    "LevelRecord.axes": "what is said of each channel there",
-    "Purpose.*": "with which it was designed", "Requirements.*": "what it must keep",
-}  # fmt: skip
-
 # Tables that a tool reads.
 OF_TOOLS: dict[type, type[BaseModel]] = {StudyAutopilot: AutopilotTable}
 
@@ -332,11 +107,9 @@ def tables(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, type[
 def keys(model: type[BaseModel]) -> Iterator[Key]:
     """Every key of a file, table by table."""
     for heading, each in tables(model):
-        said = comments(each)
         for name, field in each.model_fields.items():
             default = "needed" if field.is_required() else _default(field.get_default(call_default_factory=True))
-            meaning = said.get(name) or _known(each, name)
-            yield Key(heading, name, _kind(field.annotation, field.metadata), default, meaning)
+            yield Key(heading, name, _kind(field.annotation, field.metadata), default, _meaning(each, name))
 
 
 def keys_page(model: type[BaseModel], head: str) -> str:
@@ -362,10 +135,10 @@ def _models(kind: Any) -> Iterator[type[BaseModel]]:
         yield from _models(each)
 
 
-def _known(model: type[BaseModel], name: str) -> str:
-    """What is said of a name above; with the links that it has."""
-    own = f"{model.__name__}.{name}"
-    return MEANING.get(own) or MEANING.get(f"{model.__name__}.*") or COMMON.get(name, "")
+def _meaning(model: type[BaseModel], name: str) -> str:
+    """What a key means: the comment of its field is text, what is said elsewhere has links."""
+    comment = comments(model).get(name)
+    return cell(comment) if comment else meaning_of(model, name, markdown=True)
 
 
 def _default(value: Any) -> str:
@@ -432,39 +205,6 @@ def _bounds(metadata: Iterable[Any]) -> str:
     return ", ".join(found).replace("<", "&lt;").replace(">", "&gt;")
 
 
-@cache
-def comments(model: type[BaseModel]) -> dict[str, str]:
-    """What the comments of a model's source say of its fields: those behind a field, else those right above it."""
-    found = {name: text for base in model.__mro__[1:] if base.__module__.startswith("cosim") and issubclass(base, BaseModel)
-             for name, text in comments(base).items()}  # fmt: skip
-    try:
-        source = textwrap.dedent(inspect.getsource(model))
-    except (OSError, TypeError):  # a model that is made of a list of names
-        return found
-    lines = source.splitlines()
-    (node,) = ast.parse(source).body
-    assert isinstance(node, ast.ClassDef)
-    for each in node.body:
-        if not isinstance(each, ast.AnnAssign):
-            continue
-        behind = [_behind(line) for line in lines[each.lineno - 1 : each.end_lineno]]
-        above = []
-        for line in reversed(lines[: each.lineno - 1]):
-            if not line.lstrip().startswith("#"):
-                break
-            above.insert(0, line.strip().removeprefix("#").strip())
-        text = " ".join(filter(None, behind)) or " ".join(above)
-        if text:
-            found[ast.unparse(each.target)] = cell(text)
-    return found
-
-
-def _behind(line: str) -> str:
-    """The comment at the end of a line; a ``#`` in a text is none."""
-    match = re.search(r"\s#\s(.*)$", re.sub(r"\"[^\"]*\"|'[^']*'", lambda text: "x" * len(text[0]), line))
-    return line[match.start(1) :] if match else ""
-
-
 # --- the log, metrics, the rest ---------------------------------------------------------------------------------------
 
 
@@ -487,7 +227,6 @@ def columns_page() -> str:
 def metrics() -> Iterator[tuple[str, str]]:
     """Every metric, with what its record says of it."""
     axes = {"axes": ("roll", "pitch", "yaw")}
-    said = comments(Metrics)
     for name, field in Metrics.model_fields.items():
         inside = list(_models(field.annotation))
         for model in inside:
@@ -496,9 +235,9 @@ def metrics() -> Iterator[tuple[str, str]]:
                     "One axis.  None stands for what this flight cannot tell.", ""
                 )
                 for inner in model.model_fields:
-                    yield f"{prefix}.{inner}", comments(model).get(inner) or cell(about)
+                    yield f"{prefix}.{inner}", _meaning(model, inner) or cell(about)
         if not inside:
-            yield name, said.get(name, "")
+            yield name, _meaning(Metrics, name)
 
 
 def metrics_page() -> str:

@@ -29,12 +29,7 @@ _NOT_EXACT = (  # note if values are only bounded
 class EngineCheckResult(FolderResult):
     """Whether an FMU is fit to be an engine, and how it answers its throttle.
 
-    ``write`` leaves ``check.json`` and ``report.html``.
-
-    Attributes
-    ----------
-    check : CheckReport
-        Everything.
+    ``check`` has everything; ``write`` leaves ``check.json`` and ``report.html``.
     """
 
     def __init__(self, check: CheckReport) -> None:
@@ -195,13 +190,7 @@ def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
 
 
 class AircraftCheckResult(Result):
-    """Whether an aircraft is fit to fly.
-
-    Attributes
-    ----------
-    check : AircraftCheck
-        Everything.
-    """
+    """Whether an aircraft is fit to fly: ``check`` has everything."""
 
     def __init__(self, check: AircraftCheck) -> None:
         self.check = check

@@ -21,12 +21,8 @@ Subject = Literal["roll", "pitch", "yaw", "engine"]
 class IdentifyResult(FolderResult):
     """A response, and the models fitted to it.
 
-    ``write`` leaves ``identification.json``, ``response.csv``, ``report.html`` and, of an axis, ``model.toml``.
-
-    Attributes
-    ----------
-    identification : Identification
-        Everything.
+    ``identification`` has everything; ``write`` leaves ``identification.json``, ``response.csv``, ``report.html`` and,
+    of an axis, ``model.toml``.
     """
 
     def __init__(self, identification: Identification) -> None:

@@ -10,17 +10,11 @@ from cosim.api.call import Result
 from cosim.base.storage.paths import data_folder, files_in, names_in
 
 Kind = Literal["scenarios", "studies", "engines", "aircraft", "controllers"]
-KINDS = get_args(Kind)  # what hexjet list can list
+KINDS = get_args(Kind)  # what hexjet show can list
 
 
 class CatalogueResult(Result):
-    """What can be flown.
-
-    Attributes
-    ----------
-    catalogues : dict
-        Of each kind a list of entries, each with ``name`` and ``title``.
-    """
+    """What can be flown: ``catalogues`` has for each kind a list of entries with ``name`` and ``title``."""
 
     def __init__(self, kinds: Iterable[str]) -> None:
         self.catalogues = {kind: catalogue(kind) for kind in kinds}

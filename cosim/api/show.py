@@ -21,44 +21,6 @@ if TYPE_CHECKING:
     from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
-# Meaning of a scenario's or study's key, by its first part.
-_MEANINGS = {
-    "duration_s": "planned length of the flight",
-    "step_s": "control step",
-    "seed": "of all random numbers",
-    "aircraft": "what flies",
-    "engine": "with which engine",
-    "controller": "which controller",
-    "controllers": "each flies all draws",
-    "command": "what is asked for",
-    "initial": "how the flight begins",
-    "disturbance": "what acts from outside",
-    "environment": "wind, turbulence, air",
-    "fault": "what fails",
-    "mismatch": "what the controller does not know",
-    "vehicle": "written over the aircraft's",
-    "engine_parameters": "written over the engine's",
-    "limits": "the most that the flight may come to",
-    "require": "what it must keep",
-    "expect": "what it must come to",
-    "scenario": "what every draw varies",
-    "design": "how the draws are chosen",
-    "runs": "draws",
-    "until": "the claim at which it stops",
-    "vary": "what is drawn, and from where to where",
-    "settings": "written over the scenario's",
-    "success": "what counts as one",
-}
-# Meaning of a design's requirement, by the last part of its key.
-_MEANINGS_OF_MARGINS = {
-    "peak_sensitivity": "largest |S|",
-    "gain_margin_db": "of more gain",
-    "gain_margin_down_db": "of less gain",
-    "delay_margin_s": "of more delay",
-    "tolerated": "times the tolerances until instability",
-    "overshoot": "share of a step",
-    "settling_s": "of a step, within 5 %",
-}
 _FILES = (  # files that can be shown, for messages
     "the folder of a run, a design or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
 )
@@ -89,13 +51,7 @@ class ShowResult(Result):
         self.files = {}
 
     def to_list(self) -> list[dict[str, Any]]:
-        """Return what ``hexjet show --json`` prints.
-
-        Returns
-        -------
-        list of dict
-            One for each kind that has the name, SI.
-        """
+        """Return what ``hexjet show --json`` prints: an entry for each kind that has the name, SI."""
         return [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in self.items]
 
     def to_dict(self) -> dict[str, Any]:
@@ -235,7 +191,9 @@ def _own_file(name: str) -> dict[str, Any] | None:
     kind = next((name for kind, name in kinds.items() if kind.matches(table)), None)
     if kind is None:
         return None
-    numbers = {"aircraft": _aircraft(name), "scenarios": _scenario(name, table), "studies": _file_rows(table)}[kind]
+    numbers = {"aircraft": _aircraft(name), "scenarios": _scenario(name, table), "studies": _file_rows(table, kind)}[
+        kind
+    ]
     described = {key: " ".join(str(table.get(key, "")).split()) for key in ("title", "description")}
     return {"kind": kind, "name": name, **described, "numbers": list(numbers)}
 
@@ -243,7 +201,8 @@ def _own_file(name: str) -> dict[str, Any] | None:
 def _design(name: str) -> dict[str, Any] | None:
     """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
-    from cosim.simulation.controllers.controller_file import describe_proof, read_purpose
+    from cosim.simulation.controllers.controller_file import AxisRecord, describe_proof, read_purpose
+    from cosim.spec.meanings import meaning_of
 
     path = Path(name) / "controller.toml" if Path(name).is_dir() else Path(name)
     table = read_toml(path) if is_design(str(path)) and path.is_file() else {}
@@ -251,7 +210,7 @@ def _design(name: str) -> dict[str, Any] | None:
         return None
     purpose = read_purpose(path)
     margins = [
-        number._replace(meaning=_MEANINGS_OF_MARGINS.get(number.name.rpartition(".")[2], ""))
+        number._replace(meaning=meaning_of(AxisRecord, number.name.rpartition(".")[2]))
         for axis, record in purpose.axes.items()
         for number in _leaves(record.model_dump(exclude_none=True, exclude={"candidates"}), f"{axis}.")
     ]
@@ -260,7 +219,7 @@ def _design(name: str) -> dict[str, Any] | None:
         "name": name,
         "title": f"{table['controller']} for {purpose.aircraft} with engine {purpose.engine}",
         "description": describe_proof(purpose),
-        "numbers": [*margins, *_file_rows(table["vehicle"])],
+        "numbers": [*margins, *_file_rows(table["vehicle"], "vehicle")],
     }
 
 
@@ -316,18 +275,19 @@ def _numbers(kind: str, name: str) -> Iterator[Number]:
     if kind == "controllers":
         return _controller(name)
     table = _table(kind, name)
-    return _scenario(name, table) if kind == "scenarios" else _file_rows(table)
+    return _scenario(name, table) if kind == "scenarios" else _file_rows(table, kind)
 
 
 def _scenario(name: str, table: Mapping[str, Any]) -> Iterator[Number]:
     """Yield what flies, where the file leaves that to the defaults too, and what the file states."""
+    from cosim.spec.meanings import meaning_of
     from cosim.spec.scenario import Scenario
 
     scenario = Scenario.load(name)
     first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
     for key in first:
-        yield Number(key, getattr(scenario, key), _unit(key), _MEANINGS[key])
-    yield from _file_rows({key: value for key, value in table.items() if key not in first})
+        yield Number(key, getattr(scenario, key), _unit(key), meaning_of(Scenario, key))
+    yield from _file_rows({key: value for key, value in table.items() if key not in first}, "scenarios")
 
 
 def _aircraft(name: str) -> Iterator[Number]:
@@ -452,11 +412,17 @@ def _controller(name: str) -> Iterator[Number]:
         yield Number(parameter.name, value, parameter.unit, f"{parameter.text}{span}")
 
 
-def _file_rows(table: Mapping[str, Any]) -> Iterator[Number]:
+def _file_rows(table: Mapping[str, Any], kind: str) -> Iterator[Number]:
     """Yield a row for each key of a file; one for each entry of a list of tables."""
+    from cosim.campaign.study.study import Study
+    from cosim.spec.meanings import meaning_of
+    from cosim.spec.scenario import Scenario
+    from cosim.spec.vehicle import Vehicle
+
+    model = {"scenarios": Scenario, "studies": Study}.get(kind, Vehicle)
     for key, value in table.items():
         if key not in _TEXTS:
-            yield from (leaf._replace(meaning=_MEANINGS.get(key, "")) for leaf in _leaves({key: value}, ""))
+            yield from (leaf._replace(meaning=meaning_of(model, key)) for leaf in _leaves({key: value}, ""))
 
 
 def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from cosim.campaign.workers.flight_row import Kinds, custom_metric_names, kinds
 
 def write_columns(folder: Path, study: Study) -> None:
     """Write what is known of a study's columns into its folder.  Raises OSError, and InputError as the study's code."""
-    keys = [asdict(study.key(name)) for name in study.drawn]
+    keys = [asdict(replace(study.key(name), field=None)) for name in study.drawn]
     write_whole(folder / COLUMNS, json.dumps({"own": custom_metric_names(study), "keys": keys}, indent=1) + "\n")
 
 

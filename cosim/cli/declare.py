@@ -381,10 +381,10 @@ class Command:
             return f"{name}: {removed}"
         options = [*self.declared, *self._added]
         if any("--set" in each.names for each in options):
-            from cosim.spec.scenario import likely_key
+            from cosim.spec.scenario import describe_meant
 
-            if (key := likely_key(name.lstrip("-").replace("-", "_"))) is not None:
-                return f"No such option {name!r}; it is a key of the scenario: --set {key}=..."
+            if (meant := describe_meant(name.lstrip("-").replace("-", "_"))) is not None:
+                return f"No such option {name!r}; --set KEY=VALUE sets keys of the scenario: {meant}"
         from difflib import get_close_matches
 
         close = get_close_matches(name, [each.names[0] for each in options if each.names])

@@ -124,13 +124,7 @@ class Run:
         return self.files.get("report")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the summary as numbers, texts, lists and tables, which the command prints as JSON.
-
-        Returns
-        -------
-        dict
-            In SI units.
-        """
+        """Return the summary as numbers, texts, lists and tables, SI, which the command prints as JSON."""
         return self.summary.model_dump(mode="json")
 
     def table(self, *names: str) -> Any:

@@ -13,35 +13,19 @@ class Progress:
     """Hears what a call is doing; a subclass says what becomes of it, this one makes warnings of the notes."""
 
     def begin(self, folder: Path) -> None:
-        """Hear of the folder that everything goes into, before the first flight.
-
-        Parameters
-        ----------
-        folder : Path
-            The folder.
-        """
+        """Hear of the folder that everything goes into, before the first flight."""
 
     def note(self, text: str) -> None:
-        """Hear of something that is taken otherwise than one may think.
+        """Hear, in one line, of something that is taken otherwise than one may think.
 
-        Parameters
-        ----------
-        text : str
-            One line; it becomes a warning, ``cosim.base.errors.Notice``.
+        It becomes a warning, ``cosim.base.errors.Notice``.
         """
         notify(text)
 
     def update(self, part: str, done: int, of: int) -> None:
-        """Hear how far the call is.
+        """Hear how far the call is: ``done`` parts ``of`` all, 0 where that is not known.
 
-        Parameters
-        ----------
-        part : str
-            What is being done, or what became of the flights so far.
-        done : int
-            Parts that are done.
-        of : int
-            All parts; 0 where that is not known.
+        ``part``: what is being done, or what became of the flights so far.
         """
 
 
@@ -78,13 +62,7 @@ class Result:
     short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as a table of numbers, texts and lists, which the command prints as JSON.
-
-        Returns
-        -------
-        dict
-            Numbers, texts, lists and tables, in SI units.
-        """
+        """Return it as a table of numbers, texts and lists, SI, which the command prints as JSON."""
         raise NotImplementedError
 
     @property
@@ -98,23 +76,11 @@ class Result:
         return self.files.get("report")
 
     def lines(self) -> list[str]:
-        """Return what it came to in sentences, the most important first.
-
-        Returns
-        -------
-        list of str
-            A line each.
-        """
+        """Return what it came to in sentences, the most important first, a line each."""
         raise NotImplementedError
 
     def tables(self) -> list[Table]:
-        """Return what it came to in tables.
-
-        Returns
-        -------
-        list of Table
-            Each with title, columns and rows, all of them texts.
-        """
+        """Return what it came to in tables, whose cells are texts."""
         return []
 
     @property

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Literal
 
+from pydantic import BaseModel
+
 from cosim.base.errors import InputError
+from cosim.spec.meanings import meaning_of
 from cosim.spec.vehicle import is_aircraft_path, is_file
 
 Value = float | int | str | bool
@@ -38,6 +41,13 @@ class Key:
     open_high: bool = False
     choices: tuple[Value, ...] = ()
     grid: float | None = None  # s, control step; allows its multiples
+    text: str = ""  # what it means, where no field says it
+    field: tuple[type[BaseModel], str] | None = None  # whose value it is
+
+    @property
+    def meaning(self) -> str:
+        """What it is, in a clause."""
+        return self.text or (meaning_of(*self.field) if self.field is not None else "")
 
     @property
     def allowed(self) -> str:

@@ -33,7 +33,7 @@ from cosim.engine.source import EngineSource, find_source, resolve_parameters
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import Scenario, parameter_files
+from cosim.spec.scenario import MODELS_STAY, NOT_TOLD, Scenario, describe_meant, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
@@ -82,7 +82,8 @@ def find_key(scenario: Scenario, text: str) -> Key:
         raise InputError(f"{name}: is not a number or a choice that could be varied")
     if head in LISTS and head not in [path.split(".")[0] for path in keys]:
         raise InputError(f"{name}: scenario {scenario.name} has no [[{head}]]")
-    raise InputError(f"unknown key {name!r}; {_nearest(name, keys)}")
+    meant = describe_meant(name) if head == "engine" or "delay" in head else None
+    raise InputError(f"unknown key {name!r}; {meant or _nearest(name, keys)}")
 
 
 def all_keys(scenario: Scenario) -> list[Key]:
@@ -92,7 +93,9 @@ def all_keys(scenario: Scenario) -> list[Key]:
     """
     vehicle, _ = scenario.resolved_vehicle()
     of_scenario = [
-        key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)
+        key if key.field else replace(key, field=(Scenario, name))
+        for name, field in Scenario.model_fields.items()
+        for key in _scenario_keys(scenario, name, field)
     ]
     source = find_source(scenario.engine, scenario.folder)
     return [
@@ -113,14 +116,15 @@ def flown_engine_keys(scenario: Scenario, source: EngineSource, jets: int) -> It
 
 
 def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
-    """Return the keys whose path contains ``pattern``; with ``*`` or ``?`` those that it matches as a whole.
+    """Return the keys whose path or meaning has ``pattern``; with ``*`` or ``?`` those that it matches as a whole.
 
     Raises InputError if there is none.
     """
-    listed = list(keys)
-    selected = [
-        key for key in listed if (fnmatchcase(key.path, pattern) if set(pattern) & set("*?") else pattern in key.path)
-    ]
+    listed, word = list(keys), pattern.lower()
+    if set(pattern) & set("*?"):
+        selected = [key for key in listed if fnmatchcase(key.path, pattern)]
+    else:
+        selected = [key for key in listed if word in f"{key.path} {key.meaning}".lower()]
     if not selected:
         raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in listed])}")
     return selected
@@ -190,9 +194,9 @@ def custom_keys(scenario: Scenario) -> list[Key]:
         if is_code_forbidden():
             return []
         raise
-    values = scenario.controller_parameters
+    stated = scenario.controller_parameters
     return [
-        Key(f"{CUSTOM_PARAMETERS}{p.name}", "float", values.get(p.name, p.default), p.unit, p.least, p.most)
+        Key(f"{CUSTOM_PARAMETERS}{p.name}", "float", stated.get(p.name, p.default), p.unit, *p[-2:], text=p.meaning)
         for p in (() if source is None else source.parameters)
     ]
 
@@ -257,7 +261,6 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
 
 
 def _names(name: str) -> list[str]:
-
     if name == "controller":
         return [*PREDICTORS, *(name for name, _ in custom_controllers())]
     return aircraft_names() if name == "aircraft" else list_engine_names()
@@ -284,13 +287,15 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
         for parameter in spec.parameters:
             if parameter.name not in PredictorTuning.model_fields:
                 path = f"{CUSTOM_TUNING}{name}.{parameter.name}"
-                yield Key(path, "float", values[parameter.name], parameter.unit, parameter.least, parameter.most)
+                at, unit, text = values[parameter.name], parameter.unit, parameter.text
+                yield Key(path, "float", at, unit, parameter.least, parameter.most, text=text)
 
 
 def _table_keys(path: str, value: BaseModel) -> Iterator[Key]:
     """Yield the keys of a table."""
     for name, field in type(value).model_fields.items():
-        yield from _value_keys(f"{path}.{name}", _restore_bounds(field), getattr(value, name))
+        for key in _value_keys(f"{path}.{name}", _restore_bounds(field), getattr(value, name)):
+            yield key if key.field else replace(key, field=(type(value), name))
 
 
 def _restore_bounds(field: FieldInfo) -> Any:
@@ -377,6 +382,7 @@ def _is_union(annotation: Any) -> bool:
 def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
     nominals = {**resolve_parameters(source, {})[0], **values}
+    known = NOT_TOLD if path.startswith("mismatch.") else MODELS_STAY
     for variable in source.archive.parameters:
         if variable.name not in nominals:
             continue
@@ -390,6 +396,7 @@ def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) ->
             _declared(variable.name, variable.unit),
             -inf if low is None else low,
             inf if high is None else high,
+            text="; ".join(filter(None, (variable.description, known))),
         )
 
 
@@ -399,13 +406,12 @@ def _declared(name: str, unit: str | None) -> str:
 
 def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) -> Iterator[Key]:
     """Yield the keys of the engine at each station: which it is, and its parameters."""
-
     names = tuple(list_engine_names())
     for number in range(1, jets + 1):
         station = scenario.stations.get(str(number))
         engine = station.engine if station else None
         values = station.parameters if station else {}
-        yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)
+        yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names, text="of one jet")
         common = scenario.engine_parameters if engine is None else {}
         source = find_source(engine or common_source, scenario.folder)
         known = {**common, **values}
@@ -415,32 +421,22 @@ def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) ->
         yield from _parameters(f"{FLOWN_STATIONS}{number}", source, flown)
 
 
-def _nearest(name: str, keys: Iterable[str]) -> str:
-    """Return the keys that may be meant: those that end alike, or have its words in their parts."""
-    # Among keys that differ in their indices alone, the first is used.
+def _nearest(name: str, keys: Iterable[str], least: float = 0.6, span: float = 0.15) -> str:
+    """Return the keys that may be meant, up to four: at least ``least`` like it, and within ``span`` of the best."""
+    # Of keys that differ in their indices alone the first is meant.
     by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
-    scored = sorted((-_similarity(name, path), len(path), path) for path in by_name.values())
-    threshold = max(0.6, -scored[0][0] - 0.15)
-    close = [path for score, _, path in scored[:4] if -score >= threshold]
+    scored = sorted((-_likeness(name, path), len(path), path) for path in by_name.values())
+    close = [path for score, _, path in scored[:4] if -score >= max(least, -scored[0][0] - span)]
     if close:
         return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
     return "hexjet sweep SCENARIO --keys lists all of them"
 
 
-def _similarity(name: str, path: str) -> float:
-    """Return the similarity, 0 to 1, of ``name`` and the path or its last parts, list indices not counted."""
-    if not name:
-        return 0.0
-    parts = [part for part in path.split(".") if not part.isdigit()]
-    typed = [part for part in name.split(".") if not part.isdigit()] or [name]
+def _likeness(name: str, path: str) -> float:
+    """Return how like a name is to a path or its last parts, 0 to 1; indices of lists do not count."""
+    typed, parts = ([each for each in text.split(".") if not each.isdigit()] for text in (name, path))
     tail = parts[-len(typed) :]
-    if all(want in part for want, part in zip(typed, tail, strict=False)) and len(tail) == len(typed):
-        fraction = sum(map(len, typed)) / sum(map(len, tail))
-        return 0.9 + 0.1 * fraction
-    plain = ".".join(typed)
-    like = max(_ratio(plain, ".".join(candidate)) for candidate in (tail, parts))
-    return like if len(typed) > 1 else max(like, *(0.95 * _ratio(plain, part) for part in parts))
-
-
-def _ratio(left: str, right: str) -> float:
-    return difflib.SequenceMatcher(None, left, right).ratio()
+    if name and len(tail) == len(typed) and all(want in part for want, part in zip(typed, tail, strict=True)):
+        return 0.9 + 0.1 * len("".join(typed)) / len("".join(tail))
+    texts = [".".join(tail), ".".join(parts), *(parts if len(typed) == 1 else ())]
+    return max(difflib.SequenceMatcher(None, ".".join(typed), text).ratio() for text in texts)

@@ -23,13 +23,7 @@ def check(engine: str, **choices: Any) -> Result:
 
 
 class ControllerCheckResult(Result):
-    """What the FMU of a controller is told and answers, and whether a second of hover is twice the same.
-
-    Attributes
-    ----------
-    found : dict
-        Everything.
-    """
+    """What the FMU of a controller is told and answers, and whether a second of hover is twice the same."""
 
     def __init__(self, path: Path) -> None:
         fmu = read_controller_fmu(path)

@@ -30,7 +30,7 @@ class Mismatch(Model):
     thrust_factor_4: Factor = 1.0
     thrust_factor_5: Factor = 1.0
     thrust_factor_6: Factor = 1.0
-    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # added to each engine, control steps
+    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # of every engine; no controller knows it
     # Parameters of every engine that is the scenario's, by the FMU's names.
     engine_parameters: Annotated[dict[str, float], Field(exclude_if=not_)] = {}
     # Parameters of one station's engine, which override those of all.

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from operator import not_
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, Unpack
+from typing import Annotated, Any, Final, Literal, Self, Unpack
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
@@ -13,6 +13,7 @@ from cosim.base.storage.settings import as_settings
 from cosim.base.storage.toml import Duration, Model, merge, nest, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import trust_named_code
 from cosim.spec.file_kind import SCENARIO, check_kind
+from cosim.spec.meanings import meaning_of
 from cosim.spec.scenario.changes import Changes
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
@@ -32,6 +33,10 @@ from cosim.spec.scenario.sections import (
 from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
+
+# What is known of a parameter of the engines that is set beside their models, and of one that is a mismatch.
+MODELS_STAY: Final = "the predictor's model stays"
+NOT_TOLD: Final = "no controller knows it"
 
 
 class Scenario(Model):
@@ -56,7 +61,7 @@ class Scenario(Model):
     substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
-    added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
+    added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the roll output; the predictor knows
     initial: Initial = Field(default_factory=Initial)
     environment: Environment = Field(default_factory=Environment)
     mismatch: Mismatch = Field(default_factory=Mismatch)
@@ -195,13 +200,7 @@ class Scenario(Model):
         return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
     def after_the_end(self) -> list[str]:
-        """Return the entries that begin only at or after the end of the flight and so have no effect on it.
-
-        Returns
-        -------
-        list[str]
-            A line each: which entry, when it begins, when the flight ends.
-        """
+        """Return a line on each entry that begins only at or after the end of the flight: it has no effect."""
         return [
             f"{kind}.{number} begins at {entry.start_s:g} s and the flight ends at {self.duration_s:g} s"
             for kind, entries in (("command", self.command), ("disturbance", self.disturbance), ("fault", self.fault))
@@ -343,9 +342,10 @@ class Scenario(Model):
         error = data.get("substeps")
         if isinstance(error, str):
             data = data | {"substeps": runs_for(error, str(data.get("aircraft", "hexjet")), where)}
-        for key in data.keys() - cls.model_fields.keys():
-            if (meant := likely_key(key)) is not None and meant != key:
-                raise InputError(f"{where}: unknown key {key!r}; did you mean {meant!r}?")
+        of_engine = [f"engine.{key}" for key in data["engine"]] if isinstance(data.get("engine"), Mapping) else []
+        for key in (*of_engine, *(data.keys() - cls.model_fields.keys())):
+            if (meant := describe_meant(key)) is not None:
+                raise InputError(f"{where}: unknown key {key!r}; {meant}")
         scenario = validate(cls, data, where)
         scenario._folder = folder
         scenario._origin = origin
@@ -452,6 +452,19 @@ class Scenario(Model):
         copy = self.model_copy()
         copy._folder = folder.absolute()
         return copy
+
+
+def describe_meant(name: str) -> str | None:
+    """Return which keys a name may mean that is none, with who knows of a delay or ``engine.NAME``; None for none."""
+    _, _, parameter = name.partition(".")
+    if not name.startswith("engine.") and (parameter or "delay" not in name):
+        return None if (key := likely_key(name)) is None else f"did you mean {key!r}?"
+    delays = {"added_delay_samples": Scenario, "mismatch.delay_samples": Mismatch} if "delay" in name else {}
+    parameter = "delay_samples" if delays else parameter
+    shown = [f"{key} ({meaning_of(model, key.rpartition('.')[2])})" for key, model in delays.items()]
+    shown += [f"engine_parameters.{parameter} ({MODELS_STAY})"]
+    shown += [] if delays else [f"mismatch.engine_parameters.{parameter} ({NOT_TOLD})"]
+    return f"did you mean {', '.join(shown[:-1])} or {shown[-1]}?"
 
 
 def likely_key(name: str) -> str | None:

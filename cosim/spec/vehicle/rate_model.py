@@ -28,7 +28,7 @@ class RateModel(Model):
     # Real and imaginary part of each pair.
     zero_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
     pole_pairs: list[tuple[float, Positive]] = Field(default_factory=list, exclude_if=not_)
-    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # may be fractional
+    delay_samples: Annotated[float, Field(ge=0.0, le=1000.0)]  # predictors believe it; may be fractional
     sample_time_s: Annotated[float, Field(ge=1e-6, le=1000.0)]  # bounds keep poles in 1/s finite
     source: str
     # EngineSpec.fingerprint of an engine file; "" in older models.

@@ -42,7 +42,7 @@ def parsed(words: list[str]) -> dict[str, Any]:
 def test_there_is_something_to_read() -> None:
     assert len(COMMANDS) > 12
     assert len(PYTHON) > 3
-    assert {words[0] for words in COMMANDS} == {"list", "sweep", "fly", "report", "search", "rare"}
+    assert {words[0] for words in COMMANDS} == {"show", "sweep", "fly", "search"}
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
@@ -53,7 +53,7 @@ def test_a_command_is_one(words: list[str]) -> None:
     flown = words[0] == "sweep" and "--keys" not in words
     if flown and not name.startswith("runs/") and not {"mine.toml", "fitted/engine.toml"} & set(words):
         open_study(name, **{option: options[option] for option in OF_A_SWEEP if options.get(option)})
-    if words[0] == "search":
+    if words[0] == "search" and "--rare" not in words:
         asked = {option: value for option, value in options.items() if option not in ("name", "worst", "likely")}
         if options.get("worst") or options.get("likely"):
             designed = find_design(ROOT / name)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_tools import Hexjet
 
 from cosim import fly
 from cosim.base.errors import InputError
@@ -27,6 +29,7 @@ def test_what_is_there_can_be_written_over_itself(name: str) -> None:
     keys = all_keys(scenario)
     stated = {key.path: key.fit(key.nominal) for key in keys if key.nominal is not None}
     assert len(keys) == len({key.path for key in keys})
+    assert [key.path for key in keys if not key.meaning] == []
     assert stated == {key.path: key.nominal for key in keys if key.nominal is not None}
     assert all_keys(with_values(scenario, stated)) == keys
 
@@ -132,7 +135,7 @@ def test_values_out_of_range(key: str, value: Any, words: str) -> None:
         ("gyro.noise", "did you mean vehicle.sensors.gyro.noise_rad_s?"),
         ("vehicle.mass", "did you mean vehicle.mass_kg?"),
         ("mass_kg", "vehicle.mass_kg"),
-        ("delay_samples", "engine_parameters.delay_samples, "),
+        ("engine.gain", "engine_parameters.gain (the predictor's model stays) or mismatch.engine_parameters.gain (no "),
         ("engine_parameters.delai_samples", "did you mean engine_parameters.delay_samples"),
         ("vehicle.control.rate.rol.p", "did you mean vehicle.control.rate.roll.p"),
         ("wind", "did you mean environment.wind_ned_m_s.0"),
@@ -210,6 +213,28 @@ def test_names_with_dots_of_their_own() -> None:
     key = find_key(scenario, "vehicle.identified.mine.fmu.roll.delay_samples")
     written = with_values(scenario, {key.path: 12.5})
     assert find_key(written, key.path).nominal == 12.5
+
+
+@pytest.mark.parametrize("name", ["delay_s", "delay_samples", "engine.delay", "engine.delay_samples"])
+def test_a_delay_is_answered_with_its_keys_and_who_knows_of_them(name: str) -> None:
+    for refused in (lambda: find_key(Scenario.load("hover"), name), lambda: Scenario.load("hover", [f"{name}=4"])):
+        with pytest.raises(InputError) as error:
+            refused()
+        assert str(error.value).endswith(
+            f"unknown key {name!r}; did you mean added_delay_samples (on the roll output; the predictor knows), "
+            "mismatch.delay_samples (of every engine; no controller knows it) or engine_parameters.delay_samples (the "
+            "predictor's model stays)?"
+        )
+
+
+def test_the_command_lists_keys_with_their_meaning_without_a_scenario(hexjet: Hexjet) -> None:
+    listed = {key["key"]: key for key in json.loads(hexjet("sweep", "--keys", "delay", "--json").out)["keys"]}
+    assert listed["mismatch.delay_samples"]["meaning"] == "of every engine; no controller knows it"
+    assert listed["engine_parameters.delay_samples"]["meaning"].endswith("; the predictor's model stays")
+    shown = " ".join(hexjet("sweep", "--keys", "White Noise").out.split())
+    assert "in scenario roll-doublet" in shown
+    assert "vehicle.sensors.gyro.noise_rad_s" in shown
+    assert "name a scenario" in hexjet("sweep").err
 
 
 def test_list_for_people() -> None:

@@ -49,6 +49,9 @@ greet = Command("added", "added_commands:say_hello", "", data=None, runs_code=Fa
 '''
 
 
+SET = "--set KEY=VALUE sets keys of the scenario: did you mean"
+
+
 def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
     assert len(table.LINES) == sum(map(len, table.GROUPS.values()))
     assert set(table.LINES) == {name.partition(" ")[0] for name in ALL} - table.HIDDEN
@@ -103,14 +106,9 @@ def test_every_option_has_a_text_and_the_name_that_python_has(name: str) -> None
         (["search", "hover", "--rare", "--worst"], "--worst: goes without --rare"),
         (["faults", "--autopilot", "--controller", "a", "--controller", "b"], "controllers: a, b; allowed: one"),
         (["--hlp"], "No such option '--hlp'"),
-        (
-            ["fly", "hover", "--duration", "5"],
-            "No such option '--duration'; it is a key of the scenario: --set duration_s=...",
-        ),
-        (
-            ["fly", "hover", "--mass", "5"],
-            "No such option '--mass'; it is a key of the scenario: --set vehicle.mass_kg",
-        ),
+        (["fly", "hover", "--duration", "5"], f"No such option '--duration'; {SET} 'duration_s'?"),
+        (["fly", "hover", "--mass", "5"], f"No such option '--mass'; {SET} 'vehicle.mass_kg'?"),
+        (["fly", "hover", "--delay", "5"], f"No such option '--delay'; {SET} added_delay_samples (on the roll"),
         (["show", "hover", "--kind", "engine"], "--kind: 'engine': did you mean 'engines'? allowed: aircraft, "),
         (["show", "engine"], "nothing is called 'engine'; did you mean 'engines'"),
         (["show", "--page"], "page: goes with the folder of a run or a campaign"),
