@@ -128,7 +128,7 @@ class _Room(ModuleType):
 
 
 class _Package(ModuleType):
-    """The package: the import of one of its parts binds that part's name here, whatever else was called so."""
+    """Module type of the package: importing a submodule must not replace a function of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _ROOMS and isinstance(value, ModuleType):

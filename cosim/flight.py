@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
-    """Return what of a design's file and of a scenario's times is not as it may seem, beside the summary's notes."""
+    """Return warnings on a design's file and a scenario's times, besides those of the summary."""
     from cosim.spec.controller_name import is_design
 
     lines = [f"scenario {scenario.name}: {text}" for text in scenario.after_the_end()]
@@ -37,7 +37,7 @@ def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
 
 
 def check_arguments(scenario: object, out: object, realtime_factor: object) -> None:
-    """Raise InputError where an argument of ``cosim.fly`` is of no type that it takes."""
+    """Raise InputError for arguments of ``cosim.fly`` of a wrong type."""
     from cosim.spec.scenario import Scenario
 
     for name, value, allowed in (
@@ -66,7 +66,7 @@ def fly_watched(
     watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
     sink: KeepingSink | None = None,
 ) -> Run:
-    """Fly a scenario as ``cosim.fly`` does, for what watches the simulation or keeps its own part of the log.
+    """Fly a scenario like ``cosim.fly``, with observers of the simulation or a log of its own.
 
     ``watch`` makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
     planned duration [s].  ``sink`` keeps of the log what it wants to, at least the columns of
@@ -123,7 +123,7 @@ def fly_watched(
 
 
 def _replay(simulation: Simulation) -> Replay:
-    """Put an autopilot in place of the commands, with the requests of the scenario's file to it.  Raises InputError."""
+    """Replace the commands by an autopilot that repeats the recorded requests.  Raises InputError."""
     from cosim.results.autopilot.request_log import Replay, read_requests
     from cosim.simulation.autopilot_setup import attach_autopilot
 
@@ -134,7 +134,7 @@ def _replay(simulation: Simulation) -> Replay:
 
 
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
-    """Return a scenario with the controller to fly, and that controller where a program handed it over.
+    """Return a scenario with its controller's name, and the controller if a program passed an object.
 
     The parameters are those of ``cosim.fly``.  Raises InputError.
     """
@@ -156,7 +156,7 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
 
 
 def with_page(run: Run, shared_assets: bool = False) -> Run:
-    """Write the page of a run beside its log where it has a folder; return the run.  Raises FlightError."""
+    """Write a run's page beside its log if it has a folder; return the run.  Raises FlightError."""
     if run.folder is not None:
         from cosim.results.report.flight import write_report
         from cosim.results.run import REPORT
@@ -172,7 +172,7 @@ def record(
     background: bool = False,
     sink: KeepingSink | None = None,
 ) -> Recording:
-    """Begin the recording of a flight, in ``folder`` or in memory; ``contents`` are those of files of the scenario.
+    """Begin recording a flight in ``folder`` or in memory; ``contents``: files of the scenario.
 
     ``sink`` may keep less in memory than all.  ``background``: a thread writes the rows.  Raises InputError if the
     folder is not usable.

@@ -30,7 +30,7 @@ from cosim.spec.scenario import Scenario
 
 
 class Given(NamedTuple):
-    """What a program gave from a step on, until the next."""
+    """Values given by a program from a step on."""
 
     k: int
     command: Command | None  # None: as in the scenario
@@ -40,7 +40,7 @@ class Given(NamedTuple):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One step of a flight, to return to: a value that can be pickled, and restored in another process too.
+    """Step of a flight to return to; it can be pickled and restored in another process.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class _ManualController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what a program set."""
+        """Clear the values set by a program."""
         self.throttle: PerJet | None = None
         self.tilt: PerServo | None = None
 
@@ -143,32 +143,32 @@ class Stepper:
 
     @property
     def scenario(self) -> Scenario:
-        """What flies, with the seed of the last reset."""
+        """Scenario with the seed of the last reset."""
         return self._scenario
 
     @property
     def k(self) -> int:
-        """The step that comes next."""
+        """Number of the next step."""
         return self.simulation.k
 
     @property
     def time(self) -> float:
-        """The time at which it begins [s]."""
+        """Time at the start of the next step [s]."""
         return self.simulation.k * self.simulation.dt
 
     @property
     def state(self) -> State:
-        """The true motion there."""
+        """True motion at that time."""
         return self.simulation.state
 
     @property
     def measured(self) -> Measured:
-        """What the sensors say there."""
+        """Measurement at that time."""
         return self.simulation.measured
 
     @property
     def command(self) -> Command:
-        """What the scenario asks for in that step; its places and velocities are its pilot's to turn into angles."""
+        """Scenario's command for the next step; places and velocities are left to its pilot."""
         return self.simulation.command_script.at(self.simulation.k)
 
     def step(
@@ -177,7 +177,7 @@ class Stepper:
         throttle: Sequence[float] | None = None,
         tilt: Sequence[float] | None = None,
     ) -> Sample:
-        """Fly one control step, every input held.
+        """Fly one control step with inputs held.
 
         Parameters
         ----------
@@ -314,7 +314,7 @@ class Stepper:
         return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._state_hash())
 
     def restore(self, snapshot: Snapshot) -> Measured:
-        """Fly from the start to the step of a snapshot, with what was given on the way.
+        """Fly from the start to the step of a snapshot, with the same inputs.
 
         Parameters
         ----------
@@ -372,7 +372,7 @@ class Stepper:
         return sha256("\n".join(parts).encode()).hexdigest()
 
     def run(self) -> Run:
-        """Finish the flight here and return it: summary, metrics, log.  It is flown by :func:`cosim.fly` no more.
+        """End the flight here and return it: summary, metrics, log.
 
         Returns
         -------

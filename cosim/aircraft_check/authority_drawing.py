@@ -26,7 +26,7 @@ STYLE = (  # CSS of the drawing
 
 
 def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
-    """Draw the attainable moments with all engines filled, and without each one as a line in roll and pitch.
+    """Draw the moments attainable with all engines, and those without each engine as a line in roll and pitch.
 
     A section holds the weight and keeps the third moment at zero.  It is a whole SVG document; ``reach`` is what the
     layout can do, all engines well.

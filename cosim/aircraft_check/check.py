@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Line:
-    """One check and its result."""
+    """Result of one check: name, value and whether it is acceptable."""
 
     name: str
     text: str
@@ -65,7 +65,7 @@ class AircraftCheck:
 
     @property
     def is_exact(self) -> bool:
-        """Whether the attained authority is all that there is, to three digits; else it is a lower bound."""
+        """Whether upper and lower bound of the authority agree to three digits; else it is a lower bound."""
         return all(
             authority.cannot_hover or all(authority.moment_range(axis).is_exact for axis in range(3))
             for authority in self.authority
@@ -115,7 +115,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
             *_models(simulation),
             *(Line("fuel", text) for text in note_missing_fuel_flow(vehicle, simulation.stations)),
         ]
-    lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
+    lines += [_check_lift(authority[0]), *_check_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
     return AircraftCheck(
         vehicle.name,
         vehicle.title,
@@ -128,7 +128,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
 
 
 def _authority_json(authority: Authority) -> dict[str, Any]:
-    """Return the authority for JSON: what is not known, or not there, is null."""
+    """Return the authority for JSON, with null for unknown or missing values."""
     upper_bound = authority.moment_bound
     return {
         "lost": authority.lost,
@@ -161,7 +161,7 @@ def _forces(simulation: Simulation, tolerance: float = 1e-9) -> Line:
 
 
 def _masses(simulation: Simulation) -> Line:
-    """Compare mass, centre of gravity and moments of inertia in JSBSim with those stated."""
+    """Compare mass, centre of gravity and inertia in JSBSim with those of the vehicle."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     frame.reset(simulation.scenario.initial, [ZERO3] * len(vehicle.jets), ZERO3)
     mass, cg, inertia = frame.mass_properties()
@@ -212,7 +212,7 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     return ends[0], ends[1]
 
 
-def _lift(whole: Authority, min_lift: float = 1.15) -> Line:
+def _check_lift(whole: Authority, min_lift: float = 1.15) -> Line:
     text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
         return Line(
@@ -222,7 +222,7 @@ def _lift(whole: Authority, min_lift: float = 1.15) -> Line:
     return Line("hover", text, fault)
 
 
-def _axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
+def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
     lines = []
     for number, axis in enumerate(AXES):
         moment = authority[0].moment_range(number)
@@ -283,7 +283,7 @@ def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line
 
 
 def _flight(scenario: Scenario) -> Line:
-    """Fly a calm hover with the vehicle's own gains and sensor noise, and return its line."""
+    """Fly a calm hover with the vehicle's own gains and sensor noise, and return the result."""
     run = fly(scenario)
     if run.outcome != "completed":
         return Line("a calm hover", f"{run.outcome}: {run.reason}", "does not hover with its own gains")

@@ -133,7 +133,7 @@ class MappingResult(Result):
 
     @property
     def open(self) -> Mapping[str, str]:
-        """What is to be stated of other ports, by port."""
+        """Questions about the ports that are not ready, by port."""
         return self.begun.open
 
     @property
@@ -153,7 +153,7 @@ class MappingResult(Result):
         }
 
     def lines(self) -> list[str]:
-        """Return what is found and what is open."""
+        """Return the ports that were found and those to be stated."""
         begun = self.begun
         found = ", ".join(f"{port} = {name}" for port, name in begun.found.items()) or "no port"
         return [f"found: {found}", *(f"open: {port}: {trouble}" for port, trouble in begun.open.items())]
@@ -198,7 +198,7 @@ class AircraftCheckResult(Result):
 
     @property
     def is_fit(self) -> bool:
-        """Whether nothing is as it must not be."""
+        """Whether no check failed."""
         return self.check.is_fit
 
     def to_dict(self) -> dict[str, Any]:
@@ -213,7 +213,7 @@ class AircraftCheckResult(Result):
         return [f"{check.aircraft} ({check.title}) with {check.engine}: {verdict}", *faults]
 
     def tables(self) -> list[Table]:
-        """Return what was checked, and the moments with each engine lost."""
+        """Return the checks, and the moments with each engine out."""
         rows = []
         for row in self.check.authority:
             moments = [row.moment_range(axis).describe() for axis in range(3)]

@@ -77,7 +77,7 @@ class CompareResult(Result):
         return _to_dict(self.flights, self.compared, self.report)
 
     def lines(self) -> list[str]:
-        """Return what each flight is, how far the others are from the first, and which inputs are not the same."""
+        """Return each flight, its distance from the first, and the inputs that differ."""
         from cosim.results.report.comparison import describe_pair, inputs_between
 
         lines = [f"{flight.label[0]} {flight.source}: {describe(flight)}" for flight in self.flights]
@@ -112,7 +112,7 @@ class CompareResult(Result):
         return tables
 
     def _select(self, pair: LogComparison) -> list[Signal]:
-        """Return the signals of a pair's table: those of the patterns, or where it flew and the first to differ."""
+        """Return the signals for a pair's table: those of the patterns, or position and the first to differ."""
         from cosim.results.report.comparison import by_time
 
         if self._patterns:
@@ -178,7 +178,7 @@ def compare(
     out = out if page else None
     if out is not None and page_path(Path(out)).exists():
         raise InputError(f"{page_path(Path(out))}: is there already; choose another name or remove it")
-    loaded = [_load_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]
+    loaded = [_load_labelled_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]
     loaded = _shift_times(loaded, shift or {})
     result = CompareResult(loaded, compare_with_first(loaded), signal)
     for pattern in signal:
@@ -188,7 +188,7 @@ def compare(
 
 
 def page_path(out: Path) -> Path:
-    """Return the page's path where ``out`` is it or its folder."""
+    """Return the page's path, given the page or its folder."""
     return out if out.suffix.lower() == ".html" and not out.is_dir() else out / PAGE
 
 
@@ -201,7 +201,7 @@ def write_page(names: Sequence[str], folder: Path) -> Path:
 
 
 def expand_campaigns(names: Sequence[str | Path | Run], flights: Sequence[int]) -> list[str | Path | Run]:
-    """Return the flights that are meant; a campaign's folder stands for the ``flights`` of it."""
+    """Return the flights to compare; a campaign's folder is replaced by its ``flights``."""
     from cosim.campaign.folder import is_campaign
 
     requested: list[str | Path | Run] = []
@@ -218,7 +218,7 @@ def expand_campaigns(names: Sequence[str | Path | Run], flights: Sequence[int]) 
     return requested
 
 
-def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], None]) -> ComparedFlight:
+def _load_labelled_flight(letter: str, flight: str | Path | Run, note: Callable[[str], None]) -> ComparedFlight:
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly_watched as fly
@@ -256,7 +256,7 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
 
 
 def _shift_times(flights: Sequence[ComparedFlight], shifts: Mapping[str, float]) -> list[ComparedFlight]:
-    """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
+    """Shift the times of these flights.  Raises InputError for an unknown letter or an invalid number."""
     from cosim.results.comparison import shift_times
 
     moved = list(flights)
@@ -294,7 +294,7 @@ def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison
 
 
 def describe(flight: ComparedFlight) -> str:
-    """Return what a flight is: what flew, how it ended, and what is to be said of its log."""
+    """Return a sentence on a flight: what flew, how it ended, and remarks on its log."""
     if flight.run is None:
         text = "a log"
     else:

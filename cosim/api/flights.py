@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FlightResult(Result):
-    """What a flight came to.
+    """Result of a flight.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class FlightResult(Result):
         return self.run.to_dict()
 
     def lines(self) -> list[str]:
-        """Return how it ended with the least margin, the commanded axes, what flew, what is not as expected, notes."""
+        """Return the ending with the smallest margin, the commanded axes, what flew, and notes."""
         from cosim.base.outcomes import Verdict
         from cosim.results.report.flight import axis_sentences
         from cosim.results.report.requirements import checked_rows
@@ -93,7 +93,7 @@ class FlightResult(Result):
 
 
 def _other_engines(summary: Summary) -> str:
-    """Return the engines of another kind, and the stations where they are, as text."""
+    """Return the engines that differ from the first, with their stations, as text."""
     at: dict[str, list[str]] = {}
     for number, station in enumerate(summary.stations, 1):
         if station.engine != summary.engine:
@@ -117,7 +117,7 @@ def load(
     unchecked_engine: bool = False,
     progress: Progress | None = None,
 ) -> Scenario:
-    """Return a scenario with what :func:`fly` writes over it.  Raises InputError for a wrong choice."""
+    """Return a scenario with the choices of :func:`fly` applied.  Raises InputError for an invalid one."""
     from cosim.api.call.choices import choose, plugin_changes
     from cosim.base.storage.settings import as_several
 
@@ -249,20 +249,20 @@ def fly(
 
 
 class _FlightProgress:
-    """Tells how far a flight is, twice a second of it."""
+    """Observer that reports the progress of a flight, twice per simulated second."""
 
     def __init__(self, progress: Progress, scenario: Scenario) -> None:
         self._progress, self._scenario = progress, scenario
         self._every = max(1, round(0.5 / scenario.step_s))
 
     def observe(self, sample: Sample) -> None:
-        """Tell of the step."""
+        """Report the step, if it is due."""
         if sample.k % self._every == 0:
             self._progress.update(self._scenario.name, sample.k, self._scenario.steps)
 
 
 def _watch_by_links(links: Sequence[str], stack: ExitStack) -> Any:
-    """Return what lets ground stations watch a flight, whose links are open as long as the ``stack``."""
+    """Return the observer that publishes a flight to ground stations, with links open until ``stack`` closes."""
     from cosim.groundstation.links import Links
 
     return stack.enter_context(Links(tuple(links))).make_read_only_observer()
@@ -270,7 +270,7 @@ def _watch_by_links(links: Sequence[str], stack: ExitStack) -> Any:
 
 @contextmanager
 def _flightgear(port: str, scenario: Scenario) -> Iterator[Observer]:
-    """Yield FlightGear as an observer; a tool has it by an entry point."""
+    """Yield an observer for FlightGear, which a tool provides by an entry point."""
     from cosim.base.plugins.entry_points import load_hook
 
     if (viewer_of := load_hook("flightgear")) is None:

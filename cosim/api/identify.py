@@ -19,7 +19,7 @@ Subject = Literal["roll", "pitch", "yaw", "engine"]
 
 
 class IdentifyResult(FolderResult):
-    """A response, and the models fitted to it.
+    """Measured response and the models fitted to it.
 
     ``identification`` has everything; ``write`` leaves ``identification.json``, ``response.csv``, ``report.html`` and,
     of an axis, ``model.toml``.
@@ -49,7 +49,7 @@ class IdentifyResult(FolderResult):
         return self.identification.to_dict()
 
     def lines(self) -> list[str]:
-        """Return what was swept, the model or why there is none, and how the delay ledger compares."""
+        """Return the sweep, the model or why there is none, and the comparison with the delay ledger."""
         from cosim.identify.sweep.result import equations
 
         found = self.identification

@@ -14,7 +14,7 @@ KINDS = get_args(Kind)  # what hexjet show can list
 
 
 class CatalogueResult(Result):
-    """What can be flown: ``catalogues`` has for each kind a list of entries with ``name`` and ``title``."""
+    """List of what can be flown: ``catalogues`` has for each kind a list of entries with ``name`` and ``title``."""
 
     def __init__(self, kinds: Iterable[str]) -> None:
         self.catalogues = {kind: catalogue(kind) for kind in kinds}

@@ -28,7 +28,7 @@ _TEXTS = ("name", "title", "description")  # keys left out of lists of values
 
 
 class Number(NamedTuple):
-    """One number, or one word, of something that can be flown."""
+    """One number or word of a file, with its meaning."""
 
     name: str
     value: Any
@@ -37,7 +37,7 @@ class Number(NamedTuple):
 
 
 class ShowResult(Result):
-    """What something is that can be flown, or what became of a flight.
+    """Description of a file, or the result of a run.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class ShowResult(Result):
         return self.to_list()[0]
 
     def lines(self) -> list[str]:
-        """Return name, kind and title of each, and what it is; of a run what its flight came to."""
+        """Return name, kind, title and description of each entry; of a run its result."""
         if (flight := self._flight()) is not None:
             return flight.lines()
         return [
@@ -132,10 +132,10 @@ def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
 
 
 def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what is called so in ``hexjet show``, an entry for each kind.  Raises InputError if nothing is."""
+    """Return the entries of this name, one for each kind.  Raises InputError if there are none."""
     catalogues = {kind: catalogue(kind) for kind in kinds}
     shown = [
-        {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
+        {"kind": kind, **entry, "description": _entry_title(kind, name), "numbers": list(_numbers(kind, name))}
         for kind, entries in catalogues.items()
         for entry in entries
         if entry["name"] == name
@@ -151,7 +151,7 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def _run(name: str) -> dict[str, Any] | None:
-    """Return what became of the flight in a run's folder, None for any other name.  Raises InputError."""
+    """Return the result of the run in this folder, or None if it is no run.  Raises InputError."""
     from cosim.results.report.requirements import checked_rows
     from cosim.results.run import SUMMARY, open_run
 
@@ -176,7 +176,7 @@ def _run(name: str) -> dict[str, Any] | None:
 
 
 def _own_file(name: str) -> dict[str, Any] | None:
-    """Return what the file of a scenario or a study, or the folder of an aircraft is; None for any other name.
+    """Return the description of a scenario's, study's or aircraft's file; None for other names.
 
     Raises InputError.
     """
@@ -199,7 +199,7 @@ def _own_file(name: str) -> dict[str, Any] | None:
 
 
 def _design(name: str) -> dict[str, Any] | None:
-    """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
+    """Return the description of a controller file, or None for other names.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
     from cosim.simulation.controllers.controller_file import AxisRecord, describe_proof, read_purpose
     from cosim.spec.meanings import meaning_of
@@ -224,7 +224,7 @@ def _design(name: str) -> dict[str, Any] | None:
 
 
 def _engine_file(name: str) -> dict[str, Any] | None:
-    """Return what the mapping file of an engine says, None for any other name.  Its FMU is not run.
+    """Return the description of an engine's mapping file, or None.  Its FMU is not run.
 
     Raises InputError.
     """
@@ -263,7 +263,7 @@ def _table(kind: str, name: str) -> dict[str, Any]:
     return read_toml(data_folder(kind) / inside)
 
 
-def _description(kind: str, name: str) -> str:
+def _entry_title(kind: str, name: str) -> str:
     return " ".join(str(_table(kind, name).get("description", "")).split())
 
 
@@ -338,7 +338,7 @@ def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
 
 
 def _hinges(vehicle: Vehicle) -> Iterator[Number]:
-    """Yield the range of each hinge, and what it moves."""
+    """Yield the range of each hinge and what it moves."""
     for hinge in vehicle.hinges:
         effects = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         effects += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
@@ -352,7 +352,7 @@ def _hinges(vehicle: Vehicle) -> Iterator[Number]:
 
 
 def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
-    """Yield what the engines give that it is made for; ``weight`` in N."""
+    """Yield the thrusts of the aircraft's own engines; ``weight`` in N."""
     assert vehicle.engine is not None
     kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
     full = {kind: _library_engine(kind)[1].curve.thrust[-1] for kind in dict.fromkeys(kinds)}
@@ -431,12 +431,12 @@ def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
             yield from _leaves(value, f"{prefix}{key}.")
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, item in enumerate(value):
-                yield Number(f"{prefix}{key}.{number}", " ".join(_words(item)), "", "")
+                yield Number(f"{prefix}{key}.{number}", " ".join(_text_values(item)), "", "")
         else:
             yield Number(f"{prefix}{key}", value, _unit(key), "")
 
 
-def _words(table: Mapping[str, Any]) -> Iterator[str]:
+def _text_values(table: Mapping[str, Any]) -> Iterator[str]:
     return (f"{leaf.name}={_text(leaf.value)}" for leaf in _leaves(table, ""))
 
 

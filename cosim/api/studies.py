@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class SweepResult(Result):
-    """What a sweep came to: the flights as columns, how often each controller succeeds, and what drives that.
+    """Result of a sweep: flights as columns, success rates, and influences of keys.
 
     Attributes
     ----------
@@ -33,11 +33,11 @@ class SweepResult(Result):
 
     @property
     def columns(self) -> Mapping[str, list[Any]]:
-        """What was drawn and what came of it, a list each with an entry a flight: ``columns["success"]``."""
+        """Drawn values and results by name, one entry per flight: ``columns["success"]``."""
         return self.campaign.columns
 
     def fly_again(self, flight: int, out: Path | str | None = None) -> RepeatedFlight:
-        """Fly one of the flights once more, recorded in full.
+        """Fly one of the flights again with a full log.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ def sweep(
 
 
 def tell_tally(progress: Progress) -> Any:
-    """Return what tells a :class:`Progress` of the flights: what became of them, how many are done, and of how many."""
+    """Return a callback that reports the number of finished flights and their outcomes to a :class:`Progress`."""
 
     def tell(tally: Tally, done: int, of: int) -> None:
         shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))

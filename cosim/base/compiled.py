@@ -92,13 +92,13 @@ def is_current() -> bool:
 
 
 def select_modules() -> None:
-    """Import the compiled modules from here on if they are current, else all of them from source."""
+    """Import the compiled modules from now on if they are current, else all modules from source."""
     if os.environ.get(PURE_VARIABLE) or not is_current():
         sys.meta_path.insert(0, _FromSource())
 
 
 class _FromSource:
-    """Finds the modules' source, where the compiled ones would be found first."""
+    """Import finder that returns the source of a module that was also compiled."""
 
     def __init__(self) -> None:
         self._paths = {f"cosim.{name.removesuffix('.py').replace('/', '.')}": PACKAGE / name for name in MODULES}

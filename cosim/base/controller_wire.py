@@ -51,16 +51,16 @@ def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bo
     if level == "attitude":
         return (*_ANGLES, *_ATTITUDE)
     per_jet = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
-    tilts = [f"{_tilt(name)}_applied" for name in servos]
+    tilts = [f"{_wire_tilt(name)}_applied" for name in servos]
     return (*_CONTROLLER_INPUTS, *per_jet, *tilts, *(_AHEAD_INPUTS if ahead else ()))
 
 
-def _tilt(servo: str) -> str:
+def _wire_tilt(servo: str) -> str:
     return f"tilt_{servo}"
 
 
 def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of the numbers it answers; ``servos``: those that it moves, none where nothing moves."""
+    """Return the names of a controller's outputs; ``servos``: those it moves, empty if there are none."""
     if level == "predictor":
         return ("predicted_rate",)
     if level == "rate":
@@ -68,7 +68,7 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
     if level == "attitude":
         return _RATE_SETPOINTS
     names = [f"throttle_{number}" for number in range(1, jets + 1)]
-    names += [_tilt(name) for name in servos]
+    names += [_wire_tilt(name) for name in servos]
     if "unallocated" in extras:
         names += [f"unallocated_{name}" for name in (*AXES, "collective")]
     if "off" in extras:

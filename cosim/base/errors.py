@@ -31,7 +31,7 @@ class Notice(UserWarning):
 
 
 def notify(text: str, category: type[Warning] = Notice) -> None:
-    """Warn with one line, at the line of the program that called into this package."""
+    """Issue a warning of one line, attributed to the program's line that called this package."""
     package, frame, level = str(Path(__file__).parents[1]), sys._getframe().f_back, 2
     while frame is not None and frame.f_code.co_filename.startswith(package):
         frame, level = frame.f_back, level + 1
@@ -46,7 +46,7 @@ _IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent)) 
 
 
 def describe_error(error: Exception) -> str:
-    """Return an error in one line, with the file and the line that raised it, where the one who caught it did not."""
+    """Describe an error in one line, with the file and line that raised it if the exception has them."""
     import traceback
 
     frames = [
@@ -57,7 +57,7 @@ def describe_error(error: Exception) -> str:
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str:
-    """Return a clause that lists what is allowed, with the likeliest name first when there is a near miss."""
+    """Return a clause with the allowed names, beginning with the nearest one if there is one."""
     import difflib
 
     names = sorted(allowed)

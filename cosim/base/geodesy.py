@@ -51,7 +51,7 @@ class Geodesy:
         up, latitude, longitude = altitude, 0.0, 0.0
         for _ in range(_MAX_ROUNDS):
             # The point at this height on the plane's normal through (north, east).
-            latitude, longitude, reached = _geodetic(*self._point(north, east, up))
+            latitude, longitude, reached = _geodetic(*self._ecef_point(north, east, up))
             up += height - reached
             if abs(height - reached) < 1e-7:
                 break
@@ -64,7 +64,7 @@ class Geodesy:
         outward = self._cl * x + self._sl * y
         return self._c * z - self._s * outward, self._cl * y - self._sl * x, height - self.ground
 
-    def _point(self, north: float, east: float, up: float) -> tuple[float, float, float]:
+    def _ecef_point(self, north: float, east: float, up: float) -> tuple[float, float, float]:
         outward = self._c * up - self._s * north
         x0, y0, z0 = self._origin
         return (

@@ -33,7 +33,7 @@ class Station(NamedTuple):
 
 
 class HingeAxis(NamedTuple):
-    """A hinge: a point of its axis, the axis (unit), the jets that it carries and those that it deflects, from 0."""
+    """A hinge: a point of its axis, the axis (unit vector), and the jets that it carries or deflects, from 0."""
 
     point: Vector3
     axis: Vector3
@@ -43,7 +43,7 @@ class HingeAxis(NamedTuple):
 
 
 class TurnedHinge(NamedTuple):
-    """A hinge of a jet as it stands: its number from 0, its effect on the thrust's angle, whether it carries the jet.
+    """A hinge as one jet sees it: its number from 0, its effect on the thrust's angle, and whether it carries the jet.
 
     ``axis`` (unit, body) is what the thrust turns about, ``station_axis`` through ``point`` [m] what the station does:
     a deflecting hinge between body and hinge turns the thrust alone, and so the first and not the second.
@@ -75,7 +75,7 @@ def rotate_by(axis: Vector3, c: float, s: float, vector: Vector3) -> Vector3:
 
 
 class Layout:
-    """The stations and hinges of one vehicle.
+    """Stations and hinges of one vehicle, with positions and thrust axes at given angles.
 
     Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``.
     ``moves``: some hinge carries a jet, so that stations move.

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 
 class Removal(NamedTuple):
-    """A feature that left: its name in words, the first version without it, and what to use instead."""
+    """A removed feature: its name in words, the first version without it, and its replacement."""
 
     what: str
     since: str
@@ -28,7 +28,7 @@ _COSTS: Final = Removal("the cost of memory and of a campaign", "0.3.0", "benchm
 
 
 def _renamed(now: str) -> Removal:
-    """Return what says where a command is that has another name now."""
+    """Return the removal record of a command that was renamed."""
     return Removal("an old name", "0.3.0", now)
 
 
@@ -76,7 +76,7 @@ REMOVED: Final[Mapping[str, Removal]] = {
 
 
 def describe_removed(name: str) -> str | None:
-    """Return a sentence on what left under a name, or None if nothing did.
+    """Return a sentence on what was removed under a name, or None.
 
     >>> describe_removed("serial:")
     'serial links left in version 0.3.0; use socat, which joins a serial device to a UDP port'

@@ -30,7 +30,7 @@ AXES = ("roll", "pitch", "yaw")
 
 
 class Command(NamedTuple):
-    """What the pilot or the script asks for during one step."""
+    """Command of pilot or script for one step."""
 
     attitude: Vector3  # roll, pitch, yaw [rad], NED to body
     altitude: float  # m above ground; unused with a collective
@@ -41,7 +41,7 @@ class Command(NamedTuple):
 
 
 class Disturbance(NamedTuple):
-    """The disturbances that act on the vehicle during one step."""
+    """Disturbances that act on the vehicle during one step."""
 
     force: Vector3 = ZERO3  # N, body, at the centre of gravity
     moment: Vector3 = ZERO3  # N m, body
@@ -82,7 +82,7 @@ class Measured(NamedTuple):
 
 
 class Unallocated(NamedTuple):
-    """What allocation could not give: requested minus achieved."""
+    """Part of the demand that allocation could not deliver: requested minus achieved."""
 
     roll: float = 0.0
     pitch: float = 0.0
@@ -91,7 +91,7 @@ class Unallocated(NamedTuple):
 
 
 class Actuation(NamedTuple):
-    """What the controller asks of the engines and of the servos."""
+    """Commands of the controller to engines and servos."""
 
     throttle: PerJet  # 0..1, jet 1 first
     tilt: PerServo
@@ -100,7 +100,7 @@ class Actuation(NamedTuple):
 
 
 class ControlSignals(NamedTuple):
-    """What a controller shows of itself for one step."""
+    """Internal signals of a controller for one step, for the log."""
 
     rate_setpoint: Vector3  # rad/s, body
     rate_predicted: Vector3  # rad/s, body, fed back to the rate loop
@@ -118,7 +118,7 @@ class Ambient(NamedTuple):
 
 
 class EngineOutput(NamedTuple):
-    """What the engines deliver and report at the end of one step; NaN where an engine does not say."""
+    """Outputs and reports of the engines at the end of one step; NaN if an engine does not report it."""
 
     thrust: PerJet  # N, along each jet
     spool_speed: PerJet  # rad/s
@@ -130,7 +130,7 @@ class EngineOutput(NamedTuple):
 
 
 class JetHealth(NamedTuple):
-    """What can still be had of one jet; thrusts as a share of the range of a healthy one, full over no throttle."""
+    """Remaining ability of one jet; thrusts relative to the range of a healthy jet, full minus zero throttle."""
 
     gain: float = 1.0  # response to the command; 0: ignores it
     fixed: float = 0.0  # thrust delivered whatever the command
@@ -138,7 +138,7 @@ class JetHealth(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """One row of the log: everything that was on the wires during step ``k``.
+    """One row of the log: all signals of step ``k``.
 
     ``state`` and ``measured`` are taken at ``t_k``, before the step; the rest acts over ``[t_k, t_k+1)``.
     """

@@ -43,7 +43,7 @@ _BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # separates names in KEY=["NAME"]
 
 
 class CodeRefusedError(InputError):
-    """Code was not run: it is not trusted, or a command only displays what names it."""
+    """Code was not run, because it is not trusted or because a command only displays its name."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Code:
 
     @property
     def folder(self) -> Path:
-        """The folder that has to be trusted; of a program ``bin/x`` the one above it, where it has its files."""
+        """The folder to be trusted; for a program ``bin/x`` the folder above, where its files are."""
         folder = (self.top or self.path.resolve().parent).resolve()
         has_files = folder.name == "bin" and any((folder.parent / name).is_dir() for name in ("etc", "lib", "share"))
         return folder.parent if has_files and self.top is None else folder
@@ -69,7 +69,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Decision:
-    """Code that may run in this process besides the remembered folders; workers inherit it."""
+    """Code that may run in this process besides remembered folders; workers inherit it."""
 
     places: frozenset[Path] = frozenset()  # folders trusted with all subfolders
     named: frozenset[Path | str] = frozenset()  # code that the user named explicitly
@@ -85,7 +85,7 @@ _code_forbidden: ContextVar[bool] = ContextVar("code_forbidden", default=False)
 
 
 def need_trust(code: Iterable[Code], what: str) -> None:
-    """Refuse code in a folder that nobody trusts, and remember what is run; on a terminal the user is asked.
+    """Refuse code in a folder that is not trusted, and remember what is run; on a terminal ask the user.
 
     ``what`` wants to run it, in words.  Raises CodeRefusedError: one line with folders and files, and what to do.
     """
@@ -111,7 +111,7 @@ def need_trust(code: Iterable[Code], what: str) -> None:
 
 
 def remember_written(folder: Path, made: Collection[Path] = ()) -> None:
-    """Leave a folder as trusted as it was before this program wrote into it.
+    """Keep a folder's trust unchanged while this program writes into it.
 
     It wrote the code ``made``, and copies of code that is trusted here; a folder with any other code in it is trusted
     only if it was without them.
@@ -125,7 +125,7 @@ def remember_written(folder: Path, made: Collection[Path] = ()) -> None:
 
 
 def trust(*places: Path | str) -> None:
-    """Accept the code in these folders, in this process and, once it was run, from then on.
+    """Trust the code in these folders in this process and, once run, permanently.
 
     What a program names or hands over itself needs no such word; what a file names does, unless it was flown before.
 
@@ -147,7 +147,7 @@ def trust(*places: Path | str) -> None:
 
 
 def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None:
-    """Trust the code that a program names when it changes a scenario by these choices.
+    """Trust the code that a program names in these changes of a scenario.
 
     Files are relative to ``folder``; None is no choice.  Within a command nothing is trusted here: its arguments are.
     """
@@ -157,12 +157,12 @@ def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None
 
 
 def program_code(path: Path, arguments: str) -> Code:
-    """Return a program as code, which is named with its arguments: with others it does something else."""
+    """Return a program as code, identified with its arguments, because others make it do something else."""
     return Code(path, (f"process:{path.resolve()}{arguments}",), arguments)
 
 
 def _names(text: str, folder: Path, is_engine: bool) -> Iterator[Path | str]:
-    """Yield the code that a text names: files of Python and engines by path, programs, and what may be modules.
+    """Yield the code that a text names: Python files, engines by path, programs, and possible modules.
 
     What is data is never taken for code, whatever else names it, but for the mapping file of an engine or a controller.
     """
@@ -201,7 +201,7 @@ def is_code_forbidden() -> bool:
 
 @contextmanager
 def command_trust_scope(ask: Callable[[Sequence[str]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
-    """Trust the code that a command's arguments name; ``ask`` asks the user about other folders."""
+    """Trust the code named by a command's arguments; ``ask`` asks the user about other folders."""
     global _ask, _decision
     before, previous = (_ask, _decision), os.environ.get(ENV_VAR)
     _ask, _decision = ask, Decision(by_program=False)
@@ -216,17 +216,17 @@ def command_trust_scope(ask: Callable[[Sequence[str]], bool] | None, arguments: 
 
 
 def trust_everything() -> None:
-    """Run whatever is named anywhere, and remember it; so do the processes that are started from now on."""
+    """Trust all code, and remember it; processes started from now on do the same."""
     os.environ[ENV_VAR] = "1"
 
 
 def decision() -> Decision:
-    """Return the decision made here, for a process that works for this one."""
+    """Return the decision of this process, to be passed to its workers."""
     return _decision
 
 
 def inherit(decided: Decision) -> None:
-    """Run what the process runs for which this one works, and nothing that is named here."""
+    """Apply the decision of the parent process, and trust nothing that is named here."""
     global _decision
     _decision = replace(decided, by_program=False)
 
@@ -253,7 +253,7 @@ def _is_accepted(code: Code) -> bool:
 
 
 def _entries(folder: Path, *, max_files: int = 50_000, max_mb: float = 256.0) -> set[str] | None:
-    """Return hash and name of each file below a folder that counts; None where there is no leave to read.
+    """Return hash and name of each relevant file below a folder; None if it cannot be read.
 
     None too where there are more files than ``max_files``, of all kinds, or more than ``max_mb`` (of 2**20 bytes) to
     hash: that takes half a second.
@@ -292,7 +292,7 @@ def _digest(entries: Collection[str], arguments: str) -> str:
 
 
 def _hash(code: Code, entries: set[str] | None) -> str | None:
-    """Return the hash of a folder and of how code in it is run; None where it cannot be remembered.
+    """Return the hash of a folder and of how its code is run; None if it cannot be remembered.
 
     The code itself counts whatever its name is, and so do the files beside it that its arguments name.
     """
@@ -305,7 +305,7 @@ def _hash(code: Code, entries: set[str] | None) -> str | None:
 
 
 def _note(folders: dict[str, str]) -> None:
-    """Write hashes with folder and arguments into the user's settings, where he has a place for them."""
+    """Store hashes with folder and arguments in the user's settings, if there are any."""
     _add(hashes=folders)
     known = _read_remembered()
     lines = [f"{value}  {_one_line(text)}\n" for value, text in folders.items() if value not in known]

@@ -12,12 +12,12 @@ _LONG_WORD = re.compile(r"[^\s/]{256,}")
 
 
 def printable(text: str) -> str:
-    """Return a text with nothing in it that a terminal would obey; control characters stand as Python writes them."""
+    """Return a text without control characters, which are written as Python escapes."""
     return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def printable_line(text: str, max_echo: int = 80, max_line: int = 2000) -> str:
-    """Return a message in one printable line of ``max_line`` characters, with ``max_echo`` of each value it quotes."""
+    """Return a message as one printable line of ``max_line`` characters, each quoted value cut to ``max_echo``."""
 
     def shorten(found: re.Match[str]) -> str:
         value = found[2] if len(found[2]) <= max_echo else f"{found[2][:max_echo]}..."

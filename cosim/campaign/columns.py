@@ -26,7 +26,7 @@ def write_columns(folder: Path, study: Study) -> None:
 
 
 def stored_kinds(folder: Path, study: Study) -> Kinds:
-    """Return the columns of a campaign's rows and what is in each, from what its folder says.
+    """Return the columns of a campaign's rows and their types, as stored in its folder.
 
     Raises InputError for a file that is missing or says something else.
     """

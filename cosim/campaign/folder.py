@@ -50,7 +50,7 @@ CAMPAIGN_FILES = (  # files that campaigns write
 
 @dataclass(frozen=True)
 class FrozenStudy:
-    """A study that needs nothing but the folder it is written to, the library of aircraft and engines aside."""
+    """A study with all files that it needs, except the shipped aircraft and engines."""
 
     study: dict[str, Any]
     scenario: dict[str, Any]
@@ -58,7 +58,7 @@ class FrozenStudy:
     plan: dict[str, Any] = field(default_factory=dict)  # what a command adds to the study
 
     def write(self, folder: Path) -> None:
-        """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""
+        """Write the files, the study last, so that a folder with a study is complete.  Raises OSError."""
         self.write_files(folder)
         self.write_study(folder)
 
@@ -76,13 +76,13 @@ class FrozenStudy:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What rows depend on, as tables; of files the hashes."""
+        """Everything that rows depend on, as tables, with files as hashes."""
         files = {name: sha256(content).hexdigest() for name, content in self.files.items()}
         return {STUDY: self.study, SCENARIO: self.scenario, "file": files, PLAN: self.plan}
 
 
 def check_asked(folder: Path, frozen: FrozenStudy | None) -> None:
-    """Raise InputError unless a folder may go on with what its first flight was asked for.
+    """Raise InputError unless a folder's campaign has the same inputs as this one.
 
     Study, scenario and their files have to be as they were then, and what is installed; ``frozen``, if there is one,
     has to be that study, with that plan.
@@ -122,7 +122,7 @@ def check_unedited(folder: Path) -> dict[str, Any]:
 
 
 def read_asked(folder: Path) -> dict[str, Any]:
-    """Return the record of what a folder's first flight was asked for.  Raises InputError for one that is none."""
+    """Return the record of a campaign's inputs.  Raises InputError if it is invalid."""
     asked = {PLAN: {}} | read_toml(folder / RECORD)
     for name in (STUDY, SCENARIO, "file", PLAN, "installed"):
         if not isinstance(asked.get(name), dict):
@@ -131,7 +131,7 @@ def read_asked(folder: Path) -> dict[str, Any]:
 
 
 def fingerprint(asked: Mapping[str, Any]) -> str:
-    """Return the hash of what all flights of a folder have in common: scenario, files, program and what is judged."""
+    """Return the hash of the inputs that all flights of a folder share."""
     scenario = {key: value for key, value in asked[SCENARIO].items() if key not in DESCRIPTIVE_KEYS}
     judged = [asked[STUDY].get(key) for key in ("success", "autopilot", "case", "batch")]
     flown = json.dumps([scenario, asked["file"], asked["installed"], judged], sort_keys=True, default=str)
@@ -139,13 +139,13 @@ def fingerprint(asked: Mapping[str, Any]) -> str:
 
 
 def extend_asked(folder: Path, study: Study) -> None:
-    """Write a longer study into a folder whose rows are its first ones, and that this is what is asked now."""
+    """Replace a folder's study by a longer one that begins with the same draws, and record that."""
     write_whole(folder / RECORD, toml_text(read_toml(folder / RECORD) | {STUDY: study.table()}), FlightError)
     study.save(folder / STUDY)
 
 
 def _differences(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield where two records differ, the study first: file and key, and both values in words."""
+    """Yield the differences of two records, the study's first: file, key and both values."""
     defaults = {
         name: field.get_default(call_default_factory=True)
         for name, field in Study.model_fields.items()
@@ -216,7 +216,7 @@ def refuse_older_search(folder: Path) -> None:
 
 
 def _is_older_search(folder: Path) -> bool:
-    """Return whether version 0.2.0 searched in a folder, whose layout for that was another one."""
+    """Return whether the folder holds a search of version 0.2.0, which had another layout."""
     return any((folder / name).is_file() for name in ("search.toml", "rare.toml"))
 
 
@@ -280,7 +280,7 @@ def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:
 
 
 def _compare_tables(where: str, saved: Any, current: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the leaves in which two tables differ: dotted key and both values, None where there is none."""
+    """Yield the leaves in which two tables differ: dotted key and both values, None if missing."""
     saved, current = _index_by_key(saved), _index_by_key(current)
     if isinstance(saved, Mapping) and isinstance(current, Mapping):
         for key in dict.fromkeys([*current, *saved]):
@@ -293,7 +293,7 @@ def _compare_tables(where: str, saved: Any, current: Any) -> Iterator[tuple[str,
 
 
 def _index_by_key(value: Any) -> Any:
-    """Return a list whose entries all have a ``key`` as a table by that key; any other value as it is."""
+    """Return a list of entries with ``key`` as a table by that key; other values unchanged."""
     keyed = isinstance(value, list) and value and all(isinstance(entry, Mapping) and "key" in entry for entry in value)
     return {entry["key"]: entry for entry in value} if keyed else value
 

@@ -22,14 +22,14 @@ FILES = "files of aircraft, engines and program"  # name of this hash among the 
 
 @cache
 def installed_versions() -> dict[str, str]:
-    """Return the versions of what determines a flight's numbers here, and may differ elsewhere."""
+    """Return the versions that determine a flight's numbers and may differ on other machines."""
     all_versions = versions()
     minor = ".".join(platform.python_version_tuple()[:2])
     return {"python": minor, **{name: all_versions.get(name, "none") for name in PACKAGES}, FILES: _files()}
 
 
 def list_differences(remote: Mapping[str, str], local: Mapping[str, str]) -> list[str]:
-    """Describe what is installed otherwise there than here."""
+    """Describe the versions that differ between there and here."""
     return [
         f"other {name}" if name == FILES else f"{name} {remote.get(name, 'none')} (here {value})"
         for name, value in local.items()

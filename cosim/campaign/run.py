@@ -66,7 +66,7 @@ def run_campaign(
 
 
 def draw(study: Study) -> Sampler[None]:
-    """Ask for all flights of a study, up to where it stops."""
+    """Yield all flights of a study until its stopping rule ends it."""
     rule = stopping_rule(study)
     for row in (yield flights(study)):
         if rule is not None and rule.add(int(row["flight"] or 0), verdict_of(row["outcome"], row["success"])):
@@ -83,7 +83,7 @@ def run_sampler(
     plan: Mapping[str, Any] | None = None,
     kept: Sequence[str] | None = None,
 ) -> tuple[Campaign, R]:
-    """Fly what a sampler asks for and the folder ``out`` has not, and return the folder's flights and what it found.
+    """Fly what a sampler requests and ``out`` does not hold yet; return the folder's flights and the result.
 
     ``sampler`` makes it of the study as it is in the folder.  ``plan`` is what is asked beside the study, as a table;
     ``kept`` are the columns of a row that the sampler reads, by default all.  For the rest see :func:`run_campaign`.
@@ -118,7 +118,7 @@ def run_sampler(
 
 
 def _answer(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row]]) -> R:
-    """Run a sampler to its end, and return what it found."""
+    """Run a sampler to its end and return its result."""
     rows: Generator[Row] | None = None
     while True:
         try:
@@ -132,7 +132,7 @@ def _answer(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row
 
 
 def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callable[[], None]) -> Generator[Row]:
-    """Yield the rows of what is asked for, in that order; what the store lacks is flown, and stored as it comes.
+    """Yield the rows of the requested flights in that order; missing ones are flown and stored.
 
     The rows of a study that may stop are stored in order, so that there are none beyond that.
     """
@@ -166,14 +166,14 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
 
 
 def load_batch(study: Study) -> Any:
-    """Return the tool that flies a study on arrays, None for one that is not.  Raises InputError without it."""
+    """Return the tool that flies a study on arrays, or None for other studies.  Raises InputError without it."""
     if study.batch and (tool := load_hook("campaign.batch")) is None:
         raise InputError(f"study {study.name}: batch: needs hexjet_batch, which is not installed")
     return tool if study.batch else None
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
-    """Raise InputError for an autopilot that is not here, or flights that it cannot fly, or not here."""
+    """Raise InputError if the autopilot is missing or cannot fly these flights here."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out cluster")
     autopilot.check(study.base(), study.folder)
@@ -205,14 +205,14 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
 
 
 def refuse_changes(what: str, **choices: Any) -> None:
-    """Raise InputError where one of these choices is made for what is there already; ``what`` says what that is."""
+    """Raise InputError if one of these choices is made for a campaign that exists; ``what`` describes it."""
     for name, value in choices.items():
         if value not in (None, (), []) and value is not False:
             raise InputError(f"{what} and goes on as it began; leave out {name}")
 
 
 def extend_campaign(folder: Path, until: str | None = None, runs: int | None = None) -> None:
-    """Give the study of a campaign more draws, or a claim to stop at, before it goes on.
+    """Give a campaign's study more draws, or a claim to stop at, before it is resumed.
 
     Raises InputError if its design has no longer form, the claim does not fit, or another process is at work there.
     """
@@ -238,7 +238,7 @@ def extend_campaign(folder: Path, until: str | None = None, runs: int | None = N
 
 
 def choose_workers(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:
-    """Return the workers of a command line: so many processes here, by default one a processor, or a cluster.
+    """Return the workers for a command line: local processes, by default one per processor, or a cluster.
 
     Raises InputError.
     """
@@ -270,7 +270,7 @@ def describe_progress(store: Store) -> str:
 
 @dataclass(frozen=True)
 class RepeatedFlight:
-    """A flight of a campaign flown again: its run, and what is not as it was, a line each."""
+    """A flight of a campaign that was flown again: its run, and differences, one line each."""
 
     number: int
     run: Run
@@ -292,7 +292,7 @@ class RepeatedFlight:
 
 
 def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **options: Any) -> RepeatedFlight:
-    """Fly one finished flight of a campaign again, recorded in full, from what its row states.
+    """Fly one finished flight of a campaign again from its row, with a full log.
 
     ``out`` and ``options`` are those of :func:`cosim.fly`.  Raises InputError if the flight is not finished, or cannot
     be flown now, or is code that the user does not trust; FlightError if it could not be flown then either.

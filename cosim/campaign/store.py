@@ -60,7 +60,7 @@ _NOTHING: Row = {}  # shared, as there may be millions
 
 
 class Tally:
-    """Counts of what is finished: by controller, how many of how many were a success; and by outcome."""
+    """Counts of finished flights: successes by controller, and outcomes."""
 
     def __init__(self) -> None:
         self.flights: Counter[str] = Counter()
@@ -74,7 +74,7 @@ class Tally:
 
 
 class Store:
-    """A folder of flights as the one process that adds to it sees it; a context manager.
+    """A folder of flights, opened by the one process that adds to it; a context manager.
 
     ``done`` has the finished flights by their keys, with the columns ``kept`` of each row, all of them for None;
     ``tally`` is what became of them, and ``of`` how many there will be, 0 where a sampler decides that as it goes.
@@ -100,7 +100,7 @@ class Store:
     def create(
         cls, folder: Path, study: Study, plan: Mapping[str, Any] | None = None, kept: Sequence[str] | None = ()
     ) -> Store:
-        """Begin in a folder that holds no flights; ``plan``: what is asked beside the study, as a table.
+        """Begin in a folder without flights; ``plan``: what a command adds to the study.
 
         Raises InputError if it holds anything of a campaign, or cannot be written to; nothing is changed then.
         """
@@ -147,7 +147,7 @@ class Store:
         plan: Mapping[str, Any] | None = None,
         kept: Sequence[str] | None = (),
     ) -> Store:
-        """Go on with the flights in a folder, or begin if it was killed before it had begun.
+        """Continue with the flights in a folder, or begin if it was killed before the first.
 
         Raises InputError if the folder, or the program, is not as it was at the first flight, study or plan is another
         one than the folder's, or another process is at work there.
@@ -179,7 +179,7 @@ class Store:
         return flight_key(self._fingerprint, flight)
 
     def add(self, row: Row) -> None:
-        """Keep a finished flight under its key; one that is finished already is left aside.
+        """Store a finished flight under its key, unless it is stored already.
 
         Raises FlightError if it cannot be written; what was finished before is kept.
         """
@@ -189,7 +189,7 @@ class Store:
         row = row | {KEY: key}
         # Into memory first: Ctrl-C may come at any line, and rows of the journal alone never get into a part.
         self._rows.append(row)
-        self._note(row)
+        self._count(row)
         try:
             self._journal.append((json.dumps(row) + "\n").encode())
         except FlightError:
@@ -205,11 +205,11 @@ class Store:
 
     @property
     def stored(self) -> int:
-        """How many flights the folder has when it is closed; the last may be held and not noted yet, if Ctrl-C came."""
+        """Number of flights in the folder after closing, including one that Ctrl-C left unreported."""
         return len(self.done) + sum(row[KEY] not in self.done for row in self._rows[-1:])
 
     def flush(self) -> None:
-        """Put what is in the journal into the last part.  Raises FlightError if it cannot be written."""
+        """Move the journal's rows into the last part.  Raises FlightError if that fails."""
         if len(self._rows) > self._written:
             path = self.folder / FLIGHTS / f"part-{self._part:05d}.parquet"
             write_table(path, {name: [row.get(name) for row in self._rows] for name in self._kinds}, kinds=self._kinds)
@@ -222,7 +222,7 @@ class Store:
         self._last_write = time.monotonic()
 
     def close(self) -> None:
-        """Put everything into parts and give the folder free; may be called twice.  Raises FlightError as flush."""
+        """Move all rows into parts and release the folder; may be called twice.  Raises FlightError."""
         if self._journal.number < 0:
             return
         try:
@@ -244,13 +244,13 @@ class Store:
             self.close()
 
     def _take_up(self) -> None:
-        """Find out what is finished, the rows of the journal among it."""
+        """Find the finished flights, including those in the journal."""
         for leftover in (*self.folder.glob(".*.tmp"), *(self.folder / FLIGHTS).glob(".*.tmp")):  # of a killed process
             leftover.unlink(missing_ok=True)
         paths = _parts(self.folder)
         for path in paths:
             for row in _read_rows(path, None if self._kept is None else {KEY, *_TALLIED, *self._kept}):
-                self._note(row)
+                self._count(row)
             self._part = int(path.stem.removeprefix("part-")) + 1
         if paths:
             last = list(_read_rows(paths[-1]))
@@ -260,18 +260,18 @@ class Store:
             if row.get(KEY) is None or row[KEY] != self.key(flight_of(self.study, row)):
                 raise InputError(f"{self.folder / JOURNAL}: flight {row['flight']} is no flight of this study")
             if row[KEY] not in self.done:
-                self._note(row)
+                self._count(row)
                 self._rows.append(row)
         self.flush()
 
-    def _note(self, row: Row) -> None:
+    def _count(self, row: Row) -> None:
         self.done[str(row[KEY])] = row if self._kept is None else {name: row[name] for name in self._kept} or _NOTHING
         self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign as it was when it was opened; flights may be added to its folder meanwhile.
+    """A campaign as it was when opened; flights may be added to its folder meanwhile.
 
     ``columns["outcome"]`` is a list with an entry for each finished flight, in the order of their numbers; there are
     flight, draw, controller, seed, every varied key under its dotted name, outcome, reason, success, steps, duration_s,
@@ -290,7 +290,7 @@ class Campaign:
         return len(self.columns["flight"])
 
     def row(self, number: int) -> Row:
-        """Return the row of one flight.  Raises InputError if there is none, or it is not finished."""
+        """Return the row of one flight.  Raises InputError if it does not exist or is not finished."""
         if not 0 <= number < self.of:
             raise InputError(f"{self.folder}: flight {number}: there are 0 to {self.of - 1}")
         if number not in self.columns["flight"]:
@@ -300,7 +300,7 @@ class Campaign:
 
 
 def open_campaign(folder: Path | str) -> Campaign:
-    """Open the campaign in a folder with every flight finished by now; it may still be flown, or have been killed.
+    """Open the campaign in a folder with all flights finished so far, also if it is still running or was killed.
 
     >>> campaign = open_campaign(folder)
     >>> campaign.columns["success"].count(True) / len(campaign)
@@ -320,13 +320,13 @@ def open_campaign(folder: Path | str) -> Campaign:
 
 
 def read_referee(folder: Path) -> Mapping[str, Any]:
-    """Return what JSBSim said of a folder's flights on arrays; nothing where it was not asked.  Raises InputError."""
+    """Return JSBSim's check of a folder's flights on arrays, empty if there was none.  Raises InputError."""
     path = folder / REFEREE
     return parse_json(read_file(path), str(path)) if path.is_file() else {}
 
 
 class _Columns(NamedColumns[list[Value]]):
-    """The columns of all finished flights; each is read when it is asked for."""
+    """Columns of all finished flights, each read on demand."""
 
     def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
         self._names, self._success = tuple(columns), success  # success as the referee judges it
@@ -363,7 +363,7 @@ class _Columns(NamedColumns[list[Value]]):
 
 
 def _lacks_study(folder: Path) -> bool:
-    """Return whether a process was killed between its first file here and the study, which is written last."""
+    """Return whether a process was killed before writing the study, which is written last."""
     journal = folder / JOURNAL
     begun = journal.is_file() and not (folder / STUDY).exists()
     return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
@@ -398,7 +398,7 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
 
 
 def _open_journal(folder: Path, how: int) -> AppendedFile:
-    """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
+    """Open the journal and take its lock.  Raises OSError, or InputError if another process has it."""
     file = AppendedFile(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
     if try_lock(file.number) is False:
         file.close()

@@ -64,7 +64,7 @@ class AltitudeController:
         self._fade: Fade | None = None
 
     def retune(self, gains: AltitudeGains) -> None:
-        """Set other gains from the next update on, without a bump: the difference in acceleration fades."""
+        """Change the gains at the next update without a jump: the difference in acceleration fades."""
         if self._old_gains is None:
             self._old_gains = self._gains
         self._set(gains)

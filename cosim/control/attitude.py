@@ -28,12 +28,12 @@ class AttitudeController:
         self.reset()
 
     def reset(self) -> None:
-        """End a change of gains at once; the only other state is the quaternion of the set-point."""
+        """End the fading of a gain change; the only other state is the set-point's quaternion."""
         self._old_law: tuple[Vector3, Vector3] | None = None
         self._fades: tuple[Fade, ...] = ()
 
     def retune(self, gains: AttitudeGains, step: float) -> None:
-        """Set other gains from the next update on, without a bump: the difference fades; ``step`` s between updates."""
+        """Change the gains at the next update without a jump: the difference fades; ``step`` s between updates."""
         if self._old_law is None:
             self._old_law = (self._gain, self._limit)
         self._nominal, self._limit = gains.gain_1_s, gains.rate_limit_rad_s
@@ -116,7 +116,7 @@ class AttitudeController:
         return (ex, ey, ez)
 
     def _fade(self, error: Vector3, new: Vector3) -> Vector3:
-        """Return the rates of the new gains plus the fading difference to those of the old ones."""
+        """Return the rates of the new gains plus the fading difference to the old ones."""
         x, y, z = (fade.update() for fade in self._fades)
         if self._old_law is None:
             return (new[0] + x, new[1] + y, new[2] + z)

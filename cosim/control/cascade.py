@@ -248,6 +248,6 @@ class Cascade:
         return tuple(values)
 
     def _find_shown_blocks(self) -> list[Shows]:
-        """Return the blocks beside the predictors that log numbers of their own."""
+        """Return the blocks other than predictors that have log columns."""
         blocks: list[object] = [self.loops.custom_attitude, self.loops.custom_rate, *self.selector.laws]
         return [cast(Shows, block) for block in blocks if columns_of(block)]

@@ -24,7 +24,7 @@ class Bounds(NamedTuple):
 
 @dataclass_transform(frozen_default=True)
 class CheckedRecord:
-    """A frozen data class, as each of its subclasses is, whose fields are checked against their annotations."""
+    """Frozen data class whose fields are checked against their annotations, also in subclasses."""
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
@@ -74,7 +74,7 @@ def _hints(kind: type[Any]) -> dict[str, Any]:
 
 
 def _check(value: Any, hint: Any, where: str) -> Any:
-    """Return ``value`` in the type that ``hint`` asks for.  Raises InputError for any other."""
+    """Return ``value`` converted to the annotated type.  Raises InputError."""
     origin, args = get_origin(hint), get_args(hint)
     if origin in (UnionType, Union):
         if value is None:

@@ -23,7 +23,7 @@ from cosim.spec.vehicle import RateGains, RateModel
 
 
 class Margins(BaseModel):
-    """The margins of an open loop; of several crossings, those of the one with the smallest margin.
+    """Margins of an open loop, the smallest of several crossings.
 
     ``cutoff`` is the first frequency [Hz] at which the gain falls below 1, ``gain_margin`` in dB, ``phase_margin`` in
     deg; None where there is no crossing.
@@ -92,7 +92,7 @@ def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
 
 
 def zeros_outside(values: Complex) -> int:
-    """Count the zeros outside the unit circle of a function that is analytic there and constant at infinity.
+    """Count a function's zeros outside the unit circle, where it is analytic and constant at infinity.
 
     ``values`` along the upper half circle, closely spaced: the function's turns about 0 count its zeros.
     """

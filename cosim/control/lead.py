@@ -47,7 +47,7 @@ def _times(polynomial: list[complex], root: complex) -> list[complex]:
 
 
 class Lead:
-    """The lead on one command.
+    """Lead compensator on one command.
 
     The allocation residual is subtracted from its state (``unallocated / C(inf)``), which is then that of an engine
     that got what was applied, so that the lead does not wind up.
@@ -59,7 +59,7 @@ class Lead:
         self.settle(0.0)
 
     def set_poles(self, lead: EngineLead) -> None:
-        """Use another lead of the same form from the next update on; its gain at rest is 1 as well."""
+        """Change the lead, of the same form, at the next update; its static gain stays 1."""
         numerator, denominator = lead_polynomials(lead, self._step)
         # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): the states are as large as the input for
         # any lead. With past outputs as states, a change of the lead would be a step in the sum of two lags.

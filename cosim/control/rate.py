@@ -33,7 +33,7 @@ class _Law(NamedTuple):
 
 
 class RateAxis:
-    """The PID of one axis, with its predictor and lead.
+    """PID of one axis, with predictor and lead.
 
     ``u = p (r - y) + i integral(r - y) - d y'``, with ``y`` from the predictor and ``y'`` through a first-order
     filter.  The integral stops where allocation has left a residual of the error's sign, and is limited.  With a lead
@@ -70,7 +70,7 @@ class RateAxis:
             self._history.clear()
 
     def update(self, setpoint: float, measured: float, unallocated: float) -> float:
-        """Return the command of this step; ``unallocated`` is what allocation could not give of the one before."""
+        """Return the command; ``unallocated``: part of the previous one that allocation could not deliver."""
         if self._history is not None:
             self._history.append((measured, self._command - unallocated))
         if self._old_law is not None:
@@ -104,11 +104,11 @@ class RateAxis:
             self._lead.set_poles(lead)
 
     def keep_history(self, samples: int) -> None:
-        """Keep this many past steps, with which a predictor that comes in flight is initialised."""
+        """Keep this many past steps, to initialise a predictor that is selected in flight."""
         self._history = deque(maxlen=samples)
 
     def retune(self, gains: RateGains, predictor: Predictor | None = None) -> None:
-        """Set other gains, and another predictor if not None, from the next update on, without a bump.
+        """Change gains, and the predictor unless None, at the next update without a jump.
 
         The next command is still the old law's; the difference to the new law's fades from then on.
         """
@@ -162,12 +162,12 @@ class RateAxis:
         return self._command
 
     def add_to_command(self, added: float) -> None:
-        """Add to the command that the predictor reads: it reads it behind the point where ``added`` came in."""
+        """Add to the command that the predictor is told, if ``added`` enters before its tap."""
         self._command += added
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """The diagnostics of the predictor; NaN where it has none."""
+        """Diagnostics of the predictor, or NaN."""
         diagnostics: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
         return diagnostics
 
@@ -210,13 +210,13 @@ class RateController:
             axis.keep_history(samples)
 
     def retune(self, gains: Sequence[RateGains], predictors: Sequence[Predictor] | None = None) -> None:
-        """Set other gains on all axes; see :meth:`RateAxis.retune`."""
+        """Change the gains on all axes; see :meth:`RateAxis.retune`."""
         replacements = predictors or (None, None, None)
         for axis, gain, predictor in zip((self._roll, self._pitch, self._yaw), gains, replacements, strict=True):
             axis.retune(gain, predictor)
 
     def add_to_command(self, added: Vector3) -> None:
-        """Add to the commands that the predictors read: they read them behind the point where ``added`` came in."""
+        """Add to the commands that the predictors are told, if ``added`` enters before their taps."""
         for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
             axis.add_to_command(value)
 

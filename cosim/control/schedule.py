@@ -22,7 +22,7 @@ SCHEDULE_RESOLUTION = 1e-3
 
 
 class Factors(NamedTuple):
-    """Factors on the gains of one command, and its lead; None where it has none."""
+    """Factors on the gains of one command, and its lead or None."""
 
     angle: float
     p: float
@@ -51,7 +51,7 @@ class GainSchedule:
         self.reset(self._levels[-1])
 
     def reset(self, thrust_fraction: float) -> Scheduled:
-        """Start as if this had always been the collective, and return its gains."""
+        """Start as if this had always been the collective; return its gains."""
         self._level = self._last_level = self._bound(thrust_fraction)
         return self.at(self._level)
 

@@ -47,7 +47,7 @@ SIDE_LOAD_COLUMNS = {  # log columns of loads beside thrust
 
 
 class EngineBank:
-    """``count`` engines of one kind, or one per entry of a sequence of specs, stepped by ``step`` seconds.
+    """``count`` engines of one kind, or one per given spec, stepped by ``step`` seconds.
 
     Raises InputError if an archive has changed since it was loaded, EngineError if an FMU does not start.
     """
@@ -64,12 +64,12 @@ class EngineBank:
         self._last_output = EngineOutput((), (), (), ())
         self._was_reset = False
         try:
-            self._instantiate()
+            self._create_instances()
         except BaseException:
             self.close()
             raise
 
-    def _instantiate(self) -> None:
+    def _create_instances(self) -> None:
         for station, spec in enumerate(self._specs):
             # An FMU that allows one instance per process is loaded from copies, each of which is a library of its own.
             key = spec.sha256, station if spec.archive.once_per_process else -1
@@ -80,7 +80,7 @@ class EngineBank:
             except InstanceError as error:
                 raise EngineError(f"{self._label(station)}: {error}") from error
 
-    def _make_native(self) -> None:
+    def _create_native_bank(self) -> None:
         rows = [instance.make_row() for instance in self._instances]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
@@ -88,7 +88,7 @@ class EngineBank:
         return f"engine {station + 1} ({self._specs[station].path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
+        """Bring each engine to equilibrium at the throttle, one for all or one each, ready for step 0.
 
         Without ``ambient`` each stands in the air it was measured in.  An engine without a start parameter is
         run there; its own time then is ahead of flight time by that run.
@@ -98,7 +98,7 @@ class EngineBank:
         if self._was_reset:
             # New instances are created, because many FMUs implement fmiReset wrongly.
             self._close_instances()
-            self._instantiate()
+            self._create_instances()
         self._was_reset = True
         count = len(self._specs)
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * count
@@ -109,7 +109,7 @@ class EngineBank:
             raise ValueError(f"{count} engines need as many throttles and air speeds")
         for station, air in enumerate(airs):
             self._initialize(station, throttles[station], air)
-        self._make_native()
+        self._create_native_bank()
         for station, spec in enumerate(self._specs):
             if spec.start is None:
                 self._run_up(station, throttles[station])
@@ -144,7 +144,7 @@ class EngineBank:
             raise EngineError(f"{self._label(station)}: {error}") from error
 
     def run_down(self, seconds: float) -> EngineOutput:
-        """Step every engine with its throttle closed before the flight, and return what they report then.
+        """Step each engine with closed throttle before the flight, and return the final reports.
 
         Raises EngineError if an FMU fails.
         """
@@ -162,7 +162,7 @@ class EngineBank:
         return EngineError(f"{self._label(station)}: {self._instances[station].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Advance all engines over flight step ``k``, inputs held, and return what they report at its end.
+        """Advance all engines by flight step ``k`` with inputs held, and return the reports at its end.
 
         The ambient reaches the engines that have the ports; without one it is left as it is.
 
@@ -170,16 +170,16 @@ class EngineBank:
         ValueError if ``k`` is not the next step.
         """
         if not self._was_reset and self._instances:  # else stepping raises the FMU's own error
-            self._make_native()
+            self._create_native_bank()
         try:
             output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
-            raise self._describe_failure(failure, self._moment(k)) from failure
+            raise self._describe_failure(failure, self._describe_moment(k)) from failure
         self._last_output = output
         return output
 
     def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
-        """Step one engine with each of these throttles, and return its thrusts [N]: as :meth:`step`, far quicker.
+        """Step one engine with each of these throttles and return its thrusts [N], faster than :meth:`step`.
 
         Raises EngineError as that does.  A bank that has been stepped so is not stepped otherwise.
         """
@@ -188,10 +188,10 @@ class EngineBank:
             for throttle, same in groupby(throttles):
                 thrusts += self._native.hold(station, throttle, sum(1 for _ in same))
         except _bank.FailureError as failure:
-            raise self._describe_failure(failure, self._moment(len(thrusts))) from failure
+            raise self._describe_failure(failure, self._describe_moment(len(thrusts))) from failure
         return thrusts
 
-    def _moment(self, k: int) -> str:
+    def _describe_moment(self, k: int) -> str:
         return f"at step {k} ({k * self._step:g} s)"
 
     @property
@@ -201,7 +201,7 @@ class EngineBank:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """Present values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
+        """Values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
         values = [
             getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)
@@ -217,7 +217,7 @@ class EngineBank:
         return tuple(values)
 
     def set_run(self, index: int, on: bool) -> bool:
-        """Switch one engine off or on before the next step, and return False if it has no port for that.
+        """Switch one engine off or on before the next step; return False if it has no port for that.
 
         Raises EngineError if the FMU refuses.
         """
@@ -228,7 +228,7 @@ class EngineBank:
             raise EngineError(f"{self._label(index)}: {error}") from error
 
     def close(self) -> None:
-        """Terminate and free the engines and let go of their files.  May be called again."""
+        """Terminate and free the engines and close their files.  May be called again."""
         self._close_instances()
         for folder in self._folders.values():
             folder.close()

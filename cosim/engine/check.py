@@ -71,7 +71,7 @@ def check_and_measure(
     time_limit_s: float = TIME_LIMIT_S,
     default_step_s: float = 0.004,
 ) -> tuple[CheckReport, EngineMeasurement | None]:
-    """Return the report of :func:`check_fmu`, and what a flight needs to know, None where it could not be measured."""
+    """Return the report of :func:`check_fmu`, and the measurements that a flight needs or None."""
     source = find_source(engine)
     need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
@@ -85,12 +85,12 @@ def check_and_measure(
         fmi_version=archive.version,
         sha256=archive.sha256,
         step=step,
-        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
-        inputs=_described(archive.inputs),
-        outputs=_described(archive.outputs),
+        ports=[_describe_port(name, port, source) for name, port in archive.ports.items()],
+        inputs=_describe_variables(archive.inputs),
+        outputs=_describe_variables(archive.outputs),
         parameters=[
             {**described, "value": _value(v, values.get(v.name, v.start))}
-            for v, described in zip(archive.parameters, _described(archive.parameters), strict=True)
+            for v, described in zip(archive.parameters, _describe_variables(archive.parameters), strict=True)
         ],
         problems=_checksums(archive.path),
         notes=_notes(archive, source.engine is not None),
@@ -103,7 +103,7 @@ def check_and_measure(
 
 
 class _Check:
-    """The questions that are asked of one engine, each a short flight; the answers are those of its report."""
+    """Check of one engine by short flights, which fill its report."""
 
     def __init__(
         self,
@@ -122,7 +122,7 @@ class _Check:
         self.measured: EngineMeasurement | None = None
 
     def ask_all(self) -> None:
-        """Ask every question; without an answer to one of the first three there is none to the others."""
+        """Make all tests; the first three must pass for the others."""
         asked: Mapping[str, Callable[[], object]] = {
             "loads": self._load,
             "responds": self._respond,
@@ -156,7 +156,7 @@ class _Check:
 
     @property
     def host(self) -> EngineHost:
-        """The engine's process: a new one where the last has gone wrong."""
+        """The engine's process, a new one after a failure."""
         if self._host is not None and not self._host.is_sound:
             self._host.end()
             self._host = None
@@ -164,12 +164,12 @@ class _Check:
             self._host = EngineHost([self._source.archive], self._deadline)
         return self._host
 
-    def _bank(self, count: int = 1, host: EngineHost | None = None) -> IsolatedBank:
+    def _make_bank(self, count: int = 1, host: EngineHost | None = None) -> IsolatedBank:
         assert self._spec is not None
         return IsolatedBank([self._spec] * count, self._step, host=host or self.host)
 
     def _load(self) -> None:
-        """Validate the description, and load the library and instantiate it."""
+        """Validate the description, load the library and instantiate it."""
         archive, report = self._source.archive, self._report
         # An archive with harmless violations was validated when it was loaded.
         complaints = [] if archive.harmless_violations else validate(read_bytes(archive.path))
@@ -197,7 +197,7 @@ class _Check:
     def _record_responses(
         self, measured: EngineMeasurement, rest: float, max_points: int = 2000, min_wrong_way: float = 0.02
     ) -> None:
-        """Draw at most so many points; thrust the wrong way that a solver or a sample leaves is less of the change."""
+        """Record at most this many points; a smaller change the wrong way is due to a solver or sampling."""
         report, step, ripple, span = self._report, self._step, measured.ripple, abs(measured.curve.thrust[-1])
         course: list[float] = []
 
@@ -206,7 +206,7 @@ class _Check:
             course.extend(thrusts)
             return thrusts
 
-        with self._bank() as bank:
+        with self._make_bank() as bank:
             bank.reset(0.0)
             before = settle(hold, 0.0, settling_window(round(1.0 / step)), step, ripple, rest, span)
             for way, throttle in (("up", 1.0), ("down", 0.0)):
@@ -234,35 +234,35 @@ class _Check:
             )
 
     def _fly(self, bank: IsolatedBank, steps: int, count: int = 1, throttle_0: float = 0.25) -> list[float]:
-        """Return the thrusts of the first engine under a throttle that keeps changing; each other is ahead of it."""
+        """Return the first engine's thrusts under a varying throttle, by which the other engines are ahead."""
         bank.reset(throttle_0)
         throttles = ([zigzag_throttle(k + 3 * engine) for engine in range(count)] for k in range(steps))
         return [bank.step(k, tuple(throttle)).thrust[0] for k, throttle in enumerate(throttles)]
 
     def _run(self, run_s: float = 20.0) -> None:
         """Fly ``run_s`` of simulated time under a changing throttle."""
-        with self._bank() as bank:
+        with self._make_bank() as bank:
             self._thrusts = self._fly(bank, max(COMPARED_STEPS, round(run_s / self._step)))
         self._report.answers["is finite"] = True
 
     def _repeat(self) -> None:
-        """Fly the same in another process, where addresses, process number and time of day differ."""
+        """Fly the same in another process with other addresses, process number and time."""
         host = EngineHost([self._source.archive], self._deadline)
         try:
-            with self._bank(host=host) as bank:
+            with self._make_bank(host=host) as bank:
                 if self._fly(bank, len(self._thrusts)) != self._thrusts:
                     self._fail("repeats", "two processes with the same throttle differ")
         finally:
             host.end()
 
     def _run_together(self, engines: int = 6) -> None:
-        with self._bank(engines) as bank:
+        with self._make_bank(engines) as bank:
             if self._fly(bank, COMPARED_STEPS, engines) != self._thrusts[:COMPARED_STEPS]:
                 self._fail("runs six at once", "six of it at once do not answer as one alone: they are not independent")
 
     def _reset(self) -> None:
-        """Fly twice in one process, as a bank that is reset does."""
-        with self._bank() as bank:
+        """Fly twice in one process, with a reset between."""
+        with self._make_bank() as bank:
             for _ in range(2):
                 if self._fly(bank, COMPARED_STEPS) != self._thrusts[:COMPARED_STEPS]:
                     self._fail("resets", "a run after a reset differs from the first")
@@ -274,13 +274,13 @@ def zigzag_throttle(k: int) -> float:
 
 
 def _drawn(course: Sequence[float], response: Response) -> int:
-    """Return how many points of a course to draw: a little more than it takes to come within 0.1 % of the end."""
+    """Return the number of points to draw: slightly more than until 0.1 % from the end."""
     far = 1e-3 * abs(response.after - response.before)
     last = max(k for k, thrust in enumerate(course) if abs(thrust - response.after) > far)
     return min(len(course), last + max(10, last // 4))
 
 
-def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+def _describe_variables(variables: Iterable[Variable]) -> list[dict[str, Any]]:
     return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
 
 
@@ -289,7 +289,7 @@ def _value(variable: Variable, value: float | None) -> float | str | None:
     return {float(item): name for name, item in variable.items}.get(value, value) if value is not None else None
 
 
-def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
+def _describe_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
     mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in mapped:

@@ -62,7 +62,7 @@ _SERVE = "from cosim.engine.isolated import serve; serve()"  # code of the engin
 
 
 class EngineHost:
-    """The process of engines of some archives, which serves one bank after another.
+    """Process for engines of some archives, which serves one bank after another.
 
     Raises EngineError where it ends by itself, does not answer, or is asked after ``deadline`` (of ``time.monotonic``).
     """
@@ -80,7 +80,7 @@ class EngineHost:
 
     @property
     def is_reusable(self) -> bool:
-        """Whether it may serve other engines of its archives."""
+        """Whether it may serve further engines of its archives."""
         small = measure_megabytes(self._host.pid) <= LIMITS.max_idle_megabytes
         is_here = os.path.samestat(self._folder, os.stat("."))
         return self.is_sound and small and is_here and self._deadline == inf and self._host.poll() is None
@@ -94,7 +94,7 @@ class EngineHost:
         return self.exchange(b"p" + pickle.dumps(question), limit, moment)
 
     def exchange(self, data: bytes, limit: float, moment: Moment) -> bytes:
-        """Send bytes and return those that answer them; ``moment`` is when, for an error."""
+        """Send bytes and return the answer; ``moment`` describes the time for errors."""
         if self._deadline < inf:
             limit = min(limit, max(0.0, self._deadline - monotonic()))
         try:
@@ -105,7 +105,7 @@ class EngineHost:
             raise EngineError(f"{self.label}{error} {when}") from None
 
     def doubles(self, data: bytes, form: struct.Struct) -> tuple[float, ...]:
-        """Return the numbers that were answered, the same bits; raises what the process met in place of them."""
+        """Return the numbers of an answer, bit for bit; raises the process's error instead."""
         if data[:1] == b"p":
             self._read(data)
         if data[:1] != b"s" or len(data) != 1 + form.size:
@@ -113,7 +113,7 @@ class EngineHost:
         return form.unpack_from(data, 1)
 
     def _read(self, data: bytes) -> Any:
-        """Return what an answer says.
+        """Return the content of an answer.
 
         An FMU's library can send whatever it likes from there: no answer may run anything here, so none is unpickled.
         """
@@ -132,7 +132,7 @@ class EngineHost:
         return EngineError(f"{self.label}the process answered what is no answer")
 
     def end(self, patience: float = LIMITS.close_s) -> None:
-        """End it, by force if it takes long.  May be called again."""
+        """End the process, by force after ``patience`` s.  May be called again."""
         self.is_sound = False
         self._host.end(patience)
 
@@ -141,8 +141,8 @@ class EngineHost:
 _idle: list[EngineHost] = []
 
 
-def take_host(archives: Iterable[Archive]) -> EngineHost:
-    """Return a process for engines: the one that waits, where it has served these archives and no others."""
+def acquire_host(archives: Iterable[Archive]) -> EngineHost:
+    """Return a process for engines: the idle one, if it served exactly these archives, or a new one."""
     listed = list(archives)
     while _idle:
         host = _idle.pop()
@@ -152,8 +152,8 @@ def take_host(archives: Iterable[Archive]) -> EngineHost:
     return EngineHost(listed)
 
 
-def leave_host(host: EngineHost) -> None:
-    """Keep a process for its next engines, or end it.
+def release_host(host: EngineHost) -> None:
+    """Keep a process for further engines, or end it.
 
     One that another thread than the main one has started ends with that thread.
     """
@@ -171,7 +171,7 @@ def end_idle() -> None:
 
 
 def _forget_idle() -> None:
-    """Leave the process that waits to the one that this process was forked from."""
+    """Leave the idle process to the parent that this process was forked from."""
     for host in _idle:
         host._host.returncode = 0
     _idle.clear()
@@ -194,9 +194,9 @@ def measure_in(
 
 
 class IsolatedBank:
-    """As :class:`cosim.engine.EngineBank`, with the engines in a process of their own.
+    """Like :class:`cosim.engine.EngineBank`, with the engines in a process of their own.
 
-    ``host``: that process; without one it is taken and left by :func:`take_host` and :func:`leave_host`.
+    ``host``: that process; without one it is taken and left by :func:`acquire_host` and :func:`release_host`.
     Raises InputError or EngineError as that does; EngineError too where the process ends by itself or does not answer.
     """
 
@@ -209,7 +209,7 @@ class IsolatedBank:
         self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # parts of the answer
         self._no_air = (0.0,) * (3 + self._count)
         self._is_own = host is None
-        self._host: EngineHost | None = host or take_host(spec.archive for spec in specs)
+        self._host: EngineHost | None = host or acquire_host(spec.archive for spec in specs)
         if host is None:
             self.host.label = f"engines ({', '.join(dict.fromkeys(spec.path.name for spec in specs))}): "
         # The uncertainty is left out, because reading it would need numpy there.
@@ -232,7 +232,7 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        return self._output(self.host.request(("reset", held, air), LIMITS.start_s, "before the flight"))
+        return self._unpack_output(self.host.request(("reset", held, air), LIMITS.start_s, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -240,7 +240,7 @@ class IsolatedBank:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
-        return self._output(self.host.exchange(row, LIMITS.hang_s, (k, k * self._step)))
+        return self._unpack_output(self.host.exchange(row, LIMITS.hang_s, (k, k * self._step)))
 
     def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
         """As the bank's."""
@@ -255,13 +255,13 @@ class IsolatedBank:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """As the bank's; one more passage in every step, where there is something to show."""
+        """As the bank's; costs one more exchange per step if there are columns."""
         data = self.host.request(("shown",), LIMITS.hang_s, "when its further outputs were read")
         return self.host.doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
         """As the bank's."""
-        return self._output(self.host.request(("run down", seconds), LIMITS.start_s, "before the flight"))
+        return self._unpack_output(self.host.request(("run down", seconds), LIMITS.start_s, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
@@ -276,7 +276,7 @@ class IsolatedBank:
             with suppress(EngineError, ValueError):
                 host.call(("close",), LIMITS.close_s, "when it was freed")
         if self._is_own:
-            leave_host(host)
+            release_host(host)
 
     def __enter__(self) -> IsolatedBank:
         return self
@@ -287,13 +287,13 @@ class IsolatedBank:
     def _call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
         return self.host.call(question, limit, moment)
 
-    def _output(self, data: bytes) -> EngineOutput:
+    def _unpack_output(self, data: bytes) -> EngineOutput:
         values = self.host.doubles(data, self._answer)
         return EngineOutput(*[values[part] for part in self._parts])
 
 
 def make_bank(specs: Sequence[EngineSpec], step: float) -> EngineBank | IsolatedBank:
-    """Return a bank of engines, in a process of its own where one of them is isolated.
+    """Return a bank of engines, in another process if one of them is isolated.
 
     Raises InputError or EngineError as :class:`cosim.engine.EngineBank` does.
     """
@@ -312,7 +312,7 @@ def _frame_formats(count: int) -> tuple[struct.Struct, struct.Struct]:
 
 
 def _json_answer(good: bool, answer: Any) -> bytes:
-    """Return an answer that is no row of doubles as JSON, which runs nothing where it is read."""
+    """Return an answer other than numbers as JSON, which cannot execute code when read."""
     return b"p" + json.dumps((good, answer)).encode()
 
 
@@ -322,7 +322,7 @@ def _double_answer(values: Sequence[float]) -> bytes:
 
 
 class _Server:
-    """The process's side: the bank that it made, and its answer to each request."""
+    """Server in the process: its bank, and the answer to each request."""
 
     def __init__(self) -> None:
         self._bank: EngineBank | None = None

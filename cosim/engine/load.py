@@ -24,7 +24,7 @@ def load_unchecked(
     measure: Callable[[EngineSource, Mapping[str, float], float, Air], EngineMeasurement],
     air: Air = STANDARD_AIR,
 ) -> EngineSpec:
-    """Validate an engine that will be stepped by ``step`` seconds, and have it measured.
+    """Validate an engine that will be stepped by ``step`` seconds, and measure it with ``measure``.
 
     ``measure`` is called with the other arguments, and with the standard ``air`` where the engine has no port for any.
 

@@ -17,7 +17,7 @@ from cosim.base.storage.user import cache_folder
 from cosim.base.trust import need_trust
 from cosim.engine import check
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.isolated import leave_host, measure_in, take_host
+from cosim.engine.isolated import acquire_host, measure_in, release_host
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement, make_measurement_adapter, measure_once
 from cosim.engine.response import find_curve_problems
@@ -64,7 +64,7 @@ def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: f
 
 
 def measure_isolated(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
-    """Measure an engine's static curve and response in another process, once in this one.
+    """Measure an engine's static curve and response in another process, cached in this one.
 
     Raises EngineError where that fails.
     """
@@ -72,12 +72,12 @@ def measure_isolated(source: EngineSource, parameters: Mapping[str, float], step
     small = source.engine is None
 
     def measure() -> EngineMeasurement:
-        host = take_host([archive])
+        host = acquire_host([archive])
         host.label = ""
         try:
             return measure_in(host, archive, settings, step, air, small)
         finally:
-            leave_host(host)
+            release_host(host)
 
     return _measured.get((*make_behaviour_key(archive, settings, air), archive.start, step, small), measure)
 

@@ -126,7 +126,7 @@ def _measure(
 def _small_step(
     hold: Hold, window: int, step: float, ripple: float, rest: float, span: float, min_change_over_rest: float = 5.0
 ) -> SmallStep | None:
-    """Return the response to a step about where an engine hovers, if it is well above the movement at rest."""
+    """Return the response to a step around hover, if it exceeds the ripple of steady thrust."""
     throttle, opened = 0.5, 0.55
     thrusts: list[float] = []
 
@@ -154,7 +154,7 @@ def _starts_settled(
     measured: EngineMeasurement,
     air: Air,
 ) -> bool:
-    """Return whether the start parameter puts the engine on its static curve and keeps it there, at half throttle."""
+    """Return whether the start parameter starts the engine steadily on its static curve at half throttle."""
     curve, response = measured.curve, measured.response
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]

@@ -49,7 +49,7 @@ class SmallStep(NamedTuple):
 
     @property
     def lag(self) -> float:
-        """What is not transport: 1 / (1 - a) of a single pole a, whose thrust at a step's end counts for the step."""
+        """Lag without transport: 1 / (1 - a) for a single pole a, with thrust at the end counted for the step."""
         return self.late - self.delay + 1.0
 
 
@@ -69,7 +69,7 @@ def settle(
     rest: float = 0.0,
     span: float = 0.0,
 ) -> float:
-    """Hold a throttle until the thrust has stood still to ``ripple`` for ``window`` steps, and return it [N].
+    """Hold a throttle until thrust was constant to ``ripple`` for ``window`` steps, and return it [N].
 
     ``window`` must be longer than the engine's delay.  A thrust that never stands still does so by definition once it
     moves by no more than ``rest`` newtons, peak to peak, in a window, and its mean by no more than a tenth of that from
@@ -87,10 +87,10 @@ def settle(
         before = thrusts
     if rest == 0.0 and _is_constant(before, ripple, ripple * span):
         return before[-1]
-    raise _restless_error(before, throttle)
+    raise _unsteady_error(before, throttle)
 
 
-def _restless_error(last: Sequence[float], throttle: float) -> RestlessError:
+def _unsteady_error(last: Sequence[float], throttle: float) -> RestlessError:
     moves = max(last) - min(last)
     return RestlessError(
         f"thrust does not settle within {MAX_SETTLING_S:g} s at throttle {throttle:g}: still moves by {moves:.2g} N; "
@@ -107,7 +107,7 @@ def measure_step_response(
     rest: float = 0.0,
     longest_delay_s: float = 10.0,
 ) -> Response:
-    """Step the throttle of an engine that stands at ``before`` newtons, and follow the thrust until it has settled.
+    """Step the throttle of an engine at ``before`` newtons, and record the thrust until it settles.
 
     With ``rest`` the delay lasts until the thrust has moved by more than that.
 
@@ -128,7 +128,7 @@ def measure_step_response(
         if len(thrusts) * step > MAX_SETTLING_S + longest_delay_s:
             if rest == 0.0 and _is_constant(thrusts[-window:], ripple, ripple * abs(before - thrusts[-1])):
                 break
-            raise _restless_error(thrusts[-window:], throttle)
+            raise _unsteady_error(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
     after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
     if _is_constant([before, after], ripple, rest):

@@ -38,7 +38,7 @@ def list_engine_names() -> list[str]:
 
 
 def build_engines(engines: list[str] | None = None) -> list[Path]:
-    """Build the FMUs of the shipped engines from their sources; those up to date are left alone.
+    """Build the outdated FMUs of the shipped engines from their sources.
 
     Parameters
     ----------
@@ -66,20 +66,20 @@ class EngineSource:
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """How well its parameters are known, by its definition or its mapping file; None where neither says it."""
+        """Uncertainty of its parameters, from its definition or mapping file, or None."""
         if self.engine is not None and self.engine.uncertainty:
             return Uncertainty.model_validate(self.engine.uncertainty)
         return self.mapping.uncertainty
 
     @property
     def code(self) -> list[Code]:
-        """Code that the engine runs: its archive, unless it is one of the library."""
+        """Code that the engine runs: its archive, unless it is a shipped one."""
         archive = self.archive
         return [Code(archive.path, (self.path, archive.path))] if self.engine is None else []
 
 
 def _refuse_misspelt_file(path: Path) -> None:
-    """Raise InputError with the likeliest engine's file beside ``path``, where a name is that of a file."""
+    """Raise InputError with a similar file beside ``path``, if the name is that of a file."""
     from difflib import get_close_matches
 
     files = [file.name for file in Path().iterdir() if file.suffix.lower() == ".fmu"] if path.suffix else []
@@ -116,7 +116,7 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
         _refuse_misspelt_file(Path(engine))
         allowed = nearest(name, list_engine_names())
         raise InputError(f"unknown engine {engine!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one")
-    definition = _definition(home)
+    definition = _read_definition(home)
     path = archive_path(data_folder("fmus"), name, 2 if engine != name else 3)
     if not path.is_file():
         raise InputError(f"engine {engine}: {path} has not been built; run: hexjet engine build")
@@ -126,11 +126,11 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
 
 @lru_cache(64)
 def _without_mapping(fmu: str) -> MappingFile:
-    """Return a mapping file that states nothing: pydantic looks at the signature of every default as it makes one."""
+    """Return an empty mapping file, cached, as pydantic inspects all defaults when it makes one."""
     return MappingFile.model_construct(fmu=fmu)
 
 
-def _definition(folder: Path) -> EngineDefinition:
+def _read_definition(folder: Path) -> EngineDefinition:
     path = folder / "engine.toml"
     try:
         return _definitions.get((folder, read_file(path)), lambda: read_engine(folder))

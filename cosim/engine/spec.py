@@ -29,7 +29,7 @@ Axis = TypeVar("Axis")
 
 @dataclass(frozen=True)
 class EngineSpec:
-    """One engine, ready to be put into a bank.
+    """One engine, measured and ready for a bank.
 
     ``pole`` and ``delay_samples`` belong to ``G(z) = gain / (z - pole) z^-delay_samples`` at ``internal_step``, where
     the engine's ``engine.toml`` names the parameters; they are None for any other FMU.
@@ -92,7 +92,7 @@ class EngineSpec:
 
     @property
     def behaviour_key(self) -> tuple[Hashable, ...]:
-        """Everything besides its inputs that the behaviour of the engine depends on."""
+        """Everything but inputs that the engine's behaviour depends on."""
         return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.ripple
 
     @property
@@ -107,7 +107,7 @@ class EngineSpec:
 
     @property
     def families(self) -> tuple[str, ...]:
-        """Keys of its identified models; version 0.2.0 had the file's name alone, also where that is ``engine``."""
+        """Keys of its identified models, including the file name that version 0.2.0 used."""
         return (self.family,) if self.library else (self.family, (self.mapping or self.path).name)
 
     def models_in(self, identified: Mapping[str, Mapping[Axis, RateModel]]) -> Mapping[Axis, RateModel]:
@@ -137,7 +137,7 @@ class EngineSpec:
 
     @property
     def rising_curve(self) -> Curve:
-        """The part of the static curve on which thrust grows with the throttle."""
+        """Part of the static curve on which thrust rises with throttle."""
         return trim_flat_ends(self.curve, self.ripple, self.archive.starting.rest_n)
 
     @property
@@ -156,7 +156,7 @@ class EngineSpec:
 
 
 def file_label(path: Path) -> str:
-    """Return what an engine that is a file is called: its name, or its folder's where the file is called ``engine``."""
+    """Return a name for an engine file: its own, or its folder's if the file is called ``engine``."""
     return Path(os.path.abspath(path)).parent.name or path.stem if path.stem == "engine" else path.stem
 
 

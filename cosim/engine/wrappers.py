@@ -19,7 +19,7 @@ from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, S
 
 
 class EngineEffect:
-    """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
+    """Effect on one engine: changes its throttle, and its thrust [N] and speed [rad/s]."""
 
     burns_fuel: bool = True  # whether the engine burns fuel
 
@@ -46,7 +46,7 @@ class _StuckThrottle(EngineEffect):
 
 
 class _ThrottleDelay(EngineEffect):
-    """The command arrives ``samples`` later; until the first late one arrives the first one is held."""
+    """Delays commands by ``samples``; holds the first one until then."""
 
     def __init__(self, samples: int) -> None:
         self._queue: deque[float] = deque()
@@ -72,7 +72,7 @@ class _SlowSpool(EngineEffect):
 
 
 class _ThrustLoss(EngineEffect):
-    """A constant fraction of the thrust is left."""
+    """Reduces thrust by a constant fraction."""
 
     def __init__(self, fraction: float) -> None:
         self._fraction = fraction
@@ -82,7 +82,7 @@ class _ThrustLoss(EngineEffect):
 
 
 class _ClosedThrottle(EngineEffect):
-    """Shut off without a port for it: throttle 0, and no thrust at once."""
+    """Shut-off without a port for it: throttle 0 and thrust 0 at once."""
 
     def change_throttle(self, command: float) -> float:
         return 0.0
@@ -92,7 +92,7 @@ class _ClosedThrottle(EngineEffect):
 
 
 class _UnpoweredFan(EngineEffect):
-    """A fan's motor is off: the thrust dies away by ``left`` a step; on again, it comes back the same way."""
+    """A fan with its motor off: thrust decays by ``left`` per step, and recovers likewise."""
 
     def __init__(self, left: float) -> None:
         self._left = left
@@ -112,7 +112,7 @@ class _UnpoweredFan(EngineEffect):
 
 
 class _Rundown(EngineEffect):
-    """An engine's thrust and speed while its fire is out, by ``law``, and while it is lit again.
+    """Thrust and speed of an unlit engine by ``law``, and during its relight.
 
     The thrust at the end of the first step without fire is ``T_0``: the engine itself keeps its command over that one
     and has throttle 0 from then on.  Lit again, the thrust goes in a straight line, over ``law.relight``, from what is
@@ -129,7 +129,7 @@ class _Rundown(EngineEffect):
         self.burns_fuel = False  # False: commands do not reach the engine
 
     def relight(self) -> None:
-        """Start from the next step on; at once if the law has no time for it."""
+        """Start at the next step, at once if the law has no start time."""
         self._steps_since_start = 0
         self.burns_fuel = self._law.relight_s <= 0.0
 
@@ -156,7 +156,7 @@ class _Rundown(EngineEffect):
 
 
 class EngineChain:
-    """A bank of engines with the effects on each of them.
+    """A bank of engines with effects on each of them.
 
     ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant [s],
     which is needed where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same;
@@ -200,7 +200,7 @@ class EngineChain:
         self._restarts: dict[int, int] = {}  # steps left until restarted engines run
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Reset to sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
+        """Reset to healthy engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
         self._clear()
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(self._laws)
         self._queue = deque([throttles] * self._delay)
@@ -209,7 +209,7 @@ class EngineChain:
         return output
 
     def shut_off_all(self, run_down_s: float = 60.0) -> EngineOutput:
-        """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError.
+        """Shut all engines off right after the reset, as before their first start.  Raises EngineError.
 
         ``run_down_s``: after which a turbine's rotor has less than a fiftieth of its speed.
         """
@@ -225,7 +225,7 @@ class EngineChain:
         return tuple([index + 1 for index in sorted(self._restarts)])
 
     def _update_restarts(self, thrust: PerJet, started: float = 0.9) -> None:
-        """Forget the engines that have come up, and those that have had long enough."""
+        """Remove restarted engines that run or whose time is up."""
         idle = self._idle
         left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < started * idle[i]}
         self._restarts = {index: steps for index, steps in left.items() if steps > 0}
@@ -248,7 +248,7 @@ class EngineChain:
         return output
 
     def _with_thrust(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
-        """Return the output with another thrust; side loads change in proportion to it."""
+        """Return the output with another thrust; side loads change in proportion."""
         side_loads = [output.force_forward, output.force_right, output.torque]
         if self._has_side_loads:
             fractions = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
@@ -276,7 +276,7 @@ class EngineChain:
         return self._with_thrust(output, thrust, tuple(speed), tuple(flow))
 
     def switch_engine(self, index: int, on: bool, restart_s: float = 120.0) -> None:
-        """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.
+        """Switch one engine off or on before the next step; ``index`` from 0.  Raises EngineError.
 
         An engine that has a fault of its own is not switched on: it stays what the fault makes of it.  ``restart_s``:
         after which an engine that is not up is left to the engine monitor.
@@ -326,7 +326,7 @@ class EngineChain:
         return _UnpoweredFan(exp(-self._step / lag) if lag > 0.0 else 0.0)
 
     def end_fault(self, fault: EngineFault) -> None:
-        """End ``fault`` at the next step; an engine that went out is lit again, if nothing keeps it out."""
+        """End ``fault`` at the next step; the engine is lit again unless something else keeps it off."""
         self._acting = [acting for acting in self._acting if acting is not fault]
         if not isinstance(fault, FlameOut):
             self._effects = [entry for entry in self._effects if entry[1] is not fault]

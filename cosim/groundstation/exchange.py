@@ -37,12 +37,12 @@ _STREAMS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosi
 
 @dataclass(frozen=True)
 class Restart:
-    """Request to end this flight and begin a new one on the ground; refused while it flies."""
+    """Request to end this flight and begin another on the ground; refused in the air."""
 
 
 @dataclass(frozen=True)
 class Shutdown:
-    """Request to end the session; refused while it flies."""
+    """Request to end the session; refused in the air."""
 
 
 GroundRequest = rq.Request | Restart | Shutdown
@@ -95,7 +95,7 @@ class PendingRequest(NamedTuple):
 
 
 class Exchange:
-    """Snapshots, messages and queues of requests of one session; ``clock`` [s] gives all times here.
+    """Snapshots, messages and request queues of one session; times are by ``clock`` [s].
 
     ``waiting_per_sender``: of one sender, requests that may wait, of which a mission is one: a quarter second of steps.
     ``senders``: with waiting requests at most.  ``message_history``: lines that are kept.
@@ -131,7 +131,7 @@ class Exchange:
         return self._messages
 
     def subscribe(self, wake: Callable[[], None]) -> Callable[[], None]:
-        """Call ``wake`` in the flight's thread after each snapshot; it must return at once.  Return what ends that."""
+        """Call ``wake`` in the flight's thread after each snapshot, briefly; return a function that stops this."""
         with self._lock:
             self._wakers = (*self._wakers, wake)
 
@@ -149,7 +149,7 @@ class Exchange:
         until: float = inf,
         claim: Claim = lambda: True,
     ) -> None:
-        """Queue a request for the vehicle, which handles it before the next step.
+        """Queue a request, which the flight handles before its next step.
 
         ``done`` gets the answer once, in the flight's thread, or at once in this one if there is no room; it must
         return quickly.  ``sender`` goes to the log.  A request that is not taken until ``until`` is not done any more,
@@ -180,7 +180,7 @@ class Exchange:
             return sum(len(queue) for queue in self._queues.values())
 
     def take_requests(self, limit: int) -> list[PendingRequest]:
-        """Take the next requests out of the queues, ``limit`` of them at most, one sender after the other."""
+        """Take up to ``limit`` requests from the queues, in turn of the senders."""
         if not self._queues:
             return []
         taken: list[PendingRequest] = []
@@ -200,7 +200,7 @@ class Exchange:
         return taken
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
-        """Add a line for the people on the ground, which goes out with the next snapshot."""
+        """Send a text to the ground with the next snapshot."""
         with self._lock:
             self._message_count += 1
             self._messages = (
@@ -217,7 +217,7 @@ class Exchange:
 
 
 class Port:
-    """Access to the exchange from another thread's loop, in which every method is called.
+    """Access to the exchange from another thread's event loop, in which each method is called.
 
     ``wake`` is called in the flight's thread when there is something to collect; it must return at once.
     ``timeout_s``: for an answer; ground stations ask again after 1 to 3 s.
@@ -239,7 +239,7 @@ class Port:
         self.unsubscribe = exchange.subscribe(self._on_publish)
 
     def ask(self, request: GroundRequest, reply: AnswerCallback | None = None, sender: str = "") -> None:
-        """Queue a request for the vehicle; ``reply`` gets exactly one answer, from :meth:`deliver_answers`."""
+        """Queue a request; ``reply`` gets exactly one answer, from :meth:`deliver_answers`."""
         sender = sender or self.name
         if reply is None:
             self._exchange.ask(request, sender=sender)
@@ -252,7 +252,7 @@ class Port:
         )
 
     def deliver_answers(self, now: float) -> None:
-        """Hand out the answers that have come, and answer the requests that the flight has not taken in time.
+        """Deliver answers, and reject requests that the flight did not take in time.
 
         A request that the flight has taken is answered when it is decided.
         """
@@ -279,10 +279,10 @@ class Port:
             self.wake()
 
     def _withdraw(self, number: int) -> bool:
-        """Return whether the request was still undecided; one operation of a dict, as two threads may call it."""
+        """Return whether the request was undecided; atomic, as two threads may call it."""
         return self._deadlines.pop(number, None) is not None
 
     def _queue_answer(self, number: int, answer: rq.Answer) -> None:
-        """Queue an answer and wake the loop; called in the flight's thread, or at once in this one."""
+        """Queue an answer and wake the loop; called in the flight's thread or in this one."""
         self._answered.append((number, answer))
         self.wake()

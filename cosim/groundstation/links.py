@@ -73,7 +73,7 @@ class Links:
 
     @property
     def urls(self) -> list[str]:
-        """URLs of the links, with the ports that were taken."""
+        """URLs of the links with the actual ports."""
         return [
             endpoint._replace(port=port or endpoint.port).url
             for endpoint, port in zip(self.endpoints, self.link.ports, strict=True)
@@ -81,7 +81,7 @@ class Links:
 
     @property
     def page_url(self) -> str | None:
-        """URL of the page; None without one."""
+        """URL of the page, or None."""
         return self._page.url if self._page is not None else None
 
     @property
@@ -91,7 +91,7 @@ class Links:
 
     @property
     def frame_counts(self) -> dict[str, Any]:
-        """Counts of frames taken, of frames and requests refused by reason, and of failures here."""
+        """Numbers of accepted frames, of refused frames and requests by reason, and of failures."""
         link = self.link
         return {
             "taken": link.taken,
@@ -101,7 +101,7 @@ class Links:
         }
 
     def begin(self, info: FlightInfo) -> None:
-        """Begin a flight, whose telemetry log goes to its folder."""
+        """Begin a flight, with its telemetry log in its folder."""
         self._folder = info.folder
         if info.folder is not None and info.folder.is_dir():
             self._log_to(TelemetryLog(info.folder / TELEMETRY, self.system))
@@ -111,7 +111,7 @@ class Links:
             self._parameters.replace(info.parameters)
 
     def end(self) -> None:
-        """End a flight, whose run is now among the logs."""
+        """End a flight, whose run is then offered as a log."""
         self._log_to(None)
         if self._log_store is not None:
             self._log_store.mark_outdated()

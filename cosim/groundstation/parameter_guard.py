@@ -26,10 +26,10 @@ T = TypeVar("T")  # type of a judged value
 
 
 class StabilityChecker(Protocol):
-    """Predictor of what parameters do to the loops; called in a thread of its own."""
+    """Predicts the effect of parameters on the loops; called in a thread of its own."""
 
     def prepare(self) -> None:
-        """Compute what every verdict needs, so that the first one is as quick as the others."""
+        """Prepare the computation, so that the first verdict is as fast as later ones."""
 
     def tunes_loop(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
@@ -39,7 +39,7 @@ class StabilityChecker(Protocol):
 
 
 class ParameterGuard:
-    """Queue of parameter changes that wait for their verdict, in the order in which they came.
+    """Queue of parameter changes that wait for their verdicts, in order.
 
     ``max_deferred``: changes that wait at most: twice a whole set, as the first verdict may take seconds.
     ``batch_size``: changes that are checked together and act at one step: as many as a step takes requests.
@@ -60,7 +60,7 @@ class ParameterGuard:
             self._submit(self.checker.prepare)
 
     def defer(self, waiting: PendingRequest) -> bool:
-        """Defer a change that tunes a loop until :meth:`take_verdicts` returns it; False: it tunes none."""
+        """Queue a change that affects a loop until :meth:`take_verdicts` returns it; False: it affects none."""
         request = waiting.request
         if self.checker is None or not isinstance(request, SetParameter) or not self.checker.tunes_loop(request.name):
             return False
@@ -71,7 +71,7 @@ class ParameterGuard:
         return True
 
     def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[PendingRequest, list[Caution] | None]]:
-        """Return the next changes, each with its verdict: None where it is too late for one, and it is to be refused.
+        """Return the next changes with verdicts; None: too late, to be refused.
 
         ``now`` [s] is of the clock of :attr:`PendingRequest.deadline`.
         """
@@ -114,7 +114,7 @@ class ParameterGuard:
         return self._thread.submit(task)
 
     def _cautions(self, steps: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[Caution]]:
-        """Return the verdicts up to the first change that may be refused: the next depend on what becomes of it."""
+        """Return verdicts up to the first change that may be refused, on which later ones depend."""
         assert self.checker is not None
         verdicts: list[list[Caution]] = []
         for before, after in steps:
@@ -136,7 +136,7 @@ def _steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[
 
 
 def split_allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
-    """Return the values that a vehicle takes, as it stores them, and a line for each that it refuses."""
+    """Return the acceptable values as the vehicle stores them, and one line for each refused."""
     accepted: dict[str, float] = {}
     refused = []
     for name, value in values.items():
@@ -150,7 +150,7 @@ def split_allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[
 def find_refusal(
     request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]
 ) -> str:
-    """Return why a change is not taken; empty where it is.  ``cautions`` None: its verdict is too late."""
+    """Return why a change is refused; empty: it is accepted.  ``cautions`` None: verdict too late."""
     if cautions is None:
         return f"{_format_value(request.name, request.value)} not taken: no verdict in time, ask again"
     losing = [caution for caution in cautions if caution.was_stable]
@@ -169,7 +169,7 @@ def warn(
 
 
 def list_changes(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
-    """Return what differs from the defaults, each as ``NAME 0 (default 0.02)``; a count in place of the last ones.
+    """List the changes from defaults as ``NAME 0 (default 0.02)``; a count replaces the last ones.
 
     What the vehicle refuses comes after these, each with the reason.
     """
@@ -198,7 +198,7 @@ def find_saved_cautions(
 
 
 def describe_saved(checker: StabilityChecker | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:
-    """Return lines on saved values: which differ from the defaults or are refused, and what they make worse."""
+    """Describe saved values: changes from the defaults, refused values, and their effect on stability."""
     cautions = find_saved_cautions(checker, parameters, values)
     return [*list_changes(parameters, values), *(caution.text for caution in cautions)]
 
@@ -209,7 +209,7 @@ def report_saved(
     parameters: Parameters,
     values: Mapping[str, float],
 ) -> None:
-    """Report at the start of a flight which parameters differ from their defaults, and what they make worse."""
+    """Report changed parameters and their effect on stability at the start of a flight."""
     for text in list_changes(parameters, values):
         say(Severity.NOTICE, f"not the default: {text}")
     for caution in find_saved_cautions(checker, parameters, values):
@@ -221,7 +221,7 @@ def _format_value(name: str, value: float) -> str:
 
 
 class ParameterWriter:
-    """Writer of parameters to their file in a thread of its own, because a disk may take longer than a step.
+    """Writes parameters to their file in another thread, because a disk may be slower than a step.
 
     ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
     """
@@ -251,7 +251,7 @@ class ParameterWriter:
         return self._values
 
     def save(self, values: dict[str, float]) -> None:
-        """Save these parameters from now on, without HJ_FORCE, which holds for one flight."""
+        """Save these parameters, except HJ_FORCE, which holds for one flight."""
         self._values = {name: value for name, value in values.items() if name != FORCE}
         if self._store is None:
             return

@@ -21,7 +21,7 @@ _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"  # first li
 
 
 def make_vehicle_key(scenario: Scenario) -> str:
-    """Return the key of the parameters' file: another engine or controller has other defaults."""
+    """Return the key of the parameter file: defaults depend on engine and controller."""
     engine = file_label(Path(scenario.engine)) if is_file(scenario.engine) else scenario.engine
     designs = [f"{Path(f.file).stem}-{f.sha256[:HASH_LETTERS]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
@@ -33,7 +33,7 @@ def find_default_file(vehicle: str) -> Path:
 
 
 class ParameterStore:
-    """The file of one vehicle's changed parameters.
+    """File of one vehicle's changed parameters.
 
     What the vehicle refuses (a name of another version, a range of another engine) is told once and stays in the file.
     A file that cannot be understood is never written over: it is renamed to ``NAME.broken`` first.
@@ -73,7 +73,7 @@ class ParameterStore:
         return {name: value for name, value in self._saved.items() if name != FORCE}
 
     def restore(self, apply: Callable[[str, float], None]) -> list[str]:
-        """Pass every value of the file to ``put``, and return a line for each that it refuses with InputError.
+        """Apply each value of the file; return one line for each that is refused with InputError.
 
         Raises InputError for a file that cannot be read.
         """
@@ -107,7 +107,7 @@ class ParameterStore:
         self._saved = values
 
     def _rename_broken(self) -> None:
-        """Rename an existing file that cannot be understood, so that it is not overwritten."""
+        """Rename an unreadable file, so that it is not overwritten."""
         try:
             ParameterStore(self.path, self._vehicle).load()
         except InputError:

@@ -39,7 +39,7 @@ class ReadOnlyObserver:
         return self
 
     def observe(self, sample: Sample) -> None:
-        """Publish the flight as it is after a step, not more often than anybody looks."""
+        """Publish the flight after a step, at most at the publishing rate."""
         now = time.monotonic()
         if now - self._last < PUBLISH_INTERVAL_S:
             return

@@ -60,7 +60,7 @@ class RecordOptions:
 
 
 class Session:
-    """Flights on request, each recorded in a folder of its own.
+    """Flights on request, each recorded in its own folder.
 
     ``factor``: of real time, None as fast as it goes.  ``parameter_file``: a TOML file that parameters are read
     from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop`
@@ -105,15 +105,15 @@ class Session:
 
     @property
     def parameter_file(self) -> Path | None:
-        """File in which parameters are saved; None: they last for the session alone."""
+        """File for saved parameters; None: they last for the session."""
         return self._parameters.path
 
     def set_stability_checker(self, checker: StabilityChecker) -> None:
-        """Set the checker of parameter changes that tune a loop; without one every change is taken."""
+        """Set the checker of parameter changes; without one all changes are accepted."""
         self._guard.checker = checker
 
     def describe_saved(self) -> list[str]:
-        """Return lines on the saved parameters: which differ from the defaults, and what they make worse."""
+        """Describe the saved parameters: changes from the defaults and their effect on stability."""
         return describe_saved(self._guard.checker, self.info.parameters, self._parameters.values)
 
     def stop(self, why: str) -> None:
@@ -144,7 +144,7 @@ class Session:
             self._restart = False
 
     def _build(self) -> SessionFlight:
-        """Build a flight without beginning it: nothing but its folder is written yet."""
+        """Build a flight, creating nothing but its folder."""
         number = len(self.runs) + 1
         simulation = build(self.scenario)
         try:
@@ -205,7 +205,7 @@ class Session:
         return ending
 
     def _handle_requests(self, flight: SessionFlight, k: int, request_s: float = 0.5e-3) -> Ending | None:
-        """Handle requests between two steps, within bounds; return an ending if one is requested."""
+        """Handle a limited number of requests between steps; return an ending if one was requested."""
         if self._stopping:
             in_air = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
             return Ending("completed", f"{self._stopping}{' in the air' if in_air else ''}")
@@ -246,7 +246,7 @@ class Session:
     def _serve_judged(
         self, flight: SessionFlight, waiting: PendingRequest, cautions: list[Caution] | None, k: int
     ) -> rq.Answer:
-        """Make a parameter change that has its verdict, and warn of it; or refuse it, which is recorded too."""
+        """Make a parameter change with its verdict and warn, or refuse and record it."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, rq.SetParameter)
         in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
@@ -271,7 +271,7 @@ class Session:
         return rq.Answer(True, rq.Result.ACCEPTED, "")
 
     def _serve_after_end(self, flight: SessionFlight, ending: Ending, poll_s: float = 0.02) -> None:
-        """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
+        """Answer requests after the end of a flight, until a restart or the session's end."""
         exchange = self.exchange
         deadline = None
         if self.duration is not None:
@@ -294,7 +294,7 @@ class Session:
     def _set_for_next_flight(
         self, flight: SessionFlight, request: rq.SetParameter, cautions: list[Caution] | None
     ) -> rq.Answer:
-        """Set a parameter for the next flight, as this one is over."""
+        """Set a parameter for the next flight, because this one is over."""
         if why := find_refusal(request, cautions, False, {}):
             return rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
@@ -341,7 +341,7 @@ def parse_place(text: str) -> dict[str, float]:
 
 @contextmanager
 def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
-    """Keep a paced flight steady: no long collections of garbage, and threads that give way soon.
+    """Steady the timing of a paced flight: no long garbage collections, short thread switches.
 
     ``switch_s``: after which a busy thread is switched; Python's 5 ms are longer than a step.
     """
@@ -358,7 +358,7 @@ def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
 
 @contextmanager
 def stop_on_signals(session: Session) -> Iterator[None]:
-    """End the session properly on Ctrl-C and SIGTERM; a second one ends the process as usual."""
+    """End the session properly on Ctrl-C and SIGTERM; a second signal ends the process at once."""
     previous: dict[int, Any] = {}
 
     def restore() -> None:

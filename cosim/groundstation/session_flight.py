@@ -36,7 +36,7 @@ MAX_LOG_MB = 2000.0
 
 @dataclass
 class SessionFlight:
-    """One flight with its autopilot, its records and its link to the exchange."""
+    """One flight with autopilot, records and its link to the exchange."""
 
     simulation: Simulation
     pilot: Autopilot
@@ -53,7 +53,7 @@ class SessionFlight:
         self.stick_owner = StickOwner(self.pilot.parameters, self.simulation.dt)
 
     def begin(self, log_mb: float | None = MAX_LOG_MB) -> LogLimit:
-        """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
+        """Make the run's folder with a log of at most this many MB.  Raises InputError."""
         assert self.info.folder is not None
         self.recording = record(self.simulation, self.info.folder, {REQUESTS: b""}, background=True)
         self.log = RequestLog(self.info.folder / REQUESTS)
@@ -79,7 +79,7 @@ class SessionFlight:
         self.log.write(k, sender, request, answer, asked=False)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Set a saved parameter.  Raises InputError where it is refused."""
+        """Set a saved parameter.  Raises InputError if it is refused."""
         answer = self.ask("parameters", SetParameter(name, value), 0)
         if not answer.accepted:
             raise InputError(answer.text)
@@ -104,7 +104,7 @@ class SessionFlight:
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
-        """Put the run's files into place and return it; its scenario ends where the flight has ended."""
+        """Finish the run's files and return the run, whose scenario ends with the flight."""
         assert self.recording is not None
         self.close_record()
         steps, reason = self.simulation.k, ending.reason
@@ -122,14 +122,14 @@ class SessionFlight:
         self.simulation.close()
 
     def close_record(self) -> None:
-        """Close the autopilot's record, which is then on disk as far as there is room."""
+        """Close the autopilot's record."""
         if self.pilot_record is not None:
             with suppress(FlightError):
                 self.pilot_record.close()
 
 
 class StickOwner:
-    """Holder of the sticks: the sender who had them first, until it falls silent, as PX4 chooses between sources."""
+    """Holder of the sticks: the first sender, until it falls silent, as PX4 selects sources."""
 
     def __init__(self, parameters: Parameters, step: float) -> None:
         self._parameters, self._step = parameters, step
@@ -137,7 +137,7 @@ class StickOwner:
         self._is_announced = False
 
     def find_other_holder(self, sender: str, k: int) -> str:
-        """Return the other sender that holds the sticks at step ``k``; empty: ``sender`` holds them from now on."""
+        """Return another sender that holds the sticks at step ``k``; empty: ``sender`` now holds them."""
         is_recent = (k - self._last_step) * self._step <= self._parameters["HJ_STICK_TIME"]
         if self._holder not in ("", sender) and is_recent:
             return self._holder
@@ -146,7 +146,7 @@ class StickOwner:
         return ""
 
     def note_refusal(self) -> bool:
-        """Note a refusal, and return whether it is the first since the holder changed, so that it is reported once."""
+        """Return whether this refusal is the first since the holder changed, to report it once."""
         was_announced, self._is_announced = self._is_announced, True
         return not was_announced
 
@@ -178,7 +178,7 @@ class LogLimit:
         return self._most is not None and self.rows >= self._most
 
     def observe(self, sample: Sample) -> None:
-        """Record the sample while there is room for it."""
+        """Record the sample if there is room."""
         if self.is_full:
             return
         self._recording.observe(sample)
@@ -191,7 +191,7 @@ class LogLimit:
 
 
 class Publisher:
-    """Observer that publishes snapshots, not more often than anybody looks, and reports late steps."""
+    """Observer that publishes snapshots at a limited rate and reports late steps."""
 
     def __init__(self, flight: SessionFlight, warn_every_s: float = 10.0) -> None:
         self.warn_every_s = warn_every_s
@@ -239,7 +239,7 @@ def make_snapshot(
 
 
 def forward_messages(pilot: Autopilot, exchange: Exchange, after: int) -> int:
-    """Pass on the autopilot's messages after number ``after``, and return the number of its last one."""
+    """Forward the autopilot's messages after number ``after``; return the last number."""
     messages = pilot.messages
     if messages and messages[-1].number > after:
         for message in messages:

@@ -29,7 +29,7 @@ def write_identification(
     others: Mapping[str, str | bytes] | None = None,
     removed: Iterable[str] = ENGINE_FILES,
 ) -> dict[str, Path]:
-    """Write the ``record`` as JSON, ``texts`` by their kind, ``others`` by their name, and the page.
+    """Write ``record`` as JSON, ``texts`` by kind, ``others`` by name, and the page.
 
     Returns the paths by kind.  What an earlier identification left there of the files ``removed`` goes, also where none
     is left now.  Raises InputError for a folder with files of these names and without RECORD, FlightError if a file

@@ -30,7 +30,7 @@ def judged_page(judgement: Judgement, page: Page) -> Page:
 
 
 def _answer(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
-    """Return the first model's numbers in one line, at most ``limit``; none where there is no table of models."""
+    """Return up to ``limit`` numbers of the first model in one line; empty without models."""
     for card in cards:
         if card is not None and card.title == "Models" and card.rows and len(card.rows[0]) > 1:
             parts = [(*row[0].partition(", "), row[1]) for row in card.rows if row[1]]
@@ -40,7 +40,7 @@ def _answer(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
 
 
 class Signals(NamedTuple):
-    """What was measured and modelled in one log or stretch: s, and arrays in the units of the channels."""
+    """Measured and modelled signals of one log: s, and arrays in the channels' units."""
 
     command_times: Array
     command: Array
@@ -51,7 +51,7 @@ class Signals(NamedTuple):
 
 
 def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: str = "left over") -> Figure:
-    """Return command, measured and modelled output, and what is left over, over time.
+    """Draw command, measured and modelled output, and residual over time.
 
     ``units``: of command and output, the titles of their axes.
     """

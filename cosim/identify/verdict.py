@@ -11,7 +11,7 @@ NOT_TOLD: Final = "not told"  # the data do not determine it
 
 
 class Judgement(NamedTuple):
-    """Whether a model explains what was measured, and what that rests on, one line each."""
+    """Whether a model explains the data, and the evidence, one line each."""
 
     verdict: str
     evidence: tuple[str, ...]
@@ -30,7 +30,7 @@ def shared_record(
     refused: Sequence[str],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what the JSON of every identification, validation and replay has beside its ``estimates``.
+    """Return what all identification, validation and replay JSON contains besides ``estimates``.
 
     ``channels`` and ``units`` are those of command and output; ``refused``: why the model may not be used, a line a
     reason.

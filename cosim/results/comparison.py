@@ -23,7 +23,7 @@ _TIME_TOLERANCE = 1e-6
 
 
 class ComparedFlight(NamedTuple):
-    """One of the flights that are compared; ``run`` is None for a log of another tool."""
+    """One compared flight; ``run`` is None for a log of another tool."""
 
     label: str
     log: Log
@@ -33,7 +33,7 @@ class ComparedFlight(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """How a column of the second differs from the first's; None where there is nothing to tell it from."""
+    """Difference of one column between second and first log; None if incomparable."""
 
     name: str
     unit: str
@@ -63,7 +63,7 @@ class LogComparison(NamedTuple):
 
 
 class TimeBase(NamedTuple):
-    """The steps on which two logs are compared: their times, and the row of each log that is in force."""
+    """Steps for comparing two logs: times, and the valid row of each log."""
 
     times: Array
     first: NDArray[np.intp]
@@ -72,7 +72,7 @@ class TimeBase(NamedTuple):
 
 
 def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
-    """Return the flight with ``by`` [s] added to its times, which its label says."""
+    """Return the flight with times shifted by ``by`` [s], which its label states."""
     columns = {name: flight.log[name] for name in flight.log.columns}
     columns[TIME] = columns[TIME] + by
     log = MemoryLog([np.stack(list(columns.values()))], flight.log.columns, flight.log.described)
@@ -80,7 +80,7 @@ def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
 
 
 def compare_with_first(flights: Sequence[ComparedFlight]) -> list[LogComparison]:
-    """Compare every other flight with the first."""
+    """Compare each flight with the first."""
     return [_pair(flights[0], other) for other in flights[1:]]
 
 

@@ -19,7 +19,7 @@ def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
 
 
 def find_contact_changes(contact: NDArray[np.bool_], step_s: float, apart_s: float = 0.5) -> Iterator[tuple[int, bool]]:
-    """Yield the rows on which the vehicle leaves the ground, or stands on it again (True), bounces left out.
+    """Yield rows where the vehicle leaves the ground (False) or stands (True), without bounces.
 
     ``apart_s``: contacts nearer to each other than this are one.
     """

@@ -33,7 +33,7 @@ ON_JETS, ON_WING = 0.05, 0.5  # fractions of weight on the wing
 
 
 class Event(Record):
-    """Something that happened; ``end_s`` None: at one instant, or, of a fault or disturbance, to the end."""
+    """Something that happened; ``end_s`` None: an instant, or for faults and disturbances to the end."""
 
     time_s: float
     kind: Kind
@@ -49,7 +49,7 @@ class Event(Record):
 
 
 class Phase(NamedTuple):
-    """A stretch of a flight [s] with one name: on the ground, in the air, on the wing, or the autopilot's mode."""
+    """Interval of a flight [s] with one name: on the ground, in the air, on the wing, or an autopilot mode."""
 
     start_s: float
     end_s: float
@@ -64,7 +64,7 @@ def list_phases(run: Run) -> list[Phase]:
 def find_phases(
     log: Log, step: float, record: Iterable[dict[str, Any]] = (), max_phases: int = 200, short_s: float = 0.1
 ) -> list[Phase]:
-    """Return the phases of a flight from its first row to its last, in order; none where it has but one.
+    """Return the phases of a flight in order; none if there is only one.
 
     Where an autopilot flies, a phase is its mode while it is armed.  Without one it is what carries the vehicle: the
     ground, its jets or, in a log with ``wing_lift_N``, the wing: more than 5 % of the weight (a transition), or half.
@@ -82,7 +82,7 @@ def find_phases(
 
 
 def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> list[tuple[int, str]]:
-    """Return the rows from which another phase is flown, and its name."""
+    """Return the rows at which a new phase begins, and its name."""
     states = [line for line in record if line["kind"] == "state"]
     if states:
         return [(max(line["k"], 0), line["mode"] if line["armed"] else "disarmed") for line in states]
@@ -144,7 +144,7 @@ def time_spans(
 
 
 def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[Event]:
-    """Yield every interval in which a fault acts, by jet, servo and sensor, described as in the scenario, if there."""
+    """Yield each interval of a fault by jet, servo and sensor, described as in the scenario if stated there."""
     logged = logged_vehicle_of(log.columns)
     subjects = [("jet", str(jet)) for jet in range(1, logged.jets + 1)]
     subjects += [("servo", name) for name in (*logged.servos, *logged.surfaces)]
@@ -204,13 +204,13 @@ def _health_text(health: float) -> str:
 
 
 def find_contacts(log: Log, step: float) -> Iterator[Event]:
-    """Yield when the vehicle leaves the ground and stands on it again, bounces left out."""
+    """Yield when the vehicle leaves the ground and stands on it again, without bounces."""
     for row, stands in find_contact_changes(find_contact_rows(log), step):
         yield Event(time_s=row * step, kind="contact", text=CONTACTS[stands])
 
 
 def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
-    """Yield what the scenario does to the vehicle from outside, as far as the flight lasts."""
+    """Yield the scenario's disturbances within the flight."""
     if any(scenario.environment.wind_ned_m_s):
         yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
     for entry in scenario.disturbance:

@@ -15,7 +15,7 @@ from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
 
 
 def check_expected(scenario: Scenario) -> None:
-    """Refuse what nothing could meet: an expectation of an unknown controller, engine or metric (InputError)."""
+    """Refuse an expectation of an unknown controller, engine or metric (InputError)."""
     check_requirements(scenario, whole=scenario.origin is None)  # a shortened flight need not reach them
     allowed_metrics = allowed_metric_names(scenario)
     for index, entry in enumerate(scenario.expect):
@@ -41,13 +41,13 @@ def allowed_metric_names(scenario: Scenario) -> list[str]:
 
 
 def _controllers_like(controller: str) -> list[str]:
-    """Return the names of the built-in ones, and this one where it is named as a user's is."""
+    """Return the built-in names, and this one if it has the form of a user's."""
     if controller in PREDICTORS or ":" in controller or file_name(controller):
         return [*PREDICTORS, controller]
     return [*PREDICTORS, *(name for name, _ in own_controllers())]
 
 
 def find_expectation(scenario: Scenario) -> Expectation | None:
-    """Return what the scenario expects of its controller with its engine on its aircraft, if it does."""
+    """Return the scenario's expectation for its controller, engine and aircraft, or None."""
     configuration = (scenario.controller, scenario.engine, scenario.aircraft)
     return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == configuration), None)

@@ -58,7 +58,7 @@ def export_log(to: str, folder: Path, out: Path | None = None, **options: Any) -
 
 
 def log_path(to: str, out: Path) -> Path:
-    """Return the file of a format in ``out``, or ``out`` where it is one.  Raises InputError for another's ending."""
+    """Return the file of a format in ``out``, or ``out`` itself.  Raises InputError for a wrong ending."""
     endings = list_endings()
     if to not in endings:
         raise InputError(f"export: to: {to!r}: {nearest(to, endings)}")

@@ -63,7 +63,7 @@ NEVER_SETTLED = ".settling_time_s"  # None if a step has not settled
 
 
 class LimitInputs(Record):
-    """What the limits of a flight are made from, beside its log."""
+    """Inputs of a flight's limits besides its log."""
 
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s; climb and descent limits m/s

@@ -41,7 +41,7 @@ DEFLECTION = "deflection_{}_command"  # column of a surface's command
 
 
 class Record(BaseModel):
-    """A frozen record of a summary; keys that a newer version wrote are left aside."""
+    """Frozen record of a summary, which ignores keys of newer versions."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, defer_build=True)
 
@@ -68,7 +68,7 @@ class AltitudeMetrics(Record):
 
 
 class PositionMetrics(Record):
-    """Horizontal place: from where the flight began, and from the place asked for where one is."""
+    """Horizontal position: distance from the start, and from the commanded position if any."""
 
     drift_m: float | None = None  # largest distance from the start
     final_drift_m: float | None = None  # distance from the start at the end
@@ -115,7 +115,7 @@ class Reach(Record):
 
 
 class Step(NamedTuple):
-    """One step of a set-point: it acts on rows ``first`` to ``end - 1``."""
+    """One step of a set-point, which acts on rows ``first`` to ``end - 1``."""
 
     first: int
     end: int
@@ -208,7 +208,7 @@ def axis_metrics(setpoint: Array, angle: Array, rate_rmse: float | None, step_s:
 
 
 def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2) -> list[Step]:
-    """Return the steps of a set-point (rad); none if it ever moves in another way or is missing on some row.
+    """Return the steps of a set-point (rad); none if it also moves otherwise or is missing in some row.
 
     ``hold_s``: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz.
     """
@@ -239,7 +239,7 @@ def overshoot(error: Array, size: float) -> float | None:
 
 
 def settling_time(error: Array, size: float, step_s: float) -> float | None:
-    """Return the time [s] from a step's first row to the one from which the error stays within 5 % of its size.
+    """Return the time [s] from a step until the error stays within 5 % of its size.
 
     None if the last row is outside.
     """
@@ -256,7 +256,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
 
 
 def position_metrics(drift: Array, off: Array) -> PositionMetrics:
-    """Return the metrics of distances (m) to the start and to the commanded position, NaN where there is none."""
+    """Return the metrics of distances (m) to start and commanded position, NaN if there is none."""
     return PositionMetrics(
         drift_m=_largest(drift),
         final_drift_m=_at_end(drift),
@@ -357,7 +357,7 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
 
 
 def fuel_burnt(fuel: Array, flows: Iterable[Array], step_s: float) -> float | None:
-    """Return the fuel (kg) burnt from first to last row: what has left the tank, or what the engines report in all.
+    """Return the fuel (kg) burnt: lost from the tank, or reported by the engines.
 
     None where no engine reports its flow: a tank stays full then, whatever is burnt.
     """
@@ -405,7 +405,7 @@ def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array,
 
 
 def wrap(angle: Array) -> Array:
-    """Return angles (rad) brought to (-pi, pi]; those within it are not touched."""
+    """Return angles (rad) wrapped to (-pi, pi], unchanged if within."""
     outside = ~(np.abs(angle) <= pi)
     if not np.any(outside):
         return angle
@@ -479,6 +479,6 @@ def _largest(values: Array) -> float | None:
 
 
 def _worst(values: list[float | None]) -> float | None:
-    """Return the largest; None if there are none, or if one of them is None."""
+    """Return the largest; None if there are none or one is None."""
     numbers = [value for value in values if value is not None]
     return max(numbers) if numbers and len(numbers) == len(values) else None

@@ -30,7 +30,7 @@ from cosim.vehicle.model_file import read_model
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
-    """Return the scenario as it flies, with all numbers of vehicle and engines, and the files to go beside it."""
+    """Return the scenario with all numbers of vehicle and engines, and the files that go beside it."""
     scenario = simulation.flown_scenario
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
@@ -78,7 +78,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
 
 
 def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tuple[str, dict[str, Any], dict[int, str]]:
-    """Return the name of the aircraft beside a resolved scenario, its numbers, and the names of the engines there.
+    """Return the aircraft's name beside a resolved scenario, its numbers, and its engines' names there.
 
     The engines are those of their specs' ids; files of the user's, of aircraft and engines, are added to ``files``.
 
@@ -125,7 +125,7 @@ def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str
 
 
 def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
-    """Return the name of one of several aircraft of the user's beside a scenario, whose files are added to ``files``.
+    """Return the name of a user's aircraft beside a scenario, and add its files to ``files``.
 
     Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
     where another file has the name of one of them.
@@ -161,7 +161,7 @@ def _written(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str, Any]:
-    """Return the blocks beside the controller, by what they are called beside a resolved scenario, and their hashes."""
+    """Return plug-ins by their names beside a resolved scenario, and their hashes."""
     by_key: dict[str, Any] = {}
     hashes: dict[str, str] = {}
     for key, sources in plugins.sources.items():
@@ -176,7 +176,7 @@ def _floats(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
-    """Return the name of a controller beside a resolved scenario; the files it is made of are added to ``files``.
+    """Return a controller's name beside a resolved scenario, and add its files to ``files``.
 
     Raises InputError where another file has the name of one that it imports.
     """
@@ -195,7 +195,7 @@ def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
 
 
 def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
-    """Return the name of each spec (by its id) beside a resolved scenario; foreign ones add their files to ``files``.
+    """Return each spec's name (by id) beside a resolved scenario; foreign ones add files to ``files``.
 
     A mapping file goes along with its archive and names that archive there.
     """
@@ -223,7 +223,7 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
-    """Return a mapping file as it is, or written anew with this name of its archive."""
+    """Return a mapping file, rewritten if its archive has another name here."""
     table = read_toml(path)
     if table["fmu"] == archive:
         return path

@@ -68,7 +68,7 @@ class Run:
 
     @property
     def scenario(self) -> Scenario:
-        """The resolved scenario, from the run's folder if need be.  Raises InputError if it cannot be read."""
+        """Resolved scenario, read from the run's folder if needed.  Raises InputError."""
         if self.flown is not None:
             return self.flown
         assert self.folder is not None
@@ -99,28 +99,28 @@ class Run:
 
     @property
     def reason(self) -> str:
-        """Why it ended, in words."""
+        """Reason of its end, in words."""
         return self.summary.reason
 
     @property
     def verdict(self) -> Verdict | None:
-        """What is to be said of it, such as ``as planned``; None of a run whose folder says nothing of it."""
+        """Verdict, such as ``as planned``; None if its folder does not say."""
         return self.summary.verdict
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """Of roll, pitch and yaw, by name; ``altitude``, ``position``, ``speed`` and others of the whole flight too."""
+        """Metrics by name: of roll, pitch, yaw, ``altitude``, ``position``, ``speed`` and the whole flight."""
         return _MetricsByName(self.summary)
 
     @property
     def files(self) -> dict[str, Path]:
-        """The files in its folder, by kind; ``report`` is the page.  Empty where it was flown without one."""
+        """Files in its folder by kind; ``report`` is the page.  Empty without a folder."""
         paths = [] if self.folder is None else [self.folder / name for name in RUN_FILES]
         return {path.stem: path for path in paths if path.is_file()}
 
     @property
     def report(self) -> Path | None:
-        """The page; None where none was written."""
+        """HTML page, or None."""
         return self.files.get("report")
 
     def to_dict(self) -> dict[str, Any]:
@@ -144,7 +144,7 @@ class Run:
 
 
 class _MetricsByName(dict[str, Any]):
-    """The metrics of the axes, which it lists, and by their names those of the whole flight."""
+    """Metrics by name: of the axes, which it lists, and of the whole flight."""
 
     def __init__(self, summary: Summary) -> None:
         super().__init__(summary.metrics)
@@ -179,28 +179,28 @@ class Recording:
         self.columns = len(columns)
 
     def replace_scenario(self, scenario: Scenario) -> None:
-        """Take the scenario as it was flown in the end, with what came by command.  Raises FlightError."""
+        """Replace the scenario by the one flown, with commanded faults.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
             self._scenario = scenario.seen_from(self._sink.path.parent)
             write_whole(self._sink.path.with_name(SCENARIO), scenario_toml(scenario), FlightError)
 
     def note_repeatable(self, same: bool | None) -> None:
-        """Note whether a controller outside this process answers the same again; None: not asked."""
+        """Record whether an external controller repeats its answers; None: not checked."""
         custom = self._setup.own_controller
         if custom is not None and same is not None:
             changed = custom.model_copy(update={"repeatable": same})
             self._setup = self._setup.model_copy(update={"own_controller": changed})
 
     def shorten_scenario(self, steps: int) -> None:
-        """End the scenario of a flight without a planned end after the steps that it flew.  Raises FlightError."""
+        """End the scenario of an open-ended flight after its flown steps.  Raises FlightError."""
         if steps:
             duration = steps * self._setup.step_s
             self._setup = self._setup.model_copy(update={"planned_s": duration})
             self.replace_scenario(self._scenario.replace(duration_s=duration))
 
     def note_steps(self, steps: int, by_hand: int) -> None:
-        """Note the steps so far and how many commands of them a program gave: nothing is expected of the flight."""
+        """Record the steps and how many a program commanded, which makes expectations void."""
         changed: dict[str, object] = {
             "planned_s": steps * self._setup.step_s,
             "by_hand": by_hand,
@@ -253,7 +253,7 @@ def begin_run(
     columns: Sequence[Column] = COLUMNS,
     metrics: Sequence[CustomMetric] = (),
 ) -> Recording:
-    """Begin a run, in ``folder`` or in memory, where ``sink`` may keep less than all.
+    """Begin a run in ``folder`` or in memory, where ``sink`` may keep a part.
 
     ``scenario`` is resolved: what is written to ``scenario.toml`` flies as it is.  ``files``, or contents, are put
     beside it under their keys.  ``background``: a thread writes the rows.  ``columns``: of the log.  ``metrics``: of
@@ -280,7 +280,7 @@ def begin_run(
 
 
 def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) -> None:
-    """Make a run's folder if need be.  Raises InputError if it already holds a run or cannot be written to."""
+    """Make a run's folder if needed.  Raises InputError if it holds a run or is not writable."""
     try:
         _refuse_if_used(folder, files or {})
         folder.mkdir(parents=True, exist_ok=True)
@@ -291,7 +291,7 @@ def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) 
 
 
 def open_run(folder: Path | str) -> Run:
-    """Open a finished run, or finish one that was killed with everything it had written.
+    """Open a finished run, or finish a killed one from what it wrote.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def open_run(folder: Path | str) -> Run:
 
 
 def finish_killed(scenario: Path) -> None:
-    """Finish the run that a scenario file belongs to if that run was killed, so that its scenario ends where it did.
+    """Finish a killed run, given its scenario file, so that the scenario ends where it did.
 
     Raises InputError while the run is being flown.
     """
@@ -359,7 +359,7 @@ def _settle(
 
 
 def _recover(folder: Path) -> None:
-    """Finish a run whose process did not."""
+    """Finish a run whose process was killed."""
     stream = folder / STREAM
     with lock_file(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
         if not (folder / SUMMARY).is_file():
@@ -379,7 +379,7 @@ def _recover(folder: Path) -> None:
 
 
 def _shorten(folder: Path, summary: Summary, steps: int) -> None:
-    """Let the scenario of a flight that had no planned end, being flown by request, end where its log ends."""
+    """End an open-ended scenario where its log ends."""
     scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:
         shortened = {"planned_s": steps * scenario.step_s}

@@ -41,7 +41,7 @@ from cosim.vehicle.airframe import AIR_METHOD, GROUND_METHOD, METHODS, POSITIONS
 
 
 def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
-    """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies.
+    """Return the data of a run before its first step; ``resolved`` is its flown scenario.
 
     ``notes``: compare its models with the vehicle, for who reads what is found.  Raises InputError for a requirement on
     a signal that is not logged.
@@ -179,7 +179,7 @@ def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
-    """Return the hashes of every archive and mapping file, by name; what differs under one name, by path."""
+    """Return the hashes of all archives and mapping files by name, or by path if names clash."""
     hashes: dict[str, str] = {}
     for spec in specs:
         files = {spec.path: spec.sha256}

@@ -41,7 +41,7 @@ MAX_SWING_IN_WIND_RAD = radians(10.0)
 
 
 class AxisLimitInputs(Record):
-    """What the limits of one axis are made from, beside the log."""
+    """Inputs of one axis's limits besides the log."""
 
     gain_1_s: float  # gain of the attitude law
     noise_rad: float  # noise deviation of measured attitude
@@ -49,7 +49,7 @@ class AxisLimitInputs(Record):
 
 
 class Upsets:
-    """When something from outside acted anew: wind, forces, loads, faults, the ground."""
+    """Times of new external influences: wind, forces, loads, faults, ground."""
 
     def __init__(self, log: Columns, wind_m_s: float) -> None:
         """Read the log; ``wind_m_s`` is the change of the wind that counts."""
@@ -130,7 +130,7 @@ def axis_limits(
 def _settling(
     axis: AxisLimitInputs, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float
 ) -> float | None:
-    """Return the limit on the settling time (s); None where no step can tell, or not all and none is late.
+    """Return the limit of settling time (s); None if no step can tell, or not all and none is late.
 
     A step of which 5 % are below the noise floor is settled within that floor.
     """
@@ -152,7 +152,7 @@ def _settling(
 def _oscillation(
     axis: AxisLimitInputs, steps: Sequence[Step], setpoint: Array, upsets: Upsets, step_s: float
 ) -> float | None:
-    """Return the limit on the residual oscillation (rad); None where the end of the flight cannot tell.
+    """Return the limit of residual oscillation (rad); None if the end of the flight cannot tell.
 
     It is ``SETTLING_BAND`` of the last step, or the noise floor if that is more, or ``MAX_SWING_IN_WIND_RAD`` while the
     wind changes, and beyond it what is left of how the set-point moved since the axis had time to settle before the
@@ -175,7 +175,7 @@ def _oscillation(
 
 
 def _residual_of_steps(steps: Sequence[Step], row: int, settling_rows: float) -> float:
-    """Return what may be left (rad) on a row of steps that have not had the time to settle.
+    """Return the allowed residual (rad) in a row of steps that had no time to settle.
 
     A step of size s leaves ``s SETTLING_BAND^(t / settling)`` after a time t: all of it at once, 5 % at the time in
     which it is to settle.  One after that row, in the last second, counts whole.

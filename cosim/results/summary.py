@@ -49,7 +49,7 @@ PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")  # pa
 
 
 class DelayRow(Record):
-    """One element of the chain from an axis's command to its measured rate, and the samples of delay that it owns."""
+    """One element from an axis's command to its measured rate, with its delay in samples."""
 
     element: str
     owner: str
@@ -59,7 +59,7 @@ class DelayRow(Record):
 
 
 class StationEngine(Record):
-    """The engine at one station; ``curve`` as ``Setup.engine_curve``, empty if it is that one."""
+    """Engine of one station; ``curve`` as ``Setup.engine_curve``, empty if equal."""
 
     engine: str
     sha256: str  # SHA-256 of the archive
@@ -69,7 +69,7 @@ class StationEngine(Record):
 
 
 class UncertainParameter(Record):
-    """One uncertain parameter of an engine, each number in its unit."""
+    """One uncertain parameter of an engine, in its unit."""
 
     name: str
     nominal: float  # value in the mapping file
@@ -109,7 +109,7 @@ class Integration(Record):
 
 
 class OwnController(Record):
-    """A controller from outside, as it flew."""
+    """A user's controller as flown."""
 
     name: str
     level: str  # predictor, rate, attitude or controller
@@ -123,7 +123,7 @@ class OwnController(Record):
 
 
 class ParametersRecord(Record):
-    """A file whose numbers flew: a controller of hexjet design, or identified models."""
+    """A file whose numbers flew: a designed controller, or identified models."""
 
     kind: str  # "design" or "models"
     file: str  # file name in the run's folder
@@ -133,7 +133,7 @@ class ParametersRecord(Record):
 
 
 class PluginRecord(Record):
-    """A metric, an observer, sensors or a wind of the user's, as it flew."""
+    """A user's metric, observer, sensors or wind as flown."""
 
     key: str  # key of the scenario
     name: str
@@ -187,12 +187,12 @@ class Setup(BaseModel):
 
     @property
     def engine_shown(self) -> str:
-        """The engine for people, one that is not of the library with its file and the first letters of its hash."""
+        """Engine for display; a foreign one with file and the first letters of its hash."""
         files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
         return self.engine + "".join(f" ({name} {value[:HASH_LETTERS]})" for name, value in files.items() if name)
 
     def retitled(self) -> Self:
-        """Return the same under a title of what flies, where it is not what the scenario's file states.
+        """Return the same with a title of what flies, if it differs from the scenario's file.
 
         The description is kept, marked as the scenario's.
         """
@@ -217,7 +217,7 @@ class Pacing(Record):
 
 
 class Summary(Setup):
-    """What ``summary.json`` says."""
+    """Contents of ``summary.json``."""
 
     outcome: Outcome
     reason: str
@@ -274,28 +274,28 @@ class Summary(Setup):
 
     @property
     def as_planned(self) -> bool:
-        """Whether it completed within its limits and met what its scenario expects and requires, which is something."""
+        """Whether it completed within limits and met stated expectations or requirements."""
         return self.succeeded and not self.expectations_met is self.requirements_kept is None
 
     @property
     def succeeded(self) -> bool:
-        """Whether it completed, and nothing that was checked failed: its exit status is 0."""
+        """Whether it completed and no check failed: exit status 0."""
         is_kept = self.expectations_met is not False and self.requirements_kept is not False
         return self.outcome == "completed" and not self.beyond and is_kept
 
     @property
     def ending(self) -> str:
-        """How it ended and its verdict, in words."""
+        """Ending and verdict, in words."""
         return describe_end(self.outcome, self.reason, self.verdict)
 
     @property
     def exceeded(self) -> list[str]:
-        """What is beyond its limit, in words and with both figures."""
+        """Metrics above their limits, in words with both numbers."""
         return [describe_exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
 
     @property
     def broken(self) -> list[str]:
-        """What of ``[[require]]`` is not kept, in words."""
+        """Missed requirements of ``[[require]]``, in words."""
         return [result.describe() for result in self.requirements if result.source == "require" and not result.kept]
 
 
@@ -308,7 +308,7 @@ def summarize(
     pace: PaceReport | None = None,
     custom: Sequence[CustomMetric] = (),
 ) -> Summary:
-    """Return the summary of a flight from its log; ``custom`` are the user's metrics, beside the built-in ones."""
+    """Return the summary of a flight from its log; ``custom`` are the user's metrics."""
     metrics = flight_metrics(log, setup.step_s, setup.reach)
     values, failed = _evaluate(custom, log, setup.step_s)
     flat = flatten(metrics) | values
@@ -359,7 +359,7 @@ def summarize(
 def _assess(
     setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: Lost | None
 ) -> list[RequirementResult]:
-    """Return what the flight comes to under each of its requirements."""
+    """Return the flight's result for each requirement."""
     expected = {} if setup.expectation is None else setup.expectation.metrics
     requirements = flight_requirements(limits, expected, setup.requires)
     return [RequirementResult.of(requirement.assess(flight, lost)) for requirement in requirements]
@@ -408,7 +408,7 @@ def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping
 
 
 def summary_json(summary: Summary, width: int = 120) -> str:
-    """Return the summary as JSON, main entries first; a table or list is one line, a long one a line an entry.
+    """Return the summary as JSON, main entries first, long tables and lists with a line per entry.
 
     ``width``: characters of a table or list on one line of the summary.
     """

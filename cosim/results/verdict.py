@@ -26,7 +26,7 @@ NOTHING_EXPECTED = "Nothing was expected of it, so that nothing but its limits w
 def judge(
     outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None, requirements_kept: bool | None = None
 ) -> RunVerdict:
-    """Return the verdict of a flight; None where nothing is expected of it, and where nothing is required."""
+    """Return the verdict of a flight; None: nothing was expected, or required."""
     if outcome != "completed":
         return Verdict.NOT_COMPLETED
     if beyond:

@@ -12,7 +12,7 @@ from cosim.base.signals import AXES
 
 
 class Metric(NamedTuple):
-    """One metric: its name in the data, in words, and the unit that is shown with the factor to it."""
+    """A metric: its key, its words, and the displayed unit with its factor."""
 
     name: str
     label: str
@@ -96,10 +96,10 @@ def metric(name: str) -> Metric:
 
 
 def display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which a log's quantity is shown, and the factor to it."""
+    """Return the displayed unit of a log's quantity, and its factor."""
     return {"rad": ("deg", degrees(1.0)), "rad/s": ("deg/s", degrees(1.0))}.get(unit, (unit, 1.0))
 
 
 def show_value(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
-    """Format a value of a table; return a dash for what a flight cannot tell."""
+    """Format a value; a dash if the flight cannot tell."""
     return NONE if value is None else f"{factor * value:z.{digits}f}"

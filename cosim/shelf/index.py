@@ -31,7 +31,7 @@ SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "starte
 
 
 class Entry(NamedTuple):
-    """One row of the index: a run, a campaign, another page, an unfinished run, or another controller's log."""
+    """One row of the index: a run, campaign, page, unfinished run or foreign log."""
 
     name: str
     kind: str
@@ -130,7 +130,7 @@ def _study(path: Path) -> dict[str, str]:
 
 
 def _read_head(path: Path) -> dict[str, Any]:
-    """Return what a TOML file has before its first table, all of it where that alone cannot be read; else nothing."""
+    """Return a TOML file's keys before its first table, or all if those cannot be parsed alone; else nothing."""
     with suppress(ValueError, RecursionError):
         text = read_text(path)
         with suppress(tomllib.TOMLDecodeError):  # a line of text may look like a table

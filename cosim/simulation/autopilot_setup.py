@@ -21,7 +21,7 @@ _FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in g
 
 
 def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
-    """Put an autopilot in place of the scenario's commands; from here on the flight does what it is asked.
+    """Replace the scenario's commands by an autopilot, which flies as requested from here on.
 
     ``airborne``: the flight begins in the air, armed and holding.
     What tunes the loops that a controller from outside takes the place of cannot be changed in flight.
@@ -77,7 +77,7 @@ def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilo
 
 
 def _hover_burn_rate(simulation: Simulation) -> float | None:
-    """Return the share of a full tank that the engines take in a second of hover; None: no tank, or nobody says."""
+    """Return the fraction of a full tank used per second of hover; None: unknown or no tank."""
     tank, cascade = simulation.propulsion.tank, simulation.replaced_cascade or simulation.cascade
     if tank is None:
         return None
@@ -91,7 +91,7 @@ def _hover_burn_rate(simulation: Simulation) -> float | None:
 
 
 def make_fault(request: InjectFault) -> Fault:
-    """Return the scenario's fault that a request stands for.  Raises InputError for one that there is not."""
+    """Return the scenario's fault for a request.  Raises InputError for an unknown one."""
     kind = _FAULTS.get(request.fault)
     if kind is None:
         raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULTS))}")

@@ -28,7 +28,7 @@ from cosim.vehicle.effects.rotors import RotorDynamics
 
 @dataclass(frozen=True)
 class AxisPart:
-    """Actuators of one lag that give a fraction of an axis: the engines, or tilt servos and hinges.
+    """Actuators of one lag that provide a fraction of an axis: engines, or servos and hinges.
 
     They act as ``fraction + lead_s (1 - 1/z) / T + reaction_s2 ((1 - 1/z) / T)^2`` times the actuators' response:
     ``lead_s`` [s] is the momentum of rotors that they turn or speed up, which acts by the rate at which it changes, and
@@ -48,7 +48,7 @@ class AxisPart:
 
 
 class AxisFractions(NamedTuple):
-    """Shares of a small angular acceleration about an axis, which add up to 1, and the moves that give it.
+    """Fractions of a small angular acceleration about an axis, with sum 1, and the moves for it.
 
     ``thrusts`` and ``servos``: the share of each jet's thrust, and of each hinge and surface or of each bank's servo.
     ``moves``: by how much each thrust [N] and then each servo [rad] moves per rad/s^2; () for banks, whose rotors act
@@ -61,7 +61,7 @@ class AxisFractions(NamedTuple):
 
 
 def compute_axis_fractions(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisFractions:
-    """Return what turns a vehicle about an axis in hover, each part for itself; nothing but zeros where nothing does.
+    """Return the fraction of each actuator in hover about an axis; zeros if nothing turns it.
 
     ``index``: 0 roll, 1 pitch, 2 yaw; ``allocator``: the one that it is flown with.
     """
@@ -81,14 +81,14 @@ def compute_axis_fractions(vehicle: Vehicle, allocator: Allocator, index: int) -
 
 
 def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
-    """Return by how much each thrust moves per rad/s^2 about an axis, N, where thrusts alone give it and alike."""
+    """Return the change of each thrust per rad/s^2 about an axis, N, if thrusts alone give it equally."""
     arms = levers(vehicle, index)
     per_newton = vehicle.inertia_kg_m2[index] / sum(abs(arm) for arm in arms)
     return [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
 
 
 def thrust_momentum_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step: float) -> float:
-    """Return :func:`rotor_momentum_lead` about an axis that thrusts alone give, with one engine; 0 with banks."""
+    """Return :func:`rotor_momentum_lead` about an axis driven by thrusts alone; 0 with banks."""
     jets = len(vehicle.jets)
     if vehicle.servo is not None or not any(levers(vehicle, index)):
         return 0.0
@@ -135,7 +135,7 @@ def is_turned_by_throttle(vehicle: Vehicle, index: int) -> bool:
 
 
 def bank_reaction(vehicle: Vehicle, index: int, moment: float, step: float) -> float:
-    """Return what turning both banks does to the body, ``2 J / (moment step^2)``: in pitch; in yaw it cancels.
+    """Return the reaction of turning both banks, ``2 J / (moment step^2)``, in pitch; in yaw it cancels.
 
     ``moment``: of the axis, N m per rad.  Below the centre of gravity thrust and reaction agree, above they do not.
     """
@@ -148,7 +148,7 @@ def bank_reaction(vehicle: Vehicle, index: int, moment: float, step: float) -> f
 def list_hinged_parts(
     vehicle: Vehicle, allocator: EffectivenessAllocator, index: int, engine: EngineSpec, step: float
 ) -> list[AxisPart]:
-    """Return what gives an axis of the allocation ``effectiveness`` in hover: the engines, then hinges by their lag.
+    """Return the parts of an ``effectiveness`` axis in hover: engines, then hinges by lag.
 
     Surfaces do nothing in hover.  ``engine``: at every station; ``step``: control step, s.
     """
@@ -222,7 +222,7 @@ def compute_hinge_reactions(vehicle: Vehicle, step: float) -> Array:
 def discretise_rate(
     damping_1_s: float, step: float, substeps: int, shape: Sequence[float] = (1.0, 0.0, 0.0)
 ) -> tuple[tuple[float, ...], float]:
-    """Return what JSBSim's runs make of a moment: shares of this step's and of those before, and the rate's pole.
+    """Return the effect of a moment over JSBSim's runs: weights of this and previous steps, and the rate's pole.
 
     ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2 ...)``.  A run moves the
     rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and

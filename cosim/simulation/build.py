@@ -34,7 +34,7 @@ from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 
 def build(scenario: Scenario, controller: Source | None = None, with_ledger: bool = True) -> Simulation:
-    """Wire a flight; ``controller`` is one that a program hands over, else the scenario's is found by its name.
+    """Connect the blocks of a flight; ``controller`` is a given one, else the scenario's.
 
     ``with_ledger``: whether the delay ledger is made, which takes longer than a thousand steps of a hinged vehicle.
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
@@ -107,7 +107,7 @@ def build(scenario: Scenario, controller: Source | None = None, with_ledger: boo
 
 
 def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: CommandScript) -> bool:
-    """Return whether a speed ahead is asked for.  Raises InputError where no law flies ahead."""
+    """Return whether a forward speed is commanded.  Raises InputError if no law flies it."""
     flies_ahead = "ahead_m_s" in commander.signals
     if flies_ahead and vehicle.control.wing is None:
         raise InputError(
@@ -118,7 +118,7 @@ def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: CommandS
 
 
 def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Refuse part of a tank that is not there, as faults and factors of jets that are not there are refused."""
+    """Refuse partial fuel without a tank, and faults and factors of missing jets."""
     if vehicle.fuel is None and scenario.initial.fuel != 1.0:
         raise InputError(
             f"scenario {scenario.name}: initial.fuel = {scenario.initial.fuel:g}: {vehicle.name} has no tank; leave it "
@@ -127,7 +127,7 @@ def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
 
 
 def _need_height_above_ground(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Refuse a start with a contact deeper in the ground than the legs are pressed in when the vehicle stands on them.
+    """Refuse a start with a contact deeper in the ground than when standing on the legs.
 
     What stands deeper is thrown out of the ground by its springs.
     """

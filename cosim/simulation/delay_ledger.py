@@ -53,7 +53,7 @@ AT_HOVER = ", measured with small steps around the throttle of hover"  # how an 
 
 @dataclass(frozen=True)
 class LedgerRow:
-    """One element of the chain of an axis."""
+    """One element of an axis's chain."""
 
     element: str
     owner: str
@@ -98,13 +98,13 @@ def sum_transport_samples(rows: Sequence[LedgerRow], axis: str) -> float | None:
 
 
 def explain_unknown(rows: Sequence[LedgerRow], axis: str) -> str:
-    """Return why the rows of an axis have no sum; empty where they have one."""
+    """Return why an axis has no sum of delays; empty: it has one."""
     unknown = [row for row in select_axis(rows, axis) if row.samples is None]
     return "; ".join(row.element if row.kind == "mixed" else f"{row.element}: not known" for row in unknown)
 
 
 class _Hover:
-    """A vehicle in hover, whose axes have rows."""
+    """A vehicle in hover, whose axes have ledger rows."""
 
     def __init__(
         self, scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec], allocator: Allocator
@@ -133,27 +133,27 @@ class _Hover:
         return [LedgerRow(*row, axis) for row in (*held, *self._acting(axis, turned), *airframe_and_gyro)]
 
     def _acting(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
-        """Return element, owner, kind and samples of what gives the axis."""
+        """Return element, owner, kind and samples of an axis's actuator."""
         by_thrust, by_servo = sum(turned.thrusts), sum(turned.servos)
         if not by_thrust and not by_servo:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
         rotors = self._rotors(axis, turned)
         if by_servo <= MINOR_SHARE:
-            rows = [*self._by_thrust(turned.thrusts), *rotors]
-            return [*rows, *_minor_share_rows("servos give", by_servo, "tilt servos")]
+            rows = [*self._thrust_delay(turned.thrusts), *rotors]
+            return [*rows, *_list_minor_shares("servos give", by_servo, "tilt servos")]
         if by_thrust <= MINOR_SHARE:
             rows = [*self._by_servos(turned.servos), *rotors]
-            return [*rows, *_minor_share_rows("engines give", by_thrust, _owner(self._engines))]
+            return [*rows, *_list_minor_shares("engines give", by_thrust, _name_owner(self._engines))]
         why = (
             f"no one delay: servos give {100.0 * by_servo:.0f} % of the moment, by themselves "
             f"{_format_total(self._by_servos(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
-            f"{_format_total(self._by_thrust(turned.thrusts))} late: the lag of their sum depends on frequency"
+            f"{_format_total(self._thrust_delay(turned.thrusts))} late: the lag of their sum depends on frequency"
         )
         return [(why, "allocation", "mixed", None)]
 
-    def _by_thrust(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+    def _thrust_delay(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
         engines, step, later = self._engines, self._step, self._scenario.mismatch.delay_samples
-        owner = _owner(engines)
+        owner = _name_owner(engines)
         owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
         known = [self._small_step_response(jet) for jet in range(len(engines))]
         how = MEASURED if any(engine.pole is None and engine.small_step is not None for engine in engines) else ""
@@ -185,7 +185,7 @@ class _Hover:
         ]
 
     def _rotors(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
-        """Return the line of the lead from the rotors' change of angular momentum, where it acts about the axis."""
+        """Return the row of the rotors' momentum lead, if it acts about the axis."""
         early = rotor_momentum_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[
             AXES.index(axis)
         ]
@@ -203,7 +203,7 @@ class _Hover:
         return measure_small_steps(engine, throttle, self._step)
 
 
-def _minor_share_rows(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
+def _list_minor_shares(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
     if share < 5e-4:
         return []
     return [(f"{who} {100.0 * share:.1f} % of the moment beside it: not in the sum", owner, "beside", 0.0)]
@@ -214,13 +214,13 @@ def _format_total(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
     return "?" if None in samples else f"{sum(value for value in samples if value is not None):.1f}"
 
 
-def _owner(engines: Sequence[EngineSpec]) -> str:
+def _name_owner(engines: Sequence[EngineSpec]) -> str:
     names = list(dict.fromkeys(engine.name for engine in engines))
     return f"engine {names[0]}" if len(names) == 1 else f"engines {', '.join(names)}"
 
 
 def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | None:
-    """Return the weighted mean of the values with a weight; None if one of them is unknown.
+    """Return the mean of values with non-zero weights; None if one is unknown.
 
     Equal values are returned as they are, without rounding.
     """
@@ -241,7 +241,7 @@ def _delay(engine: EngineSpec, step: float) -> float | None:
 
 
 def _lag(engine: EngineSpec, step: float, around: SmallStepResponse | None) -> float | None:
-    """Return the delay by the engine's lag less what it takes back from the exchange, control steps.
+    """Return the engine's lag minus the exchange's part of it, control steps.
 
     With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
     exchange together delay by ``q + a^(m (q + 1) - d) / (1 - a^m)`` control steps; for ``m = 1`` this is

@@ -29,7 +29,7 @@ class TerminationCheck:
         self.reset(on_ground=False)
 
     def reset(self, on_ground: bool) -> None:
-        """Start a new flight; ``on_ground``: it starts standing."""
+        """Start a flight; ``on_ground``: on its legs."""
         self._was_on_ground = on_ground
         self._descent = 0.0
 

@@ -17,7 +17,7 @@ _MAX_RESPONSE_S, _NO_CHANGE = 20.0, 1e-6
 
 
 class SmallStepResponse(NamedTuple):
-    """The response of an engine to small changes of the throttle around a constant one."""
+    """Response of an engine to small throttle changes around a constant throttle."""
 
     delay: float | None  # control steps at low frequency, or None
     speed: float  # rad/s; 0: has no speed port
@@ -32,7 +32,7 @@ _around: RecentCache[SmallStepResponse] = RecentCache(64)
 
 
 def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:
-    """Return static curves, lag and delay of an engine: those that it states, and others measured by stepping it.
+    """Return static curves, lag and delay of an engine, stated or measured by stepping it.
 
     An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
     Raises EngineError if the engine fails.
@@ -42,7 +42,7 @@ def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:
 
 
 def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
-    """Return the fuel [kg/s] that a healthy engine at rest takes at a throttle; None where it says nothing of it.
+    """Return the steady fuel flow [kg/s] at a throttle; None if not reported.
 
     Raises EngineError if the engine fails.
     """
@@ -88,7 +88,7 @@ def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
 
 
 def _remaining_change(bank: Engines, first: float, then: float, step: float) -> list[float]:
-    """Return the fraction of the change that is left after each step, until it has been small for a second."""
+    """Return the remaining fraction of the change after each step, until small for a second."""
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
     course, quiet = [], 0

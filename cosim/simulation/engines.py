@@ -62,7 +62,7 @@ def list_stations(scenario: Scenario, vehicle: Vehicle) -> list[Station | None]:
 
 
 class _Loader:
-    """The engines of a flight by file and parameters, each measured once, in the still air where the flight starts."""
+    """Loader of a flight's engines, cached by file and parameters, measured in the still air of the start."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle) -> None:
         self._scenario = scenario
@@ -77,7 +77,7 @@ class _Loader:
         return station.engine, station.parameters
 
     def load(self, engine: str, parameters: dict[str, float], tried: bool | None = None) -> EngineSpec:
-        """Load an engine; ``tried``: its archive was found fit, and runs in a process of its own or does not."""
+        """Load an engine; ``tried``: its archive was checked before, and whether it is isolated."""
         scenario, key = self._scenario, (engine, frozenset(parameters.items()))
         if key not in self._loaded:
             self._loaded[key] = load_engine(

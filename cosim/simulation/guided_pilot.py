@@ -43,7 +43,7 @@ TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # columns of a track
 
 
 class GuidedPilot:
-    """The pilot that flies a scenario's guided commands, one after the other, each from its start on.
+    """Pilot that flies a scenario's guided commands in turn.
 
     ``hover`` and ``idle`` are the collective in hover and the idle thrust in its unit.  Raises InputError where the
     vehicle states no position law, where a command of a lean or a body rate stands beside a guided one, or one of the
@@ -91,7 +91,7 @@ class GuidedPilot:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The column of waypoints still to be reached, where there are any."""
+        """Column of waypoints still to be reached, if any."""
         if not self._points:
             return ()
         return (Column("waypoints_left", "1", "", "waypoints of the script that were not reached yet"),)
@@ -102,7 +102,7 @@ class GuidedPilot:
         return (float(self._left),) if self._points else ()
 
     def reset(self, measured: Measured) -> None:
-        """Start at rest where the sensors say."""
+        """Start at rest at the measured position."""
         self.seen = measured
         self._estimator.reset((measured.position[0], measured.position[1]))
         self._law.reset()
@@ -133,7 +133,7 @@ class GuidedPilot:
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position, None)
 
     def _check_commands(self, where: str) -> None:
-        """Raise InputError for guided commands that do not go together, or with the script's others."""
+        """Raise InputError for conflicting guided commands."""
         asked = self._commander.signals
         leaning = [signal for signal in asked if signal in LEANING]
         if leaning:
@@ -162,7 +162,7 @@ class GuidedPilot:
         self._reached: int | None = None  # step at which the waypoint was reached
 
     def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
-        """Begin another command; what it leaves open goes on as it is."""
+        """Begin a command; what it leaves open is unchanged."""
         if self._last_point is not None:
             track, height = self._last_point
             self._tracker.start(track.position, track.velocity)
@@ -198,7 +198,7 @@ class GuidedPilot:
         self._rise_and_turn(point.altitude_m, point.yaw_deg, command)
 
     def _advance_waypoints(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
-        """Go on to the next waypoint once one is reached and has been held for its time."""
+        """Advance to the next waypoint after one was reached and held for its time."""
         while self._point < len(aim.waypoint):
             point = aim.waypoint[self._point]
             if self._reached is None:
@@ -323,7 +323,7 @@ def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
 
 
 def _describe_target(aim: GuidedCommand, drawn: SplineTrack | None, key: str) -> str:
-    """Describe what of a guided command states the height (``altitude_m``) or the heading (``yaw_deg``); or nothing."""
+    """Describe what in a guided command states height (``altitude_m``) or heading (``yaw_deg``); or nothing."""
     if drawn is not None:
         return f"track states {key}" if key in drawn.states else ""
     if isinstance(aim, WaypointsCommand):

@@ -60,7 +60,7 @@ MIN_REPORTED = 0.15  # relative, of gain, delay or lag
 
 @dataclass(frozen=True)
 class ModelAgreement:
-    """The comparison of one identified model with the vehicle and its engine."""
+    """Comparison of one identified model with the vehicle and its engine."""
 
     engine: str  # engine family of the model
     axis: str
@@ -124,13 +124,13 @@ class ModelAgreement:
 
     @property
     def note(self) -> str:
-        """The line for whoever flies with it."""
+        """Sentence for whoever flies with the model."""
         where = f" {self.state}" if self.state else ""
         return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
 
 
 def compare_flown_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:
-    """Compare the models that the controller of a flight is told of with the vehicle, an axis and a state each.
+    """Compare the models given to a flight's controller with the vehicle, per axis and state.
 
     The vehicle is taken as it starts: with that fuel, and without and with the payloads of the scenario.  Empty where
     the controller needs no model; one from outside is told of all.  Raises EngineError if the engine fails.
@@ -172,7 +172,7 @@ def compare_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, sta
 
 
 def _loading_states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
-    """Return the vehicle as the flight begins, and with each payload that it carries in it, each with a description."""
+    """Return the vehicle at the start, and with each payload, with descriptions."""
     begun, state = vehicle, ""
     if vehicle.fuel is not None and scenario.initial.fuel < 1.0:
         begun = vehicle.with_fuel(scenario.initial.fuel)
@@ -225,7 +225,7 @@ def _compare(
 
 
 def _first_radian(late: Array, omega: Array) -> float:
-    """Return the least frequency, rad/s, at which the phase lag exceeds 1 rad; the highest where there is none."""
+    """Return the lowest frequency, rad/s, with more than 1 rad of lag, or the highest one."""
     first = int(np.argmax(late > 1.0))
     if not late[first] > 1.0:
         return float(omega[-1])
@@ -273,7 +273,7 @@ def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) 
 
 
 def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Response | None:
-    """Return the engine's response to small steps of its throttle; None where it gives none.
+    """Return the engine's response to small throttle steps, or None.
 
     One of the library is taken where it hovers.  One that states a pole answers alike everywhere; any other at the
     nearest throttle of a grid, so that many vehicles share it, and by steps that its trembling does not hide.

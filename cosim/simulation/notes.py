@@ -42,7 +42,7 @@ def note_few_substeps(scenario: Scenario, varied: Collection[str] = ()) -> list[
 
 
 def list_unmeasured(scenario: Scenario, measured: StepErrors, varied: Collection[str] = ()) -> list[str]:
-    """Return how a flight differs from those whose errors were measured: keys, or that it is none of them."""
+    """List the keys by which a flight differs from those with measured step errors."""
     if scenario.name in measured.scenarios:
         shipped = Scenario.load(scenario.name).replace(aircraft=scenario.aircraft, **measured.settings)
         differing = list_differing_keys(scenario, shipped)
@@ -58,13 +58,13 @@ def list_unmeasured(scenario: Scenario, measured: StepErrors, varied: Collection
 
 
 def _enumerate(names: Sequence[str], most: int = 4) -> str:
-    """Return names in a row, the first few where there are many."""
+    """Join names, cut after the first few."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
 
 def note_incomplete_turbulence(scenario: Scenario) -> list[str]:
-    """Return a line where turbulence is stated by half: by its wind without a severity, or the other way round."""
+    """Return a note if turbulence is only half stated: wind without severity or vice versa."""
     environment = scenario.environment
     wind, severity = environment.turbulence_wind_m_s, environment.turbulence_severity
     if wind and not severity:
@@ -80,7 +80,7 @@ def note_incomplete_turbulence(scenario: Scenario) -> list[str]:
 
 
 def note_varied_turbulence(scenario: Scenario, keys: Collection[str]) -> list[str]:
-    """Return a line where ``keys``, which a study varies, change the turbulence by nothing or by a switch alone."""
+    """Return a note if varying these ``keys`` changes turbulence not at all or only on and off."""
     wind, severity = "environment.turbulence_wind_m_s", "environment.turbulence_severity"
     if severity in keys:
         return [f"below {LOW_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]

@@ -59,7 +59,7 @@ class Pace:
         self._load: float | None = None
 
     def wait(self, k: int) -> None:
-        """Sleep until the step after ``k`` finished ones is due."""
+        """Sleep until the step after ``k`` steps is due."""
         self._k = k
         now = self._clock()
         window_start, first_k = self._window_start

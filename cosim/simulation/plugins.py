@@ -37,7 +37,7 @@ _KEYS = {"observer": 2, "sensors": 3, "wind": 4}
 
 @dataclass(frozen=True)
 class BlockInfo:
-    """Data for the ``prepare`` of a plug-in; it does not contain the controller's."""
+    """Data for the ``prepare`` of a plug-in, without the controller's."""
 
     step_s: float
     vehicle: Vehicle  # the vehicle as stated
@@ -53,14 +53,14 @@ class BlockInfo:
 
 @dataclass(frozen=True)
 class CustomMetric:
-    """A custom metric: its names, the columns that it reads (None: any), and itself."""
+    """Custom metric: names, columns read (None: any), and the function."""
 
     source: Source
     names: tuple[str, ...]  # metric names with PREFIX
     columns: tuple[str, ...] | None
 
     def compute(self, log: Columns, step_s: float) -> dict[str, float | None]:
-        """Return its numbers, None for what this flight cannot tell.  Raises FlightError."""
+        """Return its numbers, None if undefined for this flight.  Raises FlightError."""
         where = f"metric {self.source.label}"
         try:
             answer = self.source.make()(log, step_s)
@@ -88,7 +88,7 @@ class CustomMetric:
 
 @dataclass(frozen=True)
 class Plugins:
-    """The user's blocks that a scenario names beside its controller, ready to fly."""
+    """User blocks that a scenario names besides its controller."""
 
     metrics: tuple[CustomMetric, ...] = ()
     observers: tuple[GuardedObserver, ...] = ()
@@ -97,7 +97,7 @@ class Plugins:
     sources: Mapping[str, Sequence[Source]] = field(default_factory=dict)  # sources by key of the scenario
 
     def close(self) -> None:
-        """Tell the observers that the flight is over.  Raises FlightError."""
+        """Tell observers that the flight is over.  Raises FlightError."""
         for observer in self.observers:
             observer.close()
 
@@ -214,7 +214,7 @@ def _call(source: Source, what: str, method: Callable[..., Any], *arguments: Any
 
 
 class GuardedObserver:
-    """An observer of the user's: a :class:`cosim.base.protocols.Observer` whose errors name it."""
+    """A user's observer, whose errors name it."""
 
     def __init__(self, source: Source, block: Any) -> None:
         self._source, self._block = source, block
@@ -223,13 +223,13 @@ class GuardedObserver:
         _call(self._source, "observe", self._block.observe, sample)
 
     def close(self) -> None:
-        """Tell the block that the flight is over, and the log complete."""
+        """Tell the block that the flight is over and the log complete."""
         if hasattr(self._block, "close"):
             _call(self._source, "close", self._block.close)
 
 
 class GuardedSensors:
-    """Sensors of the user's behind the built-in ones: they get the true state and the built-in measurement."""
+    """A user's sensors, which get the true state and the built-in measurement."""
 
     def __init__(self, source: Source, block: Any, inner: Sensors) -> None:
         self._source, self._block, self._inner = source, block, inner
@@ -299,7 +299,7 @@ class WindTable:
 
     @classmethod
     def read(cls, path: Path) -> WindTable:
-        """Read a file with a line of :data:`TABLE` above its rows.  Raises InputError: file, line, what is allowed."""
+        """Read a file with header :data:`TABLE`.  Raises InputError with file, line and allowed values."""
         times, columns = read_columns(path, TABLE[1:], f"wind {path.name}", all_of_them=True)
         north, east, down = columns.values()
         return cls(times, list(zip(north, east, down, strict=True)))

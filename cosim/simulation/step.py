@@ -37,7 +37,7 @@ Between = Callable[[int], Ending | None]  # called with the number of the next s
 
 
 class Blocks(NamedTuple):
-    """The blocks of a flight, and what is known of it.
+    """Blocks and constant data of a flight.
 
     ``specs``: the scenario's engine, then the one at each station; ``plugged``: a controller from outside, which flies
     in place of the cascade if it is a whole one; ``plugins``: the user's blocks beside that.
@@ -62,7 +62,7 @@ class Blocks(NamedTuple):
 
 
 class Simulation:
-    """One flight: its blocks, made by :func:`cosim.simulation.build.build`, and the instant they stand at.
+    """One flight: blocks from :func:`cosim.simulation.build.build`, and the present time.
 
     In flight no block is exchanged for another: what a fault changes it changes inside.
     """
@@ -86,7 +86,7 @@ class Simulation:
         self.reset()
 
     def reset(self) -> None:
-        """Back to ``t = 0``: everything at rest, the engines settled at the throttle that holds the vehicle up.
+        """Return to ``t = 0``: at rest, with engines settled at the throttle that holds the vehicle.
 
         Faults that were given by command are forgotten.
         """
@@ -114,7 +114,7 @@ class Simulation:
         self._logged_blocks = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
     def step(self, command: Command | None = None) -> Sample:
-        """One control step over ``[t_k, t_k+1)``, every input held; see docs/design.md.
+        """Advance one control step over ``[t_k, t_k+1)`` with inputs held; see docs/design.md.
 
         ``command``: in place of that of the script, or of the pilot, who is not asked in this step.
         """
@@ -132,7 +132,7 @@ class Simulation:
         return self._sample(k, command, state, measured, actuation, disturbance, health)
 
     def _command(self, k: int, override: Command | None) -> tuple[Command, Measured, EngineState]:
-        """Return what the pilot or the script asks for, what it is flown with, and what the engines do meanwhile."""
+        """Return the command, the measurement for the controller, and the engine state."""
         pilot, measured, engines = self.pilot, self.measured, _FLY
         if override is not None:
             command = override
@@ -164,7 +164,7 @@ class Simulation:
         return self._all_engines if off else self.propulsion.engines.restarting_engines
 
     def _disturbance(self, k: int) -> Disturbance:
-        """Return what acts from outside, a field's wind in it, and what is added to the controller's own signals."""
+        """Return external disturbances including wind, and signals added to the controller's own."""
         disturbance = self.disturbances.at(k)
         if self._field is not None:
             disturbance = self._field.add_wind(k, self.state, disturbance)
@@ -202,7 +202,7 @@ class Simulation:
         )
 
     def _block_signals(self) -> tuple[float, ...]:
-        """Return the blocks' own signals.  Raises FlightError for a block that shows more or less than it said."""
+        """Return the blocks' log values.  Raises FlightError for a wrong number of them."""
         signals: list[float] = []
         for block, columns in self._logged_blocks:
             shown = block.shown
@@ -213,26 +213,26 @@ class Simulation:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What the blocks show of their own, in the order of :attr:`Sample.own`; settled by the last reset."""
+        """Log columns of the blocks, in the order of :attr:`Sample.own`; fixed at reset."""
         return tuple([column for _, columns in self._logged_blocks for column in columns])
 
     @property
     def cascade(self) -> Cascade:
-        """The built-in controller, for who tunes or judges its parts.  Raises InputError where another one flies."""
+        """Built-in controller, for tuning and analysis.  Raises InputError if another one flies."""
         if not isinstance(self.controller, Cascade):
             raise InputError(f"{type(self.controller).__name__} flies, and has not the parts of the built-in cascade")
         return self.controller
 
     @property
     def flown_scenario(self) -> Scenario:
-        """The scenario with the faults as they did act so far, those given by command too: it can be flown again."""
+        """Scenario with the actual faults, commanded ones included, to fly it again."""
         if not self.faults.commanded:
             return self.scenario
         faults = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown_faults]
         return self.scenario.replace(fault=faults, monitor=self.scenario.monitored)
 
     def inject(self, fault: Fault) -> None:
-        """Let ``fault`` begin at the next step, whatever its ``start_s``; :attr:`flown_scenario` has it from there on.
+        """Start ``fault`` at the next step, whatever its ``start_s``; :attr:`flown_scenario` includes it.
 
         Whether engines are watched was settled before the flight: see ``monitor`` of the scenario.  Raises InputError
         as for a scenario's fault.
@@ -240,7 +240,7 @@ class Simulation:
         self.faults.inject(fault, self.k)
 
     def clear_faults(self) -> None:
-        """Let every fault that acts end at the next step; those still to come stay.
+        """End all active faults at the next step; later ones stay.
 
         The vehicle is repaired: an engine that was taken for lost is believed again as soon as all stand idle.
         """
@@ -250,7 +250,7 @@ class Simulation:
     def run(
         self, observers: Iterable[Observer] = (), pace: Pace | None = None, between: Between | None = None
     ) -> Ending:
-        """Fly to the end of the scenario, or to where the flight is over.
+        """Fly to the end of the scenario or of the flight.
 
         Without a ``pace`` it flies as fast as it goes.  ``between`` is called before every step: there the pilot is
         asked things, and the flight ended.
@@ -280,7 +280,7 @@ class Simulation:
         return Ending("completed", f"flew {self.k} steps{late}")
 
     def make_failure(self, error: FlightError) -> Ending:
-        """Return the ending for an error of the present step; that of an engine says itself when it was."""
+        """Return the ending for an error in this step; engine errors state their own time."""
         when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
         return Ending("failed", f"{error}{when}")
 
@@ -297,11 +297,11 @@ class Simulation:
         return ending
 
     def check_repeatable(self) -> bool | None:
-        """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""
+        """Whether an external controller repeats its answers; None: there is none."""
         return None if self._plugged is None else self._plugged.check_repeatable()
 
     def close(self) -> None:
-        """Free the engines, the airframe and what a controller from outside holds; may be called twice."""
+        """Free engines, airframe and external controller; may be called twice."""
         if self._plugged is not None:
             self._plugged.close()
         self.propulsion.close()

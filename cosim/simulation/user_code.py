@@ -16,7 +16,7 @@ from cosim.spec.vehicle import is_aircraft_path, is_file, load_vehicle
 
 
 def check_scenario_trust(scenario: Scenario) -> None:
-    """Refuse a scenario that names code which the user does not trust.  Raises CodeRefusedError."""
+    """Refuse a scenario with code that the user does not trust.  Raises CodeRefusedError."""
     need_trust(list_scenario_code(scenario), f"scenario {scenario.name}")
 
 
@@ -45,7 +45,7 @@ def list_aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -
 
 
 def list_engine_code(engine: str, folder: Path) -> list[Code]:
-    """Return what an engine runs that is no shipped one; a file is seen from ``folder``."""
+    """List the code that a foreign engine runs; paths are relative to ``folder``."""
     if is_file(engine):
         with suppress(InputError, OSError):
             return find_source(engine, folder).code
@@ -53,7 +53,7 @@ def list_engine_code(engine: str, folder: Path) -> list[Code]:
 
 
 def list_block_code(name: str, folder: Path) -> list[Code]:
-    """Return what a controller or another block of the user's runs; a file is seen from ``folder``."""
+    """List the code of a user's controller or block; paths are relative to ``folder``."""
     parsed = file_name(name)
     if parsed is None:
         return []

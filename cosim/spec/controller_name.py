@@ -35,11 +35,11 @@ class FlownFile(Protocol):
 
     @property
     def changed(self) -> Sequence[str]:
-        """Keys whose values in the flight differ from those in the file."""
+        """Keys whose values in the flight differ from the file's."""
 
 
 class FileName(NamedTuple):
-    """A controller's name with the file in it: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``, a table."""
+    """A controller's name around its file: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``, a table."""
 
     before: str
     file: str
@@ -47,12 +47,12 @@ class FileName(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The controller's full name, as a scenario has it."""
+        """Full name as in a scenario."""
         return self.before + self.file + self.after
 
     @property
     def label(self) -> str:
-        """The controller's name with the file's folder left out, for display."""
+        """Name without the file's folder, for display."""
         return self.before + Path(self.file).name + self.after
 
     def seen_from(self, folder: Path) -> FileName:
@@ -61,7 +61,7 @@ class FileName(NamedTuple):
 
 
 def file_name(controller: str) -> FileName | None:
-    """Split a controller's name around the file in it; return None for a name without a file."""
+    """Split a controller's name around its file; None without a file."""
     match = _NAMED.fullmatch(controller)
     if match is None:
         return None
@@ -81,7 +81,7 @@ def is_design(controller: str) -> bool:
 
 
 def seen_from(controller: str, folder: Path) -> str:
-    """Return a controller's name with an absolute path, taken relative to ``folder``, where it names a file."""
+    """Return a controller's name with its file, if any, as an absolute path from ``folder``."""
     named = file_name(controller)
     return controller if named is None else named.seen_from(folder).text
 

@@ -10,7 +10,7 @@ from cosim.base.errors import InputError
 
 
 class FileKind(NamedTuple):
-    """A kind of TOML file, in words, and the keys of which it has one."""
+    """A kind of TOML file: its name in words, and keys of which it has one."""
 
     name: str
     keys: tuple[str, ...]
@@ -29,6 +29,6 @@ MAPPING = FileKind("the mapping file of an engine", ("fmu",))
 
 
 def check_kind(table: Mapping[str, Any], path: Path, expected: FileKind) -> None:
-    """Raise InputError where a file lacks what a file of the expected kind has."""
+    """Raise InputError if a file lacks the keys of the expected kind."""
     if not expected.matches(table):
         raise InputError(f"{path}: is not {expected.name}, which has the key {' or '.join(expected.keys)}")

@@ -31,7 +31,7 @@ MODELS = """\
 
 
 def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None) -> Path:
-    """Write the folder of an aircraft of your own, which flies as it is: a copy of one that is shipped.
+    """Write a flyable copy of a shipped aircraft as the start of a user's own.
 
     Parameters
     ----------
@@ -75,6 +75,6 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
 
 
 def _without_references(text: str) -> str:
-    """Return a vehicle's text without the comments that name a file, which is not beside the copy."""
+    """Return a vehicle's text without comments that refer to files beside the original."""
     blocks = ("".join(lines) for _, lines in groupby(text.splitlines(keepends=True), lambda line: line.startswith("#")))
     return "".join(block for block in blocks if block[0] != "#" or not re.search(r"\w\.(md|py|toml)\b", block))

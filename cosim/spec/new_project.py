@@ -15,7 +15,7 @@ FILES = ("engine/engine.toml", "flight.toml", "study.toml", "compare.py", "noteb
 
 
 def new_project(name: str, out: str | Path | None = None) -> Path:
-    """Write a project that flies as it is: vehicle, engine, flight with what it must come to, study, notebook, script.
+    """Write a flyable project: vehicle, engine, flight with expectations, study, notebook, script.
 
     The vehicle is a copy of the Hex-Jet, the engine one of the library with its numbers in a file.
 

@@ -76,7 +76,7 @@ Set = Callable[[float], object]
 
 
 class _Read:
-    """Three properties of JSBSim, ``name`` with each of ``parts`` in it, as a vector in SI units."""
+    """Three properties of JSBSim, ``name`` with each of ``parts``, as a vector in SI units."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
         # Typed as a callable of float, so that compiled code multiplies without making an object.
@@ -109,7 +109,7 @@ class _Write:
 
 
 def _group(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tuple[Any, Any, Any, float]:
-    """Three of them to be read or written with others in one call."""
+    """Return three properties to be read or written with others in one call."""
     x, y, z = [node(name.format(part)) for part in parts]
     return (x, y, z, unit)
 
@@ -236,7 +236,7 @@ class Airframe:
         momentum: Vector3 | None = None,
         burnt: float = 0.0,
     ) -> State:
-        """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
+        """Place the vehicle at its initial state with ``forces`` (N, body, one per jet) acting.
 
         ``momentum``: of the rotors, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
         Raises InputError where the model's forces are not finite there.
@@ -290,7 +290,7 @@ class Airframe:
         return state
 
     def step(self, forces: list[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
-        """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.
+        """Advance one control step with ``forces`` (N, body, at the stations) and ``disturbance`` held.
 
         ``moment``: of the rotors on the frame, N m, body, without the gyroscopic part (see :meth:`set_momentum`).
         Raises FlightError when JSBSim stops or the state is no longer finite.
@@ -327,7 +327,7 @@ class Airframe:
         return self._read()
 
     def _step_mass_jump(self, old: Payload, forces: list[Vector3], push: Vector3, twist: Vector3) -> bool:
-        """Make the first run of a step in which the payload is no longer the ``old`` one; whether JSBSim goes on.
+        """Make the first run of a step in which the payload changed from ``old``; return whether JSBSim continues.
 
         See :mod:`cosim.vehicle.mass_change`.  The new centre of gravity gets its velocity by a force in the first run's
         accelerations alone, of twice the size: the method of Adams and Bashforth takes half of it back in the run
@@ -361,7 +361,7 @@ class Airframe:
         return find_centre(self._vehicle.mass_kg, others)
 
     def jsbsim_run(self) -> Callable[[], bool]:
-        """Return JSBSim's own ``run``, valid until the next reset: one step with all inputs held, for timing."""
+        """Return JSBSim's ``run``, valid until the next reset: one step with inputs held, for timing."""
         return self._run
 
     def _use(self, method: float) -> None:
@@ -393,7 +393,7 @@ class Airframe:
         self._pushed, self._twisted = push, twist
 
     def _apply(self, disturbance: Disturbance) -> None:
-        """Hand over what differs from the step before, but for force and moment."""
+        """Apply changes of disturbances other than force and moment."""
         old = self._disturbance
         self._set_wind.put(*disturbance.wind)
         if any(disturbance.wind) or disturbance.gust:
@@ -436,7 +436,7 @@ class Airframe:
         return self._extrapolation if self.substeps > 1 else 0.0
 
     def _settle(self) -> None:
-        """Let fuel and rotors be what they are, without what the first run had on top."""
+        """Set fuel and rotors to their values, without the first run's extra change."""
         self._is_extrapolated = False
         if self._burnt:
             self._set_burnt_fuel(self._burnt)
@@ -444,7 +444,7 @@ class Airframe:
             self.set_momentum(self._spin)
 
     def set_momentum(self, momentum: Vector3) -> None:
-        """Hold the rotors' angular momentum (kg m^2/s, body, against the airframe) from the next run on.
+        """Set the rotors' angular momentum (kg m^2/s, body, relative to the airframe) from the next run on.
 
         At every run JSBSim then adds the gyroscopic moment ``momentum x omega`` with the inertial body rates omega, and
         integrates it with all other moments, in the air by the method of Adams and Bashforth of second order: a

@@ -37,7 +37,7 @@ _property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
 class _LogCapture(jsbsim.FGLogger):
-    """Collects JSBSim's warnings and errors, so many of one model, in place of printing them."""
+    """Collects a limited number of JSBSim's warnings and errors of a model instead of printing them."""
 
     max_lines = 20
 
@@ -61,7 +61,7 @@ if threading.current_thread() is threading.main_thread():
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
-    """Make a JSBSim, which reads JSBSIM_DEBUG then, and prints a banner to standard output where it is not 0."""
+    """Create a JSBSim with JSBSIM_DEBUG at 0, or it would print a banner."""
     was_set = _DEBUG in os.environ
     os.environ.setdefault(_DEBUG, "0")
     try:
@@ -72,7 +72,7 @@ def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
 
 
 class Executive:
-    """One JSBSim with one model, of which every property that it reads is there.
+    """A JSBSim with one model, after checking that all properties that it reads exist.
 
     ``file``: what JSBSim loads.  ``model``: the user's file that it was made of; where that is None, ``name`` stands in
     errors.  Raises InputError if the model does not load.
@@ -124,7 +124,7 @@ class Executive:
         return InputError(f"{self._label}: the forces of this JSBSim model are not finite at the start")
 
     def node(self, name: str) -> Property:
-        """Return a property.  Raises InputError where there is none: JSBSim would make one of it when it is written."""
+        """Return a property.  Raises InputError if it does not exist, because JSBSim would create it."""
         if find_acting_property(name):
             raise InputError(
                 f"{self._label}: {name}: JSBSim does something when it is written; nothing here may write it"
@@ -135,7 +135,7 @@ class Executive:
         return node
 
     def _check_properties(self, xml: bytes) -> None:
-        """Refuse a model whose functions, tables and components read a property that is not there."""
+        """Refuse a model that reads properties which do not exist."""
         without_numbers = _NUMBER.sub(b"><", xml)  # no property name is a number
         names = _property_cache.get(without_numbers, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
         missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
@@ -157,7 +157,7 @@ class Executive:
         )
 
     def _locate(self, words: list[str]) -> str:
-        """Return the user's file, and its line where one of these words stands in it."""
+        """Return the user's file, with the line of the first of these words."""
         locations = [] if self._model is None else [find_line(self._model, word) for word in words]
         return next((location for location in locations if location != self._label), self._label)
 
@@ -168,7 +168,7 @@ def _clean(text: str) -> str:
 
 
 def _property_names(root: ET.Element) -> Iterator[str]:
-    """Yield the properties that a model reads: of functions, of tables, and what comes into a component."""
+    """Yield the properties that a model's functions, tables and components read."""
     inside = (
         element for function in root.iter("function") for tag in ("property", "p") for element in function.iter(tag)
     )

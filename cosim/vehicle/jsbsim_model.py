@@ -24,7 +24,7 @@ MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # our own property in the model, bod
 
 
 class _Template(NamedTuple):
-    """A model without the vehicle's numbers, for flights of vehicles that differ in those alone.
+    """A model without numbers, for vehicles that differ only in those.
 
     Every second of ``pieces`` is the place of a number in :func:`_numbers`; the others stand as they are.
     """
@@ -137,7 +137,7 @@ def _position(path: str, body: Vector3) -> list[tuple[str, str, str]]:
 
 
 def _mass_numbers(vehicle: Vehicle) -> list[tuple[str, str, str]]:
-    """Return mass and moments of inertia, and where the burnt fuel is where there is a tank."""
+    """Return mass and inertia, and the position of burnt fuel if there is a tank."""
     pounds = vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG
     numbers = [("mass_balance/emptywt", "LBS", repr(float(pounds)))]
     for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
@@ -152,7 +152,7 @@ def _mass_numbers(vehicle: Vehicle) -> list[tuple[str, str, str]]:
 
 
 def _complete_mass(balance: ET.Element, vehicle: Vehicle) -> None:
-    """Add elements for products of inertia and the burnt fuel, a point mass, where the vehicle has them."""
+    """Add elements for products of inertia and burnt fuel, a point mass, if the vehicle has them."""
     if any(vehicle.products_kg_m2):
         balance.set("negated_crossproduct_inertia", "true")
         for axis in PRODUCTS:
@@ -178,7 +178,7 @@ def _aerodynamic_numbers(vehicle: Vehicle) -> list[tuple[str, str, str]]:
 
 
 def add_missing_parts(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
-    """Add to a model what a flight needs in it, and return whether it has its own aerodynamics.
+    """Add parts that a flight needs; return whether the model has its own aerodynamics.
 
     The origin of the structural frame becomes the centre of gravity, where it is not.  Raises InputError for engines,
     contacts and point masses of its own: engines are FMUs, and the others are stated in ``vehicle.toml``.
@@ -218,13 +218,13 @@ def _child(root: ET.Element, tag: str) -> ET.Element:
 
 
 def _ensure(parent: ET.Element, tag: str, name: str) -> ET.Element:
-    """Return the child element of this tag and name, added where there is none."""
+    """Return the child element of this tag and name, added if missing."""
     element = parent.find(f"{tag}[@name='{name}']")
     return element if element is not None else ET.SubElement(parent, tag, name=name)
 
 
 def _ensure_location(element: ET.Element) -> ET.Element:
-    """Return the element with a location, the origin where it has none."""
+    """Return the element with a location, by default the origin."""
     location = element if element.tag == "location" else element.find("location")
     if location is None:
         location = ET.SubElement(element, "location", unit="IN")
@@ -262,7 +262,7 @@ def _mass_balance(masses: ET.Element, model: Path) -> None:
 
 
 def _shift_origin(root: ET.Element, model: Path) -> None:
-    """Shift the origin of all positions to the centre of gravity; sensed and disturbing forces act there."""
+    """Move the origin of all positions to the centre of gravity, where sensors and disturbances act."""
     cg = _child(root, "mass_balance/location[@name='CG']")
     unit = _inches(cg, model)
     origin = [_element_number(cg.find(axis), model) * unit for axis in "xyz"]
@@ -284,7 +284,7 @@ def _shift_origin(root: ET.Element, model: Path) -> None:
 
 
 def _element_number(element: ET.Element | None, model: Path) -> float:
-    """Return the number in an element, 0 where it is absent or empty.  Raises InputError where it is no number."""
+    """Return an element's number, 0 if missing or empty.  Raises InputError if it is not a number."""
     text = "" if element is None else (element.text or "").strip()
     try:
         return float(text or 0.0)
@@ -303,7 +303,7 @@ def _inches(location: ET.Element, model: Path) -> float:
 
 
 def _contacts(ground: ET.Element, vehicle: Vehicle, model: Path) -> None:
-    """Make a contact for each of ``vehicle.toml``, in its order, by which JSBSim numbers them."""
+    """Make one contact for each of ``vehicle.toml``, in its order, which JSBSim's numbers follow."""
     names = [contact.name for contact in vehicle.contacts]
     present = {contact.get("name", ""): contact for contact in ground.findall("contact")}
     for name in present:

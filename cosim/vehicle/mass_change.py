@@ -32,7 +32,7 @@ def find_centre(mass: float, others: list[PointMass]) -> Vector3:
 
 
 class MassChange:
-    """Corrects the state of a JSBSim whose masses have just been written, before its next run."""
+    """Corrects JSBSim's state after its masses were changed, before the next run."""
 
     def __init__(self, jsbsim: Executive) -> None:
         node = jsbsim.node
@@ -60,7 +60,7 @@ class MassChange:
         self._height.set_double_value(self._height.get_double_value() + radius - get("position/radius-to-vehicle-ft"))
 
     def evaluate(self, run: Callable[[], bool]) -> bool:
-        """Evaluate forces and accelerations without time passing; return whether JSBSim goes on.
+        """Evaluate forces and accelerations at the same time; return whether JSBSim continues.
 
         Its turbulence would divide by the time that passes, so it stands still meanwhile, as a gust.
         """

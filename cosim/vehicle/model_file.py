@@ -42,7 +42,7 @@ _cache: RecentCache[bytes] = RecentCache(64)  # contents of files that name no o
 
 
 def read_model(model: Path | None) -> bytes:
-    """Return a model's file, with the parts that it takes from other files in their places; without one, an empty one.
+    """Return a model with its included files merged; without a model an empty one.
 
     What JSBSim would act on beside the flight is left out with a :class:`~cosim.base.errors.Notice`.  Raises InputError
     for a file that cannot be read and for a model that writes a property that acts.
@@ -56,7 +56,7 @@ def read_model(model: Path | None) -> bytes:
 
 
 def parse(path: Path, text: bytes) -> ET.Element:
-    """Return the root of an XML file.  Raises InputError with its path where it is none."""
+    """Return the root of an XML file.  Raises InputError with its path."""
     try:
         return ET.fromstring(text)
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
@@ -64,7 +64,7 @@ def parse(path: Path, text: bytes) -> ET.Element:
 
 
 def find_line(model: Path, name: str) -> str:
-    """Return where a word stands in a model or a file that it names, as ``path, line N``; the model's path if not."""
+    """Return the place of a word in a model or its files as ``path, line N``, else the model's path."""
     for path in [model, *_named_files(model)]:
         numbers = _lines(read_file(path, MAX_MB), lambda text: name in _words(text))
         if numbers:
@@ -73,7 +73,7 @@ def find_line(model: Path, name: str) -> str:
 
 
 def _strip_model(model: Path, text: bytes) -> bytes:
-    """Return a model without the parts that do not fly; the text itself where there are none."""
+    """Return a model without parts that do not fly, unchanged if there are none."""
     root = parse(model, text)
     if root.tag != "fdm_config":
         return text  # refused when it is to fly
@@ -95,7 +95,7 @@ def _strip_model(model: Path, text: bytes) -> bytes:
 
 
 def _find_file(model: Path, part: ET.Element) -> Path:
-    """Return the file that a part is taken from: beside the model or in ``Systems``, as JSBSim looks for it."""
+    """Return the included file, beside the model or in ``Systems`` as in JSBSim."""
     name = part.attrib["file"]
     folders = ("", "Systems", "systems")
     candidates = [model.parent / folder / f"{name}{ending}" for folder in folders for ending in ("", ".xml")]
@@ -106,7 +106,7 @@ def _find_file(model: Path, part: ET.Element) -> Path:
 
 
 def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
-    """Return a part with the contents of its file after its own; of a property that both have, its own counts."""
+    """Return a part with its file's contents appended; its own properties take precedence."""
     other = parse(file, read_file(file, MAX_MB))
     if other.tag != part.tag:
         raise InputError(f"{file}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
@@ -129,7 +129,7 @@ def _named_files(model: Path) -> list[Path]:
 
 
 def _refuse_acting(root: ET.Element, model: Path) -> None:
-    """Refuse a model that names a property by which JSBSim writes a file, or ends, holds or begins a run again."""
+    """Refuse a model with a property that makes JSBSim write a file, or end, hold or restart a run."""
     for element in root.iter():
         for text in (element.text, *element.attrib.values()):
             name = find_acting_property(text or "")
@@ -139,7 +139,7 @@ def _refuse_acting(root: ET.Element, model: Path) -> None:
 
 
 def find_acting_property(text: str) -> str:
-    """Return the acting property that a text names, whatever the way it goes through JSBSim's tree; else nothing."""
+    """Return the acting property in a text, by whatever path in JSBSim's tree; else nothing."""
     if "simulation" not in text:
         return ""
     path = posixpath.normpath(re.sub(r"\[0*\]", "", text.strip().removeprefix("-")))

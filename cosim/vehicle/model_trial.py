@@ -23,7 +23,7 @@ _CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.a
 
 
 def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
-    """Refuse a model with which JSBSim crashes or does not come to an end.
+    """Refuse a model that makes JSBSim crash or hang.
 
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.
     """
@@ -42,7 +42,7 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
 
 
 def try_model(file: str, runs: int = 5) -> None:
-    """Load a model and run it a little in this process; its errors are reported by the process that flies it."""
+    """Load a model and run it briefly in this process; its errors are reported by the flight."""
     with suppress(InputError, Complaint, MemoryError):
         executive = Executive(Path(file), None, "model", 0.001)
         executive.start()
@@ -67,7 +67,7 @@ def _find_failure(xml: bytes, cpu_s: int = 20, megabytes: int = 4096) -> str:
 
 
 def _blame(root: ET.Element, model: Path) -> str:
-    """Return the user's file, and the part with which JSBSim, which reads them in its own order, began to crash."""
+    """Return the user's file and the part at which JSBSim, in its own order, began to crash."""
     for part in sorted(root, key=lambda part: FLOWN_PARTS.index(part.tag), reverse=True):
         root.remove(part)
         if not _find_failure(ET.tostring(root)):

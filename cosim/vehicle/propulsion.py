@@ -62,12 +62,12 @@ class Propulsion:
 
     @property
     def wants_ambient(self) -> bool:
-        """The air around the engines changes what they give: :meth:`reset` is to be told where the vehicle stands."""
+        """Whether the engines depend on the air, so that :meth:`reset` must be told the start."""
         return self.engines.wants_ambient
 
     @property
     def tilt(self) -> PerServo:
-        """Where the servos stand, rad."""
+        """Servo positions, rad."""
         return self._load.tilt
 
     @tilt.setter
@@ -86,7 +86,7 @@ class Propulsion:
 
     @property
     def burnt(self) -> float:
-        """Fuel that is gone from a full tank, kg."""
+        """Fuel burnt since the tank was full, kg."""
         return self.tank.burnt if self.tank is not None else 0.0
 
     @property
@@ -120,7 +120,7 @@ class Propulsion:
         return load.forces
 
     def step(self, k: int, actuation: Actuation, state: State) -> tuple[list[Vector3], Vector3]:
-        """Advance step ``k`` from ``state``; return a force at each jet [N, body] and a moment beside them [N m, body].
+        """Advance step ``k``; return each jet's force [N, body] and an additional moment [N m, body].
 
         Thrust and tilt are those of the step's end.  Raises EngineError.
         """
@@ -154,7 +154,7 @@ class Propulsion:
         return load.forces, load.moment
 
     def _switch(self, off: frozenset[int]) -> None:
-        """Shut engines off, and restart those that are no longer to be off, where there is fuel."""
+        """Switch engines off, and restart those no longer commanded off, if there is fuel."""
         for jet in sorted(off - self._off):
             self.engines.switch_engine(jet, False)
         if self.tank is None or not self.tank.empty:
@@ -163,7 +163,7 @@ class Propulsion:
         self._off = off
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
-        """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.
+        """Return the air at the engines: the vehicle's, and the flow into each intake along its jet.
 
         The intake moves with the vehicle's velocity and its rates; ``wind`` (m/s NED, gusts and turbulence included)
         is that at the vehicle, :attr:`gusts` what each engine has beyond it.

@@ -29,7 +29,7 @@ _MEASURED: Final = Measured  # direct access in compiled code
 
 
 class Latency(Generic[T]):
-    """A value comes out a whole number of updates after it went in."""
+    """Delays a value by a whole number of updates."""
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
@@ -37,7 +37,7 @@ class Latency(Generic[T]):
         self._at = 0
 
     def reset(self, value: T) -> None:
-        """Start as if ``value`` had been there forever."""
+        """Start as if ``value`` had always been the input."""
         self._line = [value] * self.samples
         self._at = 0
 
@@ -52,7 +52,7 @@ class Latency(Generic[T]):
 
 
 class LeanError:
-    """The error of an AHRS's lean: a complementary filter that takes the specific force for the vertical.
+    """Lean error of an AHRS: a complementary filter that takes specific force as vertical.
 
     The gyro carries the attitude on, and it is turned back about a horizontal axis to where the specific force is
     straight up, with the time constant ``tau``: of the angle between, ``1 - exp(-T/tau)`` in each step ``T``. The
@@ -148,7 +148,7 @@ class SensorSuite:
         )
 
     def reset(self, state: State) -> Measured:
-        """Start again as if the vehicle had been in ``state`` forever; the same noise follows."""
+        """Restart as if always in ``state``; the same noise follows."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
         self._force_rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(1,)))
         self._draws, self._force_draws = [], []
@@ -243,7 +243,7 @@ class SensorSuite:
 
 
 class FaultySensors:
-    """The sensors with faults on what they give out: a bias is added to it, a dropout repeats the last of it.
+    """Sensors with faults: a bias is added, a dropout repeats the last value.
 
     The bias of the attitude is a small rotation about the body axes; of the GNSS, of position and of velocity.
     ``silent``: the sensors of which the last sample only repeats what they said before.
@@ -255,7 +255,7 @@ class FaultySensors:
         self.silent: tuple[str, ...] = ()
 
     def begin(self, fault: SensorFault, last: Measured) -> None:
-        """Start ``fault`` at the next sample; ``last`` is the sample before it."""
+        """Begin ``fault`` at the next sample; ``last`` is the previous one."""
         self._faults.append((fault, last))
 
     def end(self, fault: SensorFault) -> None:
@@ -316,7 +316,7 @@ def _scale(vector: Vector3, factor: float) -> Vector3:
 
 
 def _draw_bias(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
-    """Return the stated bias with what was drawn for this flight added; exactly the stated one where sigma is 0."""
+    """Return the stated bias plus the drawn part; exactly the stated one if sigma is 0."""
     return _sum(_scale(bias, factor), _scale((draws[0], draws[1], draws[2]), sigma * factor))
 
 

@@ -10,7 +10,7 @@ from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 
 
 class TiltServo:
-    """First-order lag towards the limited command, with the rate limited: exact between samples while it is not.
+    """First-order lag towards the limited command with limited rate, exact between samples unless limited.
 
     ``a' = (clip(command, range) - a) / lag``, ``|a'| <= rate_limit``; the command is held over the step.
     """
@@ -37,7 +37,7 @@ class TiltServo:
         self.release()
 
     def jam(self, angle: float | None) -> None:
-        """Jam from the next step on: stay, or run to ``angle`` (rad) as fast as it may and stay there."""
+        """Jam from the next step on: stay, or move to ``angle`` (rad) at full rate and stay."""
         self._is_jammed, self._jam_angle = True, angle
 
     def release(self) -> None:
@@ -45,7 +45,7 @@ class TiltServo:
         self._is_jammed = False
 
     def update(self, command: float) -> float:
-        """Return the angle (rad) at the end of the step in which ``command`` (rad) is held."""
+        """Return the angle (rad) at the end of a step with ``command`` (rad) held."""
         if self._is_jammed:
             if self._jam_angle is None:
                 return self.angle

@@ -6,7 +6,7 @@ from cosim.base.signals import PerJet
 
 
 class Tank:
-    """Fuel on board: the flows that the engines report are taken out until it is empty.
+    """Fuel on board, reduced by the engines' reported flows until empty.
 
     The flow at a step's end holds for all of the step, like the thrust.  An engine without a report burns nothing, and
     none fills the tank.
@@ -32,7 +32,7 @@ class Tank:
         return self.burnt >= self.mass
 
     def burn(self, flows: PerJet) -> bool:
-        """Burn ``flows`` [kg/s], one per engine, for one step; return whether anything was burnt."""
+        """Burn ``flows`` [kg/s], one per engine, for one step; return whether fuel was burnt."""
         flow = 0.0
         for rate in flows:
             if rate > 0.0:  # NaN compares as False

@@ -37,7 +37,7 @@ class Limits(NamedTuple):
 
 
 def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return what makes a call raise InputError, one line, for arguments that are not of the types annotated.
+    """Return a decorator that raises InputError, in one line, for arguments of other types than annotated.
 
     And for numbers that are not finite, or not in their ``limits``.
     """
@@ -93,7 +93,7 @@ def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
     from pydantic import InstanceOf, TypeAdapter
 
     def as_instances(hint: Any) -> Any:
-        """Return a type in which a class of ours stands for its instances, which are not looked into."""
+        """Return the type with our own classes replaced by instance checks, which do not validate fields."""
         if isinstance(hint, type) and hint.__module__.startswith("cosim"):
             return InstanceOf[hint]  # type: ignore[misc]
         if get_origin(hint) in (Union, UnionType):
@@ -107,7 +107,7 @@ def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
 def _valid(
     call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any, limits: Limits | None, value: Any
 ) -> Any:
-    """Return an argument as the call takes it.  Raises InputError."""
+    """Return an argument, converted to its annotated type.  Raises InputError."""
     from pydantic import ValidationError
 
     where = f"{call.__name__}: {parameter.name}"

@@ -28,7 +28,7 @@ def choose(
     note: Note = lambda text: None,
     model: str | Path | None = None,
 ) -> Scenario:
-    """Return the scenario with these choices written over it.  Raises InputError for a wrong one."""
+    """Return the scenario with these choices applied.  Raises InputError for an invalid one."""
     from cosim.spec.scenario import Scenario
 
     texts = tuple(as_settings(settings))
@@ -51,7 +51,7 @@ def load_scenario(
     aircraft: str | None = None,
     note: Note = lambda text: None,
 ) -> Scenario:
-    """Return the scenario with a command line's choices written over it; ``note`` is told what flies instead."""
+    """Return the scenario with the command line's choices applied; ``note`` is told of what they replace."""
     from cosim.spec.controller_name import is_design, seen_from
 
     designed = Path(controller) if controller is not None and is_design(controller) else None
@@ -96,7 +96,7 @@ def load_scenario(
 
 
 def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
-    """Return a scenario, or the one of a name or a file, with settings over it.  Raises InputError."""
+    """Return a scenario, given as object, name or file, with settings applied.  Raises InputError."""
     from cosim.base.storage.toml import parse_setting, set_path
     from cosim.spec.scenario import Scenario
 
@@ -112,7 +112,7 @@ def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
 
 
 def _controller_without_a_model(aircraft: str, scenario: Any, note: Note) -> dict[str, str]:
-    """Return the baseline where the predictor needs a model and the other aircraft states none, and note it."""
+    """Return the baseline, with a note, if the predictor needs a model that the other aircraft lacks."""
     from cosim.control.predictors.registry import BASELINE, PREDICTORS
     from cosim.spec.vehicle import load_vehicle
 
@@ -135,12 +135,12 @@ def plugin_changes(
     """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
     from cosim.spec.controller_name import seen_from
 
-    def here(name: str) -> str:
+    def from_here(name: str) -> str:
         return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
 
-    changes: dict[str, Any] = {"metrics": [here(name) for name in metrics]} if metrics else {}
-    changes |= {"observers": [here(name) for name in observers]} if observers else {}
-    return changes | {key: here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
+    changes: dict[str, Any] = {"metrics": [from_here(name) for name in metrics]} if metrics else {}
+    changes |= {"observers": [from_here(name) for name in observers]} if observers else {}
+    return changes | {key: from_here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
 
 
 def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
@@ -150,7 +150,7 @@ def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[s
 
 
 def engine_for(aircraft: str, engine: str | None) -> str:
-    """Return the engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
+    """Return the named engine, or else the aircraft's own.  Raises InputError if there is none."""
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
     chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
@@ -160,7 +160,7 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
 
 def aircraft_settings(aircraft: str | None) -> list[str]:
-    """Return another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
+    """Return settings of a study for another aircraft and its own engine; paths are relative to here."""
 
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
@@ -173,13 +173,13 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
 
 
 def list_engine_notes(scenario: Scenario) -> list[str]:
-    """Return what of the FMUs of a scenario is not as it may seem."""
+    """Return notes on a scenario's FMUs that a user may overlook."""
     engines = (station.engine for station in scenario.stations.values() if station.engine)
     return list_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
 
 def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> list[str]:
-    """Return what of a foreign FMU's description, seen from ``folder``, is not as FMI has it.
+    """Return the violations of FMI in a foreign FMU's description; ``folder`` resolves its path.
 
     And what is risked where ``isolated``, of the scenario, or its mapping file has it fly in this process.
     """

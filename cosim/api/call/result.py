@@ -10,13 +10,13 @@ from cosim.base.errors import InputError, notify
 
 
 class Progress:
-    """Hears what a call is doing; a subclass says what becomes of it, this one makes warnings of the notes."""
+    """Receiver of a call's progress; subclasses display it, this one issues notes as warnings."""
 
     def begin(self, folder: Path) -> None:
-        """Hear of the folder that everything goes into, before the first flight."""
+        """Report the folder for all results, before the first flight."""
 
     def note(self, text: str) -> None:
-        """Hear, in one line, of something that is taken otherwise than one may think.
+        """Report, in one line, an input that is ignored or reinterpreted.
 
         It becomes a warning, ``cosim.base.errors.Notice``.
         """
@@ -30,7 +30,7 @@ class Progress:
 
 
 class WholeLine(str):
-    """A line of a result that no terminal breaks, so that it can be copied: a command, a path, a note."""
+    """A line of a result that terminals must not wrap, so that it can be copied: command, path or note."""
 
 
 def note_lines(notes: Iterable[str]) -> list[str]:
@@ -47,7 +47,7 @@ class Table(NamedTuple):
 
 
 class Result:
-    """What a call came to.
+    """Result of a call of the API: files, sentences, tables and a verdict.
 
     A notebook shows it with its tables; ``print`` gives its lines.
 
@@ -62,30 +62,30 @@ class Result:
     short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as a table of numbers, texts and lists, SI, which the command prints as JSON."""
+        """Return the result as a table of numbers, texts and lists, SI, printed by ``--json``."""
         raise NotImplementedError
 
     @property
     def folder(self) -> Path | None:
-        """The folder that the files are in; None where none were written."""
+        """The folder with the files, or None if none were written."""
         return next((path.parent for path in self.files.values()), None)
 
     @property
     def report(self) -> Path | None:
-        """The page; None where none was written."""
+        """The HTML page, or None if none was written."""
         return self.files.get("report")
 
     def lines(self) -> list[str]:
-        """Return what it came to in sentences, the most important first, a line each."""
+        """Return the result in sentences, one per line, the most important first."""
         raise NotImplementedError
 
     def tables(self) -> list[Table]:
-        """Return what it came to in tables, whose cells are texts."""
+        """Return the tables of the result, whose cells are texts."""
         return []
 
     @property
     def verdict(self) -> str:
-        """What it came to in a sentence."""
+        """The result in one sentence."""
         return next(iter(self.lines()), "")
 
     def table(self) -> Any:
@@ -153,7 +153,7 @@ class Result:
 
 
 class FolderResult(Result):
-    """What a call came to, with files that go into one folder."""
+    """Result of a call whose files are in one folder."""
 
     def write(self, folder: Path | str) -> Self:
         """Write its files.

@@ -45,7 +45,7 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
 
 
 def list_tools(group: str, **which: Any) -> list[EntryPoint]:
-    """Return the entry points of a group, or of a ``name`` in it, whose package is there: a wheel may lack it."""
+    """Return the installed entry points of a group, or of one ``name`` in it."""
     return [each for each in entry_points(group=group, **which) if find_spec(each.module.partition(".")[0])]
 
 
@@ -61,7 +61,7 @@ def load_tool_member(name: str) -> Any:
 
 
 def load_hook(name: str) -> Any | None:
-    """Return what a tool does for a part of ``cosim`` that is complete without it; None where it is not installed."""
+    """Return the function that a tool provides for a part of ``cosim``, or None if it is not installed."""
     return _load_member(HOOKS, name)
 
 

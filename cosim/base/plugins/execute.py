@@ -33,7 +33,7 @@ _PREFIX = "hexjet_controller_"  # of modules made from users' files
 
 
 def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
-    """Execute a Python file; return its module and the files beside it that it imports.  Raises InputError."""
+    """Execute a Python file and return its module and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
     need_trust([Code(path)], where)
     module = ModuleType(f"{_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
@@ -57,7 +57,7 @@ def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
 
 
 def compiled_copies() -> str:
-    """Return the folder where Python keeps compiled copies of the user's code: nobody else can leave any there."""
+    """Return the private folder for compiled copies of the user's code."""
     try:
         return str(cache_folder() / "compiled")
     except RuntimeError:  # the user has no home folder
@@ -65,7 +65,7 @@ def compiled_copies() -> str:
 
 
 @contextmanager
-def _without_copies_there() -> Iterator[None]:
+def _ignore_foreign_bytecode() -> Iterator[None]:
     before = sys.pycache_prefix
     sys.pycache_prefix = compiled_copies()
     try:
@@ -76,7 +76,7 @@ def _without_copies_there() -> Iterator[None]:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[list[Path]]:
-    """Let a file import its neighbours, and note which; nobody else's modules of the same names are mixed up with them.
+    """Let a file import modules beside it and record which; modules of the same names elsewhere stay separate.
 
     What is below the folder and found from anywhere, as an installed package is, is no neighbour.
     """
@@ -101,7 +101,7 @@ def _importing_from(folder: Path) -> Iterator[list[Path]]:
     imported: list[Path] = []
     sys.path.insert(0, str(folder))
     try:
-        with _without_copies_there():
+        with _ignore_foreign_bytecode():
             yield imported
     finally:
         sys.path.remove(str(folder))
@@ -113,7 +113,7 @@ def _importing_from(folder: Path) -> Iterator[list[Path]]:
 
 
 def import_installed(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
-    """Import an installed module; return it, its path, and its file by name where it has one.  Raises InputError."""
+    """Import an installed module; return it, its path, and its files by name.  Raises InputError."""
     if is_code_forbidden():
         raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
     try:
@@ -128,7 +128,7 @@ def import_installed(module_name: str, where: str) -> tuple[ModuleType, Path, di
 
 
 def import_trusted(module_name: str, where: str, *names: str) -> None:
-    """Import a module, once the folder is trusted in which Python finds it or its package, unless it is installed.
+    """Import a module after trusting the folder in which Python finds it, unless it is installed.
 
     ``names``: what else the user names it by.  Raises CodeRefusedError, also where there is no folder to look at, and
     whatever the module raises.
@@ -143,12 +143,12 @@ def import_trusted(module_name: str, where: str, *names: str) -> None:
         if not item.path.exists():
             raise CodeRefusedError(f"{where}: {top}: is not installed, and no file of it can be looked at; unpack it")
     need_trust(code, where)
-    with _without_copies_there() if code else nullcontext():
+    with _ignore_foreign_bytecode() if code else nullcontext():
         importlib.import_module(module_name)
 
 
 def _is_installed(path: Path, top: str) -> bool:
-    """Return whether a path belongs to Python, to us, or to what is installed; ``top``: the package that it is in.
+    """Return whether a path belongs to Python, to this package or to installed packages; ``top``: its package.
 
     Metadata beside a file that call it installed are not trusted.
     """

@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 
 class Pilot(Protocol):
-    """Flies in place of the scenario's commands, the first block of a step: guided script or autopilot."""
+    """First block of a step, which replaces the scenario's commands: guided script or autopilot."""
 
     @property
     def engines(self) -> EngineState:
-        """What the engines do with the command of the last update."""
+        """State that the last update requires of the engines."""
 
     @property
     def seen(self) -> Measured:
-        """What the controller flies the step of the last update with: the sensors, or what stands in for them."""
+        """Measurement that the controller gets after the last update: sensors or estimate."""
 
     def reset(self, measured: Measured) -> None:
-        """Start a new flight where the sensors read ``measured``."""
+        """Start a new flight at the measured state ``measured``."""
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
         """Return the command of step ``k``; called once a step, in order."""
@@ -55,18 +55,18 @@ class Controller(Protocol):
 
     @property
     def signals(self) -> ControlSignals:
-        """The signals of the last update, for the log and the pilot; NaN where this controller has none."""
+        """Control signals of the last update, for log and pilot; NaN if this controller has none."""
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """The jets, from 1, that it takes for lost; not those that it shut off itself."""
+        """Jets, from 1, that count as failed; those that it shut off itself are not included."""
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """What is to be seen of the predictors of roll, pitch and yaw; NaN where there is none."""
+        """Diagnostics of the predictors of roll, pitch and yaw; NaN without one."""
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """Start a flight with ``burnt`` kg of fuel gone; return the throttles, 0 to 1, at which the engines stand."""
+        """Start a flight with ``burnt`` kg of fuel gone; return the initial throttles, 0 to 1."""
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Return what the actuators are to do over a step.
@@ -76,23 +76,23 @@ class Controller(Protocol):
         """
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        """Take the reports at the end of a step; return the share of its command that each jet gives, 0 to 1."""
+        """Take the engine reports at the end of a step; return the fraction of its command that each jet delivers."""
 
     def forgive(self) -> None:
-        """Trust every engine again as soon as all stand idle: the vehicle is repaired."""
+        """Clear all engine failures once all engines idle, because the vehicle was repaired."""
 
 
 class Allocator(Protocol):
-    """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
+    """Maps demands of the loops to actuator commands.  Its only state is the plan around failed engines."""
 
     hover: float  # throttle at which the vehicle hovers
     rest: PerServo  # servo positions when nothing is demanded
 
     def trim(self, collective: float) -> PerJet:
-        """Return the balanced throttles of the jets, with nothing asked of the servos."""
+        """Return the throttles in balance at a collective, with servos at rest."""
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Return what can be given of a collective, 0 to 1, and a torque; once a step.
+        """Return the actuator commands for a collective, 0 to 1, and a torque; called once a step.
 
         ``torque`` is in throttle about roll, in rad of tilt about pitch and yaw; ``added`` is a disturbance of it that
         the loops do not know.  ``unallocated`` of the answer is exactly 0 where everything fits.
@@ -106,7 +106,7 @@ class Allocator(Protocol):
 
 
 class Engines(Protocol):
-    """The engines of a vehicle: :class:`cosim.engine.EngineBank`, and what stands before and behind it."""
+    """Engines of a vehicle: :class:`cosim.engine.EngineBank` with delays, faults and restarts around it."""
 
     wants_ambient: bool  # their thrust depends on the air
 
@@ -114,20 +114,20 @@ class Engines(Protocol):
         """Bring the engines into equilibrium at throttles and in air; None: standard air at sea level, still."""
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Advance by step ``k``, throttles and air held over it; None: the air as before."""
+        """Advance by step ``k`` with throttles and air held; None: the air as before."""
 
     def run_down(self, seconds: float) -> EngineOutput:
         """Let engines that were shut off right after the reset turn on without fuel, before step 0."""
 
     def set_run(self, index: int, on: bool) -> bool:
-        """Shut one engine, from 0, off or on again before the next step; False: it has no port for that."""
+        """Switch one engine, from 0, off or on before the next step; return False if it has no port for that."""
 
     def close(self) -> None:
         """Free them; may be called twice."""
 
 
 class Shows(Protocol):
-    """What any block may be beside its own protocol: one that shows numbers of its own in the log.
+    """Optional part of any block: it logs numbers of its own.
 
     Asked for it are pilot, disturbances, controller, engines and sensors, and what stands inside the built-in ones: the
     predictors of a :class:`cosim.control.cascade.Cascade`, each with its axis before the column's name.
@@ -136,20 +136,20 @@ class Shows(Protocol):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What is shown; the same for a whole flight, and read at its beginning.  No name that the log has already."""
+        """Columns of these numbers, constant over a flight and read at its start; names must be new in the log."""
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """The numbers, one for each column and in their order, once after every step that the block took part in."""
+        """The numbers, one per column, read after each step in which the block took part."""
 
 
 def columns_of(block: object) -> tuple[Column, ...]:
-    """Return the columns of its own that a block shows in the log; none where it shows none."""
+    """Return the log columns of a block, empty if it has none."""
     return tuple(getattr(block, "columns", ()))
 
 
 class Sensors(Protocol):
-    """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
+    """Sensors for controller and pilot, with their filters, latencies and noise."""
 
     def reset(self, state: State) -> Measured:
         """Start a new flight, with the same noise again, from a state that has been forever."""
@@ -159,10 +159,10 @@ class Sensors(Protocol):
 
 
 class Observer(Protocol):
-    """Looks at every step and touches nothing; the last of a step."""
+    """Receives each step after all blocks, and changes nothing."""
 
     def observe(self, sample: Sample) -> None:
-        """Look at a step after it; once more at the state that ended a flight before its time.
+        """Receive a step after it, and once more the state that ended a flight early.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class Observer(Protocol):
 
 
 class Columns(Protocol):
-    """The columns of a log by name, one float64 a step."""
+    """Columns of a log by name, one float64 per step."""
 
     @property
     def columns(self) -> tuple[str, ...]: ...
@@ -181,7 +181,7 @@ class Columns(Protocol):
 
 
 class Metric(Protocol):
-    """What a finished log says in numbers, once after the flight: a pure function, such as ``flight_metrics``."""
+    """Computes numbers from a finished log; a pure function, such as ``flight_metrics``."""
 
     def __call__(self, log: Columns, step_s: float, /) -> Any:
         """Evaluate the log of a flight; called once, when it is over.

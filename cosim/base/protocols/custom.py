@@ -9,13 +9,13 @@ from cosim.base.signals import Command, Measured, State, Vector3
 
 
 class Predictor(Protocol):
-    """Between measured rate and rate controller on one axis: what the rate would be if the engines answered at once.
+    """Predicts the rate without the engines' delay, between measured rate and rate controller of one axis.
 
     One that has a ``diagnostics: Diagnostics`` is shown with it.
     """
 
     def reset(self) -> None:
-        """Forget everything: at rest, nothing applied."""
+        """Reset to rest with no command applied."""
 
     def update(self, measured: float, applied: float) -> float:
         """Return the rate to feed back at ``t_k``; called once a step.
@@ -35,7 +35,7 @@ class Predictor(Protocol):
 
 
 class RateLoop(Protocol):
-    """A rate loop of one's own, ``level = "rate"``: between our attitude loop and our allocation.
+    """A user's rate loop, ``level = "rate"``, between our attitude loop and our allocation.
 
     As every block from outside it may have ``prepare(belief)``, called once before the first reset, ``parameters`` and,
     as :class:`Shows` says, ``columns`` and ``shown``; see docs/own-controller.md.
@@ -64,7 +64,7 @@ class RateLoop(Protocol):
 
 
 class AttitudeLoop(Protocol):
-    """An attitude loop of one's own, ``level = "attitude"``, above our rate loop.
+    """A user's attitude loop, ``level = "attitude"``, above our rate loop.
 
     That is fed by the predictor that its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
     """
@@ -90,13 +90,13 @@ class AttitudeLoop(Protocol):
 
 
 class WholeController(Protocol):
-    """A whole controller of one's own, ``level = "controller"``.  What else it may have: see :class:`RateLoop`.
+    """A user's complete controller, ``level = "controller"``.  For optional methods see :class:`RateLoop`.
 
     It may have ``signals: ControlSignals`` too, for the log's columns of a cascade.
     """
 
     def reset(self) -> None:
-        """Return to rest; the engines hold the vehicle up, or idle where it stands on the ground."""
+        """Reset; the engines hold the vehicle up, or idle on the ground."""
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
         """Return what the actuators are to do over a step; called once a step.
@@ -119,7 +119,7 @@ class WholeController(Protocol):
 
 
 class OwnSensors(Protocol):
-    """Sensors of one's own behind the built-in ones, as a scenario's ``sensors`` names them.
+    """A user's sensors, fed by the built-in ones, as named by a scenario's ``sensors``.
 
     It may have ``prepare(told)``, called once: ``told.step_s``, ``told.vehicle`` and ``told.random()``, a generator
     that nobody else draws from and that is the same at every call; and, as :class:`Shows` says, ``columns`` and
@@ -143,7 +143,7 @@ class OwnSensors(Protocol):
         """
 
     def sample(self, state: State, measured: Measured) -> Measured:
-        """Return one measurement; called once a step; the parameters are those of :meth:`reset`.
+        """Return one measurement; called once a step with the parameters given to :meth:`reset`.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class OwnSensors(Protocol):
 
 
 class Wind(Protocol):
-    """A wind of one's own over time and place, as a scenario's ``wind`` names it, beside that of the environment.
+    """A user's wind over time and position, added to the environment's, as named by a scenario's ``wind``.
 
     It may have ``prepare(told)`` as :class:`OwnSensors`, and ``reset()``, called before every flight.
     """

@@ -13,7 +13,7 @@ Diagnostics = tuple[float, float, float]
 
 
 class EngineState(Enum):
-    """What the step does with the engines."""
+    """State of the engines that a step requires."""
 
     FLY = "fly"  # follows the controller's commands
     IDLE = "idle"  # least throttle, no torque
@@ -22,7 +22,7 @@ class EngineState(Enum):
 
 
 class Report(NamedTuple):
-    """What the vehicle reports to its pilot beside its sensors at one instant."""
+    """Reports of the vehicle to its pilot other than sensors, at one instant."""
 
     legs: bool  # a leg touches the ground
     collective: float  # mean throttle of the step before
@@ -32,7 +32,7 @@ class Report(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One number of a controller of one's own that scenarios, ``settings``, studies and searches reach by its name.
+    """One number of a user's controller that scenarios, ``settings``, studies and searches reach by name.
 
     It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
     """
@@ -46,7 +46,7 @@ class Parameter(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """What became of the step before: what the actuators were given, and what the engines report of it."""
+    """Result of the previous step: what the actuators got and what the engines reported."""
 
     throttle: PerJet  # 0 to 1; initially the start values
     tilt: PerServo  # rad, within the servo's range
@@ -55,7 +55,7 @@ class Applied(NamedTuple):
 
 
 class Column(NamedTuple):
-    """One column of a flight's log: what it is called and what it means, and where its numbers come from."""
+    """One column of a flight's log: name, unit, frame, meaning and source."""
 
     name: str  # letters, digits, _; unit last: _rad_s
     unit: str

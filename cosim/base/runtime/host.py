@@ -45,7 +45,7 @@ except ImportError:
 
 
 class HostError(FlightError):
-    """What became of a process, as a sentence without its end: ``the process did not answer within 4 s``."""
+    """How a process failed, as a clause: ``the process did not answer within 4 s``."""
 
 
 def python_command(code: str, *arguments: str, seconds: int | None = None, megabytes: float | None = None) -> list[str]:
@@ -66,7 +66,7 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
 
 
 class Host(subprocess.Popen[bytes]):
-    """A process that leads a process group, and is ended with everything that it has started.
+    """A process that leads its own process group and is ended with all its descendants.
 
     It inherits ``environ``, by default that of this process.
     ``how`` is as of ``subprocess.Popen``.
@@ -92,7 +92,7 @@ class Host(subprocess.Popen[bytes]):
         megabytes: float | None = None,
         **how: Any,
     ) -> Host:
-        """Start a command that is asked through its standard input and answers through its standard output.
+        """Start a command that reads requests from standard input and answers on standard output.
 
         ``megabytes``: of resident memory that it may take, where there is a ``/proc`` to tell.
         Raises OSError where it cannot be started, InputError where the system has no such pipes, as Windows.
@@ -115,7 +115,7 @@ class Host(subprocess.Popen[bytes]):
     def connect(
         cls, code: str, *arguments: str, environ: Mapping[str, str] | None = None
     ) -> tuple[Host, Connection[Any, Any]]:
-        """Start Python code of ours with nothing to read or print; return the process and the connection to it.
+        """Start Python code of ours without standard streams; return the process and a connection to it.
 
         The code finds the file descriptor of its end of the connection in ``sys.argv[1]``, and ``arguments`` behind.
         Raises OSError where it cannot be started.
@@ -137,7 +137,7 @@ class Host(subprocess.Popen[bytes]):
         self._ask(self._pipes.send, data, limit)
 
     def read_line(self, max_bytes: int, limit: float) -> bytes:
-        """Read a line and return it without its end."""
+        """Read one line and return it without its line end."""
         return self._ask(self._pipes.receive_line, max_bytes, limit)
 
     def exchange(self, data: bytes, count: int, limit: float) -> bytes:
@@ -145,7 +145,7 @@ class Host(subprocess.Popen[bytes]):
         return self._ask(self._pipes.exchange, data, count, limit)
 
     def exchange_message(self, data: bytes, max_bytes: int, limit: float) -> bytes:
-        """Write a message and read the one that answers it: :meth:`cosim.base.runtime.pipes.Pipes.send_message`."""
+        """Send a message and receive the answer: see :meth:`cosim.base.runtime.pipes.Pipes.send_message`."""
         return self._ask(self._pipes.exchange_message, data, max_bytes, limit)
 
     @property
@@ -172,7 +172,7 @@ class Host(subprocess.Popen[bytes]):
             raise HostError(f"the process takes {size:.0f} MB of memory, {self._megabytes:g} MB at most")
 
     def describe_end(self, patience: float) -> str:
-        """Return how it ended, in the past tense; empty where it has not ended within ``patience`` s."""
+        """Describe how the process ended; an empty string if it has not ended within ``patience`` s."""
         with suppress(subprocess.TimeoutExpired):
             return _describe_status(self.wait(patience))
         return ""
@@ -183,7 +183,7 @@ class Host(subprocess.Popen[bytes]):
         super().__exit__(*error)
 
     def end(self, patience: float = 0.0) -> None:
-        """Close its pipes, kill it and all that came from it, in whatever session, and wait until it is gone.
+        """Close its pipes, kill it and all its descendants in any session, and wait for their end.
 
         It may end by itself within ``patience`` s first.  May be called again.
         """
@@ -201,7 +201,7 @@ class Host(subprocess.Popen[bytes]):
 def run_to_end(
     command: Sequence[str], limit: float, environ: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a command that reads nothing to its end, and end all that it leaves behind.
+    """Run a command without input to its end, and kill the processes that it leaves.
 
     Raises OSError where it cannot be started, HostError where it has not ended within ``limit`` s of the clock.
     """
@@ -221,7 +221,7 @@ def run_to_end(
 def run_code(
     code: str, *arguments: str, seconds: float, megabytes: float, environ: Mapping[str, str] | None = None
 ) -> bytes:
-    """Return what Python code prints that may take so many ``seconds`` of CPU and ``megabytes`` of address space.
+    """Return the output of Python code that is limited to ``seconds`` of CPU and ``megabytes`` of address space.
 
     By the clock it may take thirty times as long: the machine may be busy, or asleep.  Raises HostError where it does
     not end well.
@@ -241,7 +241,7 @@ def _describe_status(status: int) -> str:
 
 
 def _kill_marked(mark: bytes) -> None:
-    """Kill the processes that have ``mark`` in their environment, until there are none: one may start another."""
+    """Kill all processes with ``mark`` in their environment, repeatedly, because one may start another."""
     while found := list(_find_marked(mark)):
         for process in found:
             with suppress(OSError):
@@ -249,7 +249,7 @@ def _kill_marked(mark: bytes) -> None:
 
 
 def _find_marked(mark: bytes) -> Iterator[int]:
-    """Yield the processes that a host has started; one that is killed has no environment any more."""
+    """Yield the processes started by a host, found by their environment."""
     for file in Path("/proc").glob("[0-9]*/environ"):
         with suppress(OSError):  # another user's process, or ended
             if mark in file.read_bytes():
@@ -257,7 +257,7 @@ def _find_marked(mark: bytes) -> Iterator[int]:
 
 
 def end_group(process: subprocess.Popen[Any]) -> None:
-    """Kill the process group that ``process`` leads, and wait until that is gone."""
+    """Kill the process group that ``process`` leads, and wait for its end."""
     with suppress(OSError):
         os.killpg(process.pid, signal.SIGKILL)
     reap(process)
@@ -277,7 +277,7 @@ def reap(process: subprocess.Popen[Any]) -> None:
 
 
 def serve_pipes() -> Pipes:
-    """Return a host's own ends of its pipes, where code of ours serves in it.
+    """Return the child's ends of its host's pipes.
 
     What foreign code reads from standard input is empty, and what it prints goes to standard error.
     """
@@ -290,7 +290,7 @@ def serve_pipes() -> Pipes:
 
 
 def die_with_parent(number: int = 9, signal_option: int = 1) -> None:
-    """Have the system send this process a signal, by default SIGKILL, when the thread that started it goes.
+    """Make the system send this process a signal, by default SIGKILL, when the thread that started it ends.
 
     Only Linux does that.  ``signal_option``: PR_SET_PDEATHSIG of linux/prctl.h.
     """
@@ -299,7 +299,7 @@ def die_with_parent(number: int = 9, signal_option: int = 1) -> None:
 
 
 def measure_megabytes(process: int) -> float:
-    """Return the resident memory of a process [MB of 2**20 bytes]; 0 where there is no ``/proc`` to tell."""
+    """Return the resident memory of a process [MB of 2**20 bytes]; 0 without ``/proc``."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     except (OSError, ValueError, IndexError):

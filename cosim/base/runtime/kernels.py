@@ -44,7 +44,7 @@ def can_use_reference(cpuinfo: str = "/proc/cpuinfo", enough_bytes: int = 8192) 
 
 
 def load_with_reference() -> None:
-    """Load numpy and scipy, whenever they are imported from here on, with the reference kernels.
+    """Import numpy and scipy, whenever that happens later, with the reference kernels.
 
     The environment is left as it is, but while they are loaded; a variable that is set there already stands.
     """
@@ -53,18 +53,18 @@ def load_with_reference() -> None:
 
 
 def set_for_command() -> None:
-    """Ask for the reference kernels in this process and its children, which are a command's own."""
+    """Select the reference kernels for this process and its children, which belong to a command."""
     if can_use_reference():
         os.environ.setdefault(VARIABLE, REFERENCE)
 
 
 def find_kernels() -> dict[str, str]:
-    """Return the kernels of the OpenBLAS of numpy and scipy, by the package; empty where they cannot be asked."""
+    """Return the OpenBLAS kernels of numpy and scipy by package; empty if unknown."""
     return dict(_find_kernels("scipy.linalg" in sys.modules))
 
 
 def warn_of_other_kernels() -> None:
-    """Warn, once in a process, if numpy or scipy was loaded with other kernels than the reference.
+    """Warn once per process if numpy or scipy was loaded with other kernels than the reference.
 
     Where the environment names those kernels it is what was asked for, and nothing is said.
     """
@@ -85,7 +85,7 @@ def warn_of_other_kernels() -> None:
 
 @cache
 def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
-    """Ask each OpenBLAS that is loaded; asked again once scipy has brought its own."""
+    """Ask each loaded OpenBLAS for its kernels, again after scipy has loaded its own."""
     try:
         with open(_MAPS, encoding="utf-8", errors="replace") as file:
             paths = dict.fromkeys(line.split(maxsplit=5)[-1].strip() for line in file if "openblas" in line)

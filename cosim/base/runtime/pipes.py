@@ -23,7 +23,7 @@ _WATCH_S: Final = 0.25
 
 
 class Pipes:
-    """The two ends that belong to this process, by their file descriptors, which stay open until :meth:`close`.
+    """The two pipe ends of this process, given by file descriptors that stay open until :meth:`close`.
 
     Where a call has a ``limit`` in s, it raises TimeoutError beyond it; None waits for ever.  EOFError says that the
     other process has closed its end, and OSError of a write that it has closed the other.
@@ -65,7 +65,7 @@ class Pipes:
         return self._take(count, end)
 
     def receive_line(self, max_bytes: int, limit: float | None = None) -> bytes:
-        """Read a line and return it without its end.  Raises ValueError where it has more than ``max_bytes`` bytes."""
+        """Read a line and return it without its end.  Raises ValueError above ``max_bytes`` bytes."""
         end = _deadline(limit)
         while b"\n" not in self._rest:
             if len(self._rest) > max_bytes:
@@ -75,15 +75,15 @@ class Pipes:
         return line
 
     def send_message(self, data: bytes, limit: float | None = None) -> None:
-        """Write bytes that :meth:`receive_message` at the other end returns as they are."""
+        """Write bytes that :meth:`receive_message` at the other end returns unchanged."""
         self.send(_LENGTH.pack(len(data)) + data, limit)
 
     def receive_message(self, max_bytes: int, limit: float | None = None) -> bytes:
-        """Read what the other end sent as one message.  Raises ValueError above ``max_bytes`` bytes."""
+        """Read one message from the other end.  Raises ValueError above ``max_bytes`` bytes."""
         return self._take_message(max_bytes, _deadline(limit))
 
     def exchange_message(self, data: bytes, max_bytes: int, limit: float | None = None) -> bytes:
-        """Write a message and read the one that answers it, both within the limit; as :meth:`receive_message`."""
+        """Send a message and receive the answer within one limit, as :meth:`receive_message`."""
         end = _deadline(limit)
         self._send(_LENGTH.pack(len(data)) + data, end)
         return self._take_message(max_bytes, end)
@@ -101,7 +101,7 @@ class Pipes:
         return self._take(length, end)
 
     def _take(self, count: int, end: float | None) -> bytes:
-        """Return the next ``count`` bytes; what has come beyond them stays for the next call."""
+        """Return the next ``count`` bytes and keep the rest for the next call."""
         data = self._rest
         if count and not data:
             data = self._read(end)
@@ -117,7 +117,7 @@ class Pipes:
         return data[:count]
 
     def _read(self, end: float | None) -> bytes:
-        """Return what comes next, as soon as something has come."""
+        """Return the available bytes, waiting for the first."""
         if end is not None:
             self._sleep(self._poll, end)
         data = os.read(self._reader, _READ_BYTES)
@@ -138,7 +138,7 @@ class Pipes:
             rest = memoryview(rest)[written:]
 
     def _sleep(self, poll: select.poll, end: float | None) -> None:
-        """Wait until something is there.  Raises TimeoutError, and what ``watch`` raises."""
+        """Wait until there is data.  Raises TimeoutError, and what ``watch`` raises."""
         while True:
             left = _WATCH_S if end is None else min(_WATCH_S, end - monotonic())
             if poll.poll(1e3 * max(0.0, left)):

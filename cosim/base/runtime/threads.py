@@ -14,6 +14,6 @@ ONE_THREAD = dict.fromkeys(  # environment for single-threaded maths
 
 
 def one_thread() -> None:
-    """Limit numpy's libraries to one thread, unless the environment sets another number; call before its import."""
+    """Limit numpy's libraries to one thread unless the environment sets a number; call before importing numpy."""
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)

@@ -10,7 +10,7 @@ from cosim.base.storage.files import map_os_errors, one_line, open_without_links
 
 
 class AppendedFile:
-    """A file to append to; ``how`` are the flags that ``os.open`` takes, ``number`` is its descriptor.
+    """A file to append to; ``how`` are flags of ``os.open``, ``number`` is the file descriptor.
 
     Raises OSError if it cannot be opened.
     """
@@ -20,7 +20,7 @@ class AppendedFile:
         self.number = open_without_links(path, how)
 
     def append(self, *pieces: bytes | memoryview) -> None:
-        """Append pieces as one, or nothing of them.  Raises FlightError if they cannot be written."""
+        """Append pieces together or not at all.  Raises FlightError if they cannot be written."""
         size, before = sum(map(len, pieces)), os.fstat(self.number).st_size
         try:
             written = os.writev(self.number, pieces) if hasattr(os, "writev") else 0
@@ -36,7 +36,7 @@ class AppendedFile:
             os.fsync(self.number)
 
     def close(self) -> None:
-        """Close the file, and give up its lock; may be called twice."""
+        """Close the file and release its lock; may be called twice."""
         if self.number >= 0:
             os.close(self.number)
             self.number = -1

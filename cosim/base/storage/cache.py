@@ -10,7 +10,7 @@ T = TypeVar("T")  # type of the cached values
 
 
 class RecentCache(Generic[T]):
-    """The ``capacity`` results that were asked for last, each under a key that holds everything that it depends on.
+    """The ``capacity`` most recently used results, by keys that contain everything a result depends on.
 
     Of a file that is its contents, never its name or date alone.  A result is given out again and again: whoever gets
     it must not change it.
@@ -21,7 +21,7 @@ class RecentCache(Generic[T]):
         self._values: OrderedDict[Hashable, T] = OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value under ``key``, or else store what ``make`` returns; what it raises is not remembered."""
+        """Return the value for ``key``, or compute and store it with ``make``; exceptions are not stored."""
         try:
             value = self._values.pop(key)
         except KeyError:

@@ -18,7 +18,7 @@ from cosim.base.errors import FlightError, InputError
 
 @contextmanager
 def replace_on_success(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path``, which replaces it on success and is removed on failure.
+    """Yield a temporary file beside ``path`` that replaces it on success and is removed on failure.
 
     A device or a pipe of that name is yielded itself, and stays what it is; raises OSError where a link leads to one.
     """
@@ -50,7 +50,7 @@ def _is_special(path: Path) -> bool:
 
 
 def open_without_links(path: str | Path, flags: int) -> int:
-    """Open a file to be written, never what a link in a folder from elsewhere leads to; an opener for ``open``."""
+    """Open a file for writing without following links, which a foreign folder may contain; an opener for ``open``."""
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
 
@@ -89,7 +89,7 @@ def read_text(path: Path, encoding: str = "utf-8") -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Return what a file of JSON holds.  Raises InputError as :func:`read_file` and :func:`parse_json` do."""
+    """Return the content of a JSON file.  Raises InputError as :func:`read_file` and :func:`parse_json` do."""
     return parse_json(read_file(path), str(path))
 
 
@@ -107,27 +107,27 @@ def parse_json(text: str | bytes, where: str, finite: bool = True) -> Any:
         raise InputError(f"{where}: not JSON ({one_line(error)})") from error
 
 
-def _refuse_constant(name: str) -> float:
+def _refuse_nan(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
 
 def _parse_finite(digits: str) -> float:
     number = float(digits)
-    return number if isfinite(number) else _refuse_constant(digits[:40])
+    return number if isfinite(number) else _refuse_nan(digits[:40])
 
 
-_FINITE: dict[str, Any] = {"parse_constant": _refuse_constant, "parse_float": _parse_finite}  # refuse NaN and infinity
+_FINITE: dict[str, Any] = {"parse_constant": _refuse_nan, "parse_float": _parse_finite}  # refuse NaN and infinity
 
 
 def write_all(file: int, data: bytes) -> None:
-    """Write all of ``data`` to a file descriptor, which may take it in parts.  Raises OSError."""
+    """Write all data to a file descriptor, in parts if need be.  Raises OSError."""
     rest = memoryview(data)
     while rest:
         rest = rest[os.write(file, rest) :]
 
 
 def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[Exception] | None = None) -> None:
-    """Write a whole file, or leave it as it was; of a text in pieces one is held at a time.
+    """Write a file completely or leave it unchanged; of a text in pieces only one is held at a time.
 
     Raises OSError, or ``failure`` with file and reason in a line.
     """
@@ -138,7 +138,7 @@ def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[
 
 
 def write_if_possible(path: Path, text: str) -> None:
-    """Write a whole file and the folders above it; do nothing where they cannot be written to: a cache's entry."""
+    """Write a file and its folders, for a cache; do nothing if that is not possible."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, text)
@@ -172,7 +172,7 @@ def check_results_folder(out: Path | str | None, record: str, *files: str) -> No
 
 
 def holds_record(path: Path) -> bool:
-    """Return whether a command's results are there, by the file that it always leaves."""
+    """Return whether a folder holds a command's results, by the file that it always writes."""
     try:
         return isinstance(read_json(path), dict) if path.suffix == ".json" else path.is_file()
     except (OSError, InputError):
@@ -188,14 +188,14 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
 
 
 def to_json_record(record: Any) -> dict[str, Any]:
-    """Return a dataclass as a table that JSON can hold: None where a number is not finite."""
+    """Return a dataclass as a table for JSON, with None for numbers that are not finite."""
     values = asdict(record)
     return {name: None if isinstance(x, float) and not isfinite(x) else x for name, x in values.items()}
 
 
 @contextmanager
 def lock_file(path: Path, busy: str) -> Iterator[None]:
-    """Hold the lock of a file.  Raises InputError: ``busy`` if another process has it."""
+    """Hold the lock of a file.  Raises InputError with ``busy`` if another process holds it."""
     try:
         file = os.open(path, os.O_RDWR)
     except OSError as error:
@@ -209,7 +209,7 @@ def lock_file(path: Path, busy: str) -> Iterator[None]:
 
 
 def try_lock(file: int) -> bool | None:
-    """Try to take the file's lock, which goes when the process goes.
+    """Try to take the file's lock, which is released with the process.
 
     Return False if another holds it, None where there are no locks: on a file system or a machine without them.
     """
@@ -227,6 +227,6 @@ def try_lock(file: int) -> bool | None:
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error in one line; of a failed system call, what the system said."""
+    """Describe an error in one line; for a failed system call, by the system's text."""
     text = getattr(error, "strerror", None) or (str(error).splitlines() or [type(error).__name__])[0]
     return str(text).rpartition("Detail: [errno ")[2].rpartition("] ")[2] if "Detail: [errno " in text else str(text)

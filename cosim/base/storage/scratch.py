@@ -23,7 +23,7 @@ _made: dict[int, Path] = {}  # by process id, as a fork needs its own
 
 
 def scratch() -> Path:
-    """Return this process's folder for temporary files.  Raises InputError where there is no place for one."""
+    """Return this process's folder for temporary files.  Raises InputError if none can be made."""
     folder = _made.get(os.getpid())
     if folder is None or not folder.is_dir():
         try:
@@ -35,7 +35,7 @@ def scratch() -> Path:
 
 @contextmanager
 def temporary(prefix: str) -> Iterator[Path]:
-    """Yield a new folder below :func:`scratch`, until the end of the block, or of the process however that comes.
+    """Yield a new folder below :func:`scratch`, deleted after the block or with the process.
 
     Raises InputError where there is no place for one.
     """

@@ -27,14 +27,14 @@ def as_settings(values: str | Sequence[str] | Mapping[str, object]) -> list[str]
 
 
 def as_texts(values: str | Sequence[str] | Mapping[str, object]) -> list[str]:
-    """Return texts ``KEY=TEXT``, of one text, of several, or of a mapping, which may have several values of a key."""
+    """Return ``KEY=TEXT`` texts from one text, several, or a mapping, whose values may be lists."""
     if isinstance(values, Mapping):
         return [f"{key}={','.join(map(_as_text, as_several(value)))}" for key, value in values.items()]
     return list(as_several(values))
 
 
 def as_several(values: Any) -> Sequence[Any]:
-    """Return values, or a single one, which may be a text or a path, as a sequence."""
+    """Return values as a sequence; a single one may be a text or a path."""
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, (str, Path, Mapping)) else (values,)
 
 

@@ -26,7 +26,7 @@ else:
 
 
 class _OwnNames(ModelMetaclass):
-    """What ``dir`` shows of a table: its keys and its own methods, not those of pydantic."""
+    """Names that ``dir`` lists of a table: its keys and methods, without those of pydantic."""
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *vars(self).get("__pydantic_fields__", ())} - _PYDANTIC)
@@ -46,7 +46,7 @@ class Model(BaseModel, metaclass=_OwnNames):
     @model_validator(mode="before")
     @classmethod
     def _numbers_are_numbers(cls, data: Any) -> Any:
-        """Refuse ``"2"`` and ``true`` as numbers, alone or in a list, though Python would take them."""
+        """Refuse ``"2"`` and ``true`` as numbers, alone or in a list, although Python accepts them."""
         numeric = _numeric(cls)
         for name, value in data.items() if isinstance(data, dict) else ():
             if name in numeric:
@@ -58,7 +58,7 @@ class Model(BaseModel, metaclass=_OwnNames):
     @model_validator(mode="before")
     @classmethod
     def _merge_indices_into_defaults(cls, data: Any) -> Any:
-        """Write a table whose keys are indices of a list, where the list is not stated, over the list's default."""
+        """Merge a table whose keys are list indices into the list's default value."""
         if not isinstance(data, dict):
             return data
         lists = _lists(cls)
@@ -68,7 +68,7 @@ class Model(BaseModel, metaclass=_OwnNames):
 
 @cache
 def _lists(model: type[BaseModel]) -> Mapping[str, list[Any]]:
-    """Return the fields whose default is a tuple, with it as a list."""
+    """Return the fields whose default is a tuple, as lists."""
     defaults = {name: field.default for name, field in model.model_fields.items()}
     return {name: list(default) for name, default in defaults.items() if isinstance(default, tuple)}
 
@@ -139,7 +139,7 @@ def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
 
 
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
-    """Turn a TOML table into ``model``, one of pydantic's; ``where`` names its source in the error, unless empty.
+    """Convert a TOML table to the pydantic ``model``; ``where`` names its source in errors, unless empty.
 
     Raises InputError: one line with the key, the value and what is allowed.
     """
@@ -150,7 +150,7 @@ def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with the leaves of ``changes`` written over it; neither is changed.
+    """Return ``base`` with the leaves of ``changes`` merged in; neither is changed.
 
     A table whose keys are all places in a list, counted from 0, is written over those entries of it.
     """
@@ -266,7 +266,7 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
 
 
 def _meant(key: str, unknown: Sequence[str]) -> str:
-    """Return a clause with the unknown key that may be meant for a missing one; empty where none is near."""
+    """Return a clause with the unknown key that may be a typo of a missing one, or an empty string."""
     import difflib
 
     close = difflib.get_close_matches(key, unknown, n=1, cutoff=0.8)
@@ -309,7 +309,7 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
 
 
 def _no_entry(kind: str, value: Any) -> str:
-    """Return that a list has no entry which a setting could write over, where that is what is wrong."""
+    """Return the complaint that a list has no entry to override, if that is the error."""
     if kind != "list_type" or not isinstance(value, dict) or not all(str(key).isdigit() for key in value):
         return ""
     return f"there is no entry {', '.join(map(str, value))} to write over; a new list is [{{...}}]"
@@ -318,7 +318,7 @@ def _no_entry(kind: str, value: Any) -> str:
 def _describe_others(
     model: type[BaseModel], errors: Sequence[ErrorDetails], first: str, max_others: int = 5
 ) -> Iterator[str]:
-    """Yield clauses with the keys that are wrong beside the first: those that are missing, unknown, and otherwise."""
+    """Yield clauses on the other wrong keys: missing, unknown and invalid ones."""
     kinds: dict[str, dict[str, None]] = {"missing": {}, "unknown": {}, "wrong": {}}
     names = {"missing": "missing", "extra_forbidden": "unknown"}
     for item in errors[1:]:
@@ -352,7 +352,7 @@ def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
 
 
 def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """Return a model and those below it."""
+    """Return a model and all models nested in it."""
     models, waiting = {model}, [model]
     while waiting:
         for field in waiting.pop().model_fields.values():

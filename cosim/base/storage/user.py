@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Return the folder where this user's machine keeps what can be made again."""
+    """Return the user's cache folder, for files that can be made again."""
     return _folder(os.environ.get("XDG_CACHE_HOME"), "Library/Caches", ".cache")
 
 

@@ -112,7 +112,7 @@ def success_card(table: FlightTable, named: Sequence[str], found: Sequence[Propo
 
 
 def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]:
-    """Yield the controllers against each other on the same draws: their successes, then their metrics."""
+    """Yield the cards that compare controllers on the same draws: successes, then metrics."""
     compared = compare_controllers(table)
     against = [Markup("{} against {}").format(named[each.second], named[each.first]) for each in compared]
     rows = [
@@ -147,7 +147,7 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
 def ranking_cards(
     table: FlightTable, named: Sequence[str], rankings: Mapping[str, Sequence[Ranking | None]], is_correlated: bool
 ) -> Iterator[Card]:
-    """Yield what drives success, then what drives each metric, folded."""
+    """Yield the cards of what influences success and, folded, each metric."""
     labels = {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics}
     ranked = {name: ranking for name, ranking in rankings.items() if any(ranking)}
     if not ranked:
@@ -178,7 +178,7 @@ def ranking_cards(
 
 
 def referee_cards(folder: Path) -> Iterator[Card]:
-    """Yield what JSBSim says of flights on arrays: how far the metrics are off, and the verdicts that differ."""
+    """Yield JSBSim's check of flights on arrays: differences of metrics and verdicts."""
     referee = read_referee(folder)
     if referee:
         columns = ("metric", "largest", "unit", "flight", "half within [%]", "nine of ten within [%]", "")
@@ -190,7 +190,7 @@ def referee_cards(folder: Path) -> Iterator[Card]:
 
 
 def metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
-    """Return how the metrics are spread; None where there are none."""
+    """Return the card with the spread of metrics; None if there are none."""
     rows = [
         (
             metric.label,

@@ -20,7 +20,7 @@ DECISION_WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}
 
 
 class ClaimResult(NamedTuple):
-    """A claim and what became of it; ``verdicts`` are by controller, or by the one pair."""
+    """Result of testing a claim; ``verdicts`` are by controller, or by the compared pair."""
 
     claim: Claim
     text: str
@@ -28,7 +28,7 @@ class ClaimResult(NamedTuple):
     verdicts: dict[str, Verdict]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result for JSON; bounds and interval are null where nothing can be said yet."""
+        """Return the result for JSON; bounds and interval are null if not known yet."""
         return {
             "claim": self.text,
             "finished": self.is_finished,
@@ -46,7 +46,7 @@ class ClaimResult(NamedTuple):
         }  # fmt: skip
 
     def lines(self) -> Iterator[str]:
-        """Yield what can be said of each controller, or of the pair, in words."""
+        """Yield one sentence per controller, or one for the pair."""
         for name, verdict in self.verdicts.items():
             yield f"{name}: {self._describe(verdict)}"
 
@@ -73,7 +73,7 @@ class ClaimResult(NamedTuple):
 
 
 def judge_claim(campaign: Campaign) -> ClaimResult | None:
-    """Return what the flights of a campaign show of its claim; None where its study has none."""
+    """Return the result of testing a campaign's claim on its flights; None if its study has no claim."""
     rule = stopping_rule(campaign.study)
     if rule is None:
         return None
@@ -96,7 +96,7 @@ def format_bound(verdict: Verdict) -> str:
 
 
 def format_percent(probability: float, up: bool) -> str:
-    """Return a bound as text in %, rounded to the side of its error, with two digits of what it leaves to 0 or 1."""
+    """Format a bound in %, rounded outwards, with two digits of its distance to 0 or 1."""
     rest = min(probability, 1.0 - probability)
     digits = 1 if rest <= 0.0 else max(1, 1 - floor(log10(100.0 * rest)))
     scale = 10.0 ** (digits + 2)

@@ -120,7 +120,7 @@ def _rows_height(table: FlightTable) -> int:
 
 
 def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
-    """Return the figure of first-order indices, the largest on top; shaded is chance, pale what is not above it."""
+    """Return the figure of first-order indices, largest on top; the noise floor is shaded."""
     ranked = [(controller, ranking) for controller, ranking in enumerate(rankings) if ranking is not None]
     by_key = {controller: {effect.key: effect for effect in ranking.effects} for controller, ranking in ranked}
     labels = {key.path: wrap_label(key.label) for key in table.keys}
@@ -166,7 +166,7 @@ def _percent(fraction: float) -> float:
 
 
 def wrap_label(label: str, width: int = 24) -> str:
-    """Return a label broken into lines at its dots, of at most ``width`` characters where the parts allow it."""
+    """Return a label broken at its dots into lines of ``width`` characters, if its parts allow it."""
     lines = [""]
     for part in label.replace(".", ".\0").split("\0"):
         if lines[-1] and len(lines[-1]) + len(part) > width:
@@ -176,7 +176,7 @@ def wrap_label(label: str, width: int = 24) -> str:
 
 
 def success_over(table: FlightTable, key: KeyColumn) -> Figure:
-    """Return the figure of the fraction of successes over one key, with 95 % intervals; other keys vary as drawn."""
+    """Return the figure of the success rate over one key, with 95 % intervals, all other keys as drawn."""
     data = []
     for controller in controller_indices(table):
         rows = table.rows_of(controller) & np.isfinite(key.numbers)
@@ -305,7 +305,7 @@ def _metric_axis(table: FlightTable, metric: Metric) -> Figure:
 
 
 def round_digits(values: Array, digits: int = 4) -> list[Any]:
-    """Round to so many significant digits, with None for what is not a number."""
+    """Round to significant digits, with None for what is not a number."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 

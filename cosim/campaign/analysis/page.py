@@ -78,7 +78,7 @@ MAP = Path(__file__).parent / "templates" / "stability_map.html"  # template of 
 
 
 def write_campaign_report(campaign: Campaign) -> Path:
-    """Write the page into the campaign's folder, with the scenario files that it links to, and return its path.
+    """Write the campaign's page and the scenario files that it links to, and return the page's path.
 
     Raises FlightError if a file cannot be written, and InputError for the flights of another command than a sweep.
     """
@@ -109,7 +109,7 @@ def make_page(campaign: Campaign) -> Page:
     claims = [] if claim is None else [f"{line}." for line in claim.lines()]
     answers = [_answer(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)]
     told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
-    pages = [_nothing_yet()] if not table.flight.size else [
+    pages = [_unfinished_card()] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
         Card("What the flights came to", figure="outcomes", is_half=True),
         success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
@@ -139,12 +139,12 @@ def make_page(campaign: Campaign) -> Page:
     )
 
 
-def _nothing_yet() -> Card:
+def _unfinished_card() -> Card:
     return Card("Flights", lines=["No flight is finished yet: there is nothing to show."])
 
 
 def _map() -> Markup:
-    """Return the map, whose keys and colour are chosen: the one part of the page with a script of its own."""
+    """Return the interactive map with a choice of keys and colour, which has a script of its own."""
     colours = json.dumps(KIND_COLOURS)
     return Markup(read_text(MAP).replace("KIND_COLOURS", colours))
 

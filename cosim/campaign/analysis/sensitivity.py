@@ -46,7 +46,7 @@ class Ranking:
 
     @property
     def explained(self) -> float:
-        """What the real effects explain of the variance one at a time; the rest is joint effects and noise."""
+        """Variance explained by single effects; the rest is joint effects and noise."""
         return min(1.0, sum(effect.index for effect in self.effects if effect.real))
 
 

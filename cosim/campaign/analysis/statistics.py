@@ -38,7 +38,7 @@ class Proportion(NamedTuple):
 
 
 def proportion(hits: int, of: int) -> Proportion:
-    """Return a fraction with both of its intervals, which are 0 to 1 where there are no flights."""
+    """Return a fraction with both intervals, which are 0 to 1 without flights."""
     if not of:
         return Proportion(hits, of, (0.0, 1.0), (0.0, 1.0))
     low = betaincinv(hits, of - hits + 1, 0.5 - LEVEL / 2.0) if hits else 0.0
@@ -69,7 +69,7 @@ def wilson(hits: NDArray[np.generic], of: NDArray[np.generic]) -> tuple[Array, A
 
 
 class Pairs(NamedTuple):
-    """The outcomes of the same draws with two controllers: in how many both, one or neither succeeded."""
+    """Outcomes of the same draws under two controllers: how often both, one or neither succeeded."""
 
     both: int
     first: int  # draws where only the first succeeds
@@ -88,7 +88,7 @@ class Pairs(NamedTuple):
 
 
 def count_pairs(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> Pairs:
-    """Count the outcomes of draws, one element a draw."""
+    """Count the outcomes of draws, given as one element per draw."""
     counts = np.bincount(2 * first.astype(np.intp) + second, minlength=4)
     return Pairs(int(counts[3]), int(counts[2]), int(counts[1]), int(counts[0]))
 

@@ -55,7 +55,7 @@ class Comparison(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """One metric of one controller, over the flights that completed and have it (SI)."""
+    """Spread of one metric of one controller over the flights that completed and have it (SI)."""
 
     flights: int
     none: int  # completed without it, e.g. not settled
@@ -128,7 +128,7 @@ def common_draws(table: FlightTable, first: int, second: int) -> tuple[Any, Any]
 
 
 def ranked_result(table: FlightTable, name: str) -> Array:
-    """Return the ranked result of each row: success as 0 and 1, or a metric, NaN where there is none."""
+    """Return the result of each row as a number: success as 0 or 1, or a metric, NaN if missing."""
     return table.success.astype(np.float64) if name == SUCCESS else table.values[name]
 
 
@@ -143,7 +143,7 @@ def rank_keys(table: FlightTable, controller: int, name: str) -> Ranking | None:
 
 
 def count_reasons(table: FlightTable, rows: Mask, success: Mapping[str, Range]) -> Counter[str]:
-    """Count the reasons of flights without success, similar ones as one: without their numbers and brackets."""
+    """Count the reasons of failed flights; reasons that differ in numbers or brackets count as one."""
     counts: Counter[str] = Counter()
     missed = table.kind == KINDS.index("missed")
     for row in np.flatnonzero(rows & ~table.success):
@@ -273,7 +273,7 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
 
 
 def with_referee(lines: Iterable[str], folder: Path) -> list[str]:
-    """Return lines with those of JSBSim on a folder's flights on arrays: before all where it does not confirm them."""
+    """Return lines with those on JSBSim's check added, first if it does not confirm the flights."""
     referee = read_referee(folder)
     says = referee.get("says", [])
     return [*lines, *says] if referee.get("confirmed", True) else [*says, *lines]
@@ -286,7 +286,7 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for line in (summary["until"] or {"says": []})["says"]:
         yield f"  {line}"
     for name, entry in summary["controllers"].items():
-        yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
+        yield f"  {name}: {_probability(entry)}{_count_failures(entry['outcomes'])}"
     if summary["not_flown"]:
         yield f"  {summary['not_flown']}"
 
@@ -323,7 +323,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     max_pairs = 3  # pairs of controllers that are printed
     listed = pairs if len(pairs) <= max_pairs else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
     for pair in listed:
-        yield f"  {_compared_line(pair)}"
+        yield f"  {_comparison_line(pair)}"
     if len(listed) < len(pairs):
         yield f"  {len(pairs) - len(listed)} more pairs are in the report; each p is corrected for all {len(pairs)}"
     for name, entry in summary["drives_success"].items():
@@ -334,7 +334,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _median(name: str, entry: Mapping[str, Any] | None) -> str:
-    """Format a median, with the number of flights behind it where some, such as lost ones, have no value."""
+    """Format a median, with its number of flights if some have no value."""
     if entry is None:
         return "–"
     median = f"{metric(name).factor * entry['median']:.3g}"
@@ -351,12 +351,12 @@ def _probability(entry: Mapping[str, Any]) -> str:
     return f"{text} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
 
 
-def _describe_losses(outcomes: Mapping[str, int]) -> str:
+def _count_failures(outcomes: Mapping[str, int]) -> str:
     named = [f"{count} {name}" for name, count in outcomes.items() if count and name != SUCCESS]
     return f"; {', '.join(named)}" if named else ""
 
 
-def _compared_line(entry: Mapping[str, Any]) -> str:
+def _comparison_line(entry: Mapping[str, Any]) -> str:
     if entry["difference"] is None:
         return f"{entry['first']} and {entry['second']} have flown no draw in common"
     text = f"{entry['second']} against {entry['first']}: {100.0 * entry['difference']:+.1f} points"

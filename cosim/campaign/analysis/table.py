@@ -49,7 +49,7 @@ FLIGHT_METRICS = (  # metrics shown for every study
 
 
 class KeyColumn(NamedTuple):
-    """One varied key with its value on every row: a number, or the index of a choice in ``levels``."""
+    """One varied key with its value in each row: a number, or an index into ``levels``."""
 
     path: str
     label: str  # unique, and short enough for an axis
@@ -65,7 +65,7 @@ class KeyColumn(NamedTuple):
 
 
 class FlightTable(NamedTuple):
-    """Every finished flight, one element each, in the order of their numbers."""
+    """All finished flights, one element each, in the order of their numbers."""
 
     flight: Counts
     draw: Counts
@@ -188,12 +188,12 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
 
 
 def choice_text(value: Any) -> str:
-    """Format a choice as TOML has it, without quotes."""
+    """Format a choice as in TOML, without quotes."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def if_here(read: Callable[..., T], *arguments: object) -> T | None:
-    """Return what is read of a study; None where it was flown elsewhere, and its scenario or a file is not here."""
+    """Return the result of reading a study; None if its files are missing here because it was flown elsewhere."""
     try:
         return read(*arguments)
     except InputError:
@@ -201,7 +201,7 @@ def if_here(read: Callable[..., T], *arguments: object) -> T | None:
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """Return the last two parts of each key, indices in lists not counted, or as many as tell it from the others."""
+    """Return the last two parts of each key, or as many as make it unique; list indices do not count."""
     names = []
     for path in paths:
         parts = path.split(".")
@@ -243,7 +243,7 @@ def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list
 
 
 def describe_criterion(success: Mapping[str, Range]) -> str:
-    """Describe a study's criterion of success: the flight keeps its own limits, and the metrics are in their ranges."""
+    """Describe a study's criterion of success: own limits and ranges of metrics."""
     parts = [f"{metric(name).label} {describe_range(name, allowed)}" for name, allowed in success.items()]
     return (
         f"flies to its end within its limits{', with ' if parts else '; nothing else is checked'}{' and '.join(parts)}"

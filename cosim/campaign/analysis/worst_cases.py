@@ -31,14 +31,14 @@ CASE_COLUMNS = ("controller", "flight", "draw", "why", "ended", "drawn", "scenar
 
 
 class Case(NamedTuple):
-    """One flight worth flying again."""
+    """One flight that deserves a closer look."""
 
     row: int
     why: str
 
 
 def case_rows(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the worst flights of each controller, each with a scenario file of its own beside the report.
+    """Return the worst flights of each controller, with a scenario file for each beside the report.
 
     A row each, as :data:`CASE_COLUMNS` heads it; ``named``: the controllers.
     """
@@ -50,7 +50,7 @@ def case_rows(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> l
 
 
 def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Case]:
-    """Return the flights lost soonest, those failed nearest to the middle of the draws, and those without a verdict.
+    """Return the flights that failed first, those that failed nearest to the middle, and those without a verdict.
 
     Then the successes with the worst of the first metric; a flight is named once.
     """
@@ -78,7 +78,7 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
 
 
 def eccentricity(table: FlightTable) -> Array:
-    """Return how far each flight's numbers lie from the middle: 0 at every median, 1 where every one is extreme."""
+    """Return how far each flight's draws are from the middle: 0 if all are medians, 1 if all are extreme."""
     size = max(table.flight.size, 1)
     squares = np.zeros(table.flight.size)
     count = 0
@@ -121,7 +121,7 @@ def _value(key: KeyColumn, row: int) -> str:
 
 
 def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
-    """Write the scenario of a row as it flies, and return its place as seen from the page; or why there is none.
+    """Write the scenario of a row and return its path relative to the page, or why there is none.
 
     Where files go along with it, such as an engine of the user's, it has a folder of its own.  Raises FlightError if it
     cannot be written.
@@ -147,7 +147,7 @@ def _existing_case(folder: Path, name: str) -> str:
 
 
 def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
-    """Write a scenario as it flies below ``folder``, and return its path from there.
+    """Write a scenario as it flies below ``folder``, and return its relative path.
 
     Where files go along with it it has a folder of its own.  Raises InputError or FlightError if it cannot be built or
     written.

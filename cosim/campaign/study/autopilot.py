@@ -25,7 +25,7 @@ class StudyAutopilot(Protocol):
 
     @property
     def columns(self) -> Mapping[str, type[float | int | str | bool | None]]:
-        """The columns that it adds to a row, with their types."""
+        """Columns that the autopilot adds to a row, with their types."""
 
     def model_dump(self, **options: Any) -> dict[str, Any]:
         """Return the table, as pydantic does."""
@@ -35,18 +35,18 @@ class StudyAutopilot(Protocol):
         """Time from the autopilot's first frame to a flight's first step, s."""
 
     def program(self, folder: Path) -> Path | None:
-        """Return the path of its program, as a study in ``folder`` states it; None where it states none."""
+        """Return the path of its program, relative to the study's folder; None if it states none."""
 
     def seen_from(self, folder: Path) -> StudyAutopilot:
         """Return a copy with its program by absolute path."""
 
     def check(self, scenario: Scenario, folder: Path) -> None:
-        """Raise InputError for a program that is not here, and for a scenario that it cannot fly."""
+        """Raise InputError for a missing program or a scenario that the autopilot cannot fly."""
 
     def fly(
         self, scenario: Scenario, study_folder: Path, folder: Path, page: bool
     ) -> tuple[Run, dict[str, float | int | str | bool | None]]:
-        """Fly a scenario into ``folder``; return its run, and values of its row: its columns, and what it judges.
+        """Fly a scenario into ``folder``; return its run and the autopilot's values for the row.
 
         Raises InputError and FlightError.
         """

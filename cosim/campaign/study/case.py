@@ -15,7 +15,7 @@ from cosim.campaign.study.distributions import CASE, vary_tables
 
 
 class Case(Model):
-    """A named variant of a study's scenario, one value of the key ``case``."""
+    """A named variant of a study's scenario: one value of the key ``case``."""
 
     name: Annotated[str, Field(min_length=1)]
     settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario; seed: the case's

@@ -27,7 +27,7 @@ USAGE = (  # how to write --vary, for messages
 
 
 class Normal(Model):
-    """Normal with ``mean`` and standard deviation ``sd`` before it is truncated at ``min`` and ``max``."""
+    """Normal distribution with ``mean`` and ``sd`` before truncation at ``min`` and ``max``."""
 
     mean: float
     sd: Positive
@@ -52,7 +52,7 @@ class LogNormal(Model):
     max: float | None = None
 
     def score(self, bound: float) -> float:
-        """Return the z of a bound; minus infinity for one that nothing is below."""
+        """Return the z score of a bound; minus infinity if there is none below."""
         return log(bound / self.median) / self.sigma if bound > 0.0 else -inf
 
     def values(self, scores: Array) -> Array:
@@ -78,7 +78,7 @@ CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "tria
 
 
 class Correlation(Model):
-    """The rank correlation (Spearman's) of what is drawn for two keys; their distributions stay as they are."""
+    """Spearman rank correlation between two keys; their distributions are unchanged."""
 
     keys: tuple[str, str]
     rank: Annotated[float, Field(gt=-1.0, lt=1.0)]
@@ -90,7 +90,7 @@ class Correlation(Model):
 
 
 class Vary(Model):
-    """One key and what it is drawn from: exactly one of the ``FORMS``.
+    """One key and its distribution, stated by exactly one of the ``FORMS``.
 
     ``range`` is uniform, or uniform in the logarithm with ``scale = "log"``; ``levels`` makes that many grid points of
     it, both ends among them.  Of ``values`` each is equally likely.  With ``relative`` what is drawn is a factor on the
@@ -143,7 +143,7 @@ class Vary(Model):
         return self
 
     @model_validator(mode="after")
-    def _alike(self) -> Vary:
+    def _values_of_one_kind(self) -> Vary:
         values = self.values or []
         kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
         if len(kinds) > 1:
@@ -157,7 +157,7 @@ class Vary(Model):
 
     @property
     def support(self) -> tuple[float, float]:
-        """The least and the largest number that can be drawn, before ``relative``; infinite where there is no bound."""
+        """Smallest and largest number that can be drawn, before ``relative``; infinite without a bound."""
         if self.range is not None:
             return self.range
         form = self.normal or self.lognormal or self.triangular
@@ -174,12 +174,12 @@ class Vary(Model):
 
     @property
     def is_ordered(self) -> bool:
-        """Whether what is drawn is a number, of which one can be more than another."""
+        """Whether the drawn values are numbers, which have an order."""
         return not self.uncertainty and not any(isinstance(value, (str, bool)) for value in self.values or [])
 
     @property
     def text(self) -> str:
-        """The text of the command line; :func:`parse_vary` makes the same of it."""
+        """The text of the command line, from which :func:`parse_vary` makes the same."""
         if self.uncertainty:
             return self.key
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
@@ -197,7 +197,7 @@ class Vary(Model):
 
 
 def vary_tables(value: Any) -> Any:
-    """Return the tables of a study's ``vary``, of which each may be a text of the command line, or all be one."""
+    """Return the tables of a study's ``vary``; all of it, or each entry, may be command-line text."""
     listed = [value] if isinstance(value, str) else value
     if not isinstance(listed, list):
         return value
@@ -267,7 +267,7 @@ def _span(span: str, text: str) -> dict[str, Any]:
 
 
 def parse_number(text: str, where: str) -> float:
-    """Return a number of a command line.  Raises InputError, which begins with ``where``."""
+    """Parse a number of a command line.  Raises InputError that begins with ``where``."""
     try:
         return float(text)
     except ValueError as error:
@@ -275,7 +275,7 @@ def parse_number(text: str, where: str) -> float:
 
 
 def first_repeated(values: Sequence[T]) -> T | None:
-    """Return the first of the values that is there twice; None if each is there once."""
+    """Return the first value that is repeated, or None."""
     return next((value for index, value in enumerate(values) if value in values[:index]), None)
 
 
@@ -286,6 +286,6 @@ def _text(value: bool | int | float | str) -> str:
 
 
 def number_text(value: float) -> str:
-    """Format a number as short as it can be without losing a bit."""
+    """Format a number as short as possible without losing a bit."""
     short = f"{value:g}"
     return short if float(short) == value else repr(value)

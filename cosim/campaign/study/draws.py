@@ -34,7 +34,7 @@ POINTS, SEEDS = 0, 1  # indices of a seed's random streams
 
 @dataclass(frozen=True)
 class Draw:
-    """The inputs of one flight under every controller: absolute values by dotted key, and a seed."""
+    """Inputs of one draw, the same for each controller: absolute values by dotted key, and a seed."""
 
     number: int
     seed: int
@@ -45,7 +45,7 @@ T = TypeVar("T")  # type of the items
 
 
 class LazySequence(Sequence[T]):
-    """A sequence whose elements are made when they are asked for: a million of them is not held in memory."""
+    """A sequence whose elements are computed on access, because there may be a million."""
 
     @overload
     def __getitem__(self, index: int) -> T: ...
@@ -63,7 +63,7 @@ class LazySequence(Sequence[T]):
 
 
 class Draws(LazySequence[Draw]):
-    """The draws of a study by number, from 0; a block of them is made when one is asked for."""
+    """The draws of a study by number, from 0, made in blocks on demand."""
 
     def __init__(self, study: Study) -> None:
         self._count = study.draws
@@ -74,8 +74,8 @@ class Draws(LazySequence[Draw]):
         self._points: Points = DESIGNS[study.design](study, sides)
         side = level if study.design == "grid" else inverse
         self._bend = [
-            _bend_engine(engine, len(study.vary)) if vary.uncertainty and engine is not None
-            else _bend_side(index, side(vary, study.key(vary.key)))
+            _map_engine_sides(engine, len(study.vary)) if vary.uncertainty and engine is not None
+            else _map_side(index, side(vary, study.key(vary.key)))
             for index, vary in enumerate(study.vary)
         ]  # fmt: skip
         self._block: tuple[int, list[Draw]] = (-1, [])
@@ -111,13 +111,13 @@ def flight_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(SEEDS, number)).generate_state(1, np.uint64)[0] >> 11)
 
 
-def _bend_side(index: int, values: Callable[[Array], list[Value]]) -> Callable[[Array], list[list[Value]]]:
-    """Map points to the values of one key, from its side."""
+def _map_side(index: int, values: Callable[[Array], list[Value]]) -> Callable[[Array], list[list[Value]]]:
+    """Return a function from one coordinate of points to values of a key."""
     return lambda points: [values(points[:, index])]
 
 
-def _bend_engine(engine: EngineDraw, first: int) -> Callable[[Array], list[list[Value]]]:
-    """Map points to the values of the engine's keys, from its sides, of which the first is ``first``."""
+def _map_engine_sides(engine: EngineDraw, first: int) -> Callable[[Array], list[list[Value]]]:
+    """Return a function from an engine's coordinates, beginning at ``first``, to values of its keys."""
     return lambda points: engine.values(points[:, first : first + engine.sides])
 
 
@@ -128,7 +128,7 @@ class Points(Protocol):
 
 
 class Grid:
-    """Every combination of the levels, by their indices; the last key's changes fastest, a repeat begins anew.
+    """All combinations of levels, by index; the last key changes fastest, repeats start over.
 
     The sides of an uncertain engine are drawn for each point.
     """
@@ -144,7 +144,7 @@ class Grid:
 
 
 class Random:
-    """Independent points; each block of them has its own generator, so that any can be had without those before it."""
+    """Independent points; each block has its own generator, so that it can be made without those before it."""
 
     def __init__(self, study: Study, sides: int) -> None:
         self._seed, self._sides = study.seed, sides
@@ -203,7 +203,7 @@ DESIGNS: dict[str, Callable[[Study, int], Points]] = {  # sampler of each sampli
 
 
 def latin_hypercube(generator: np.random.Generator, draws: int, sides: int) -> Array:
-    """Return points of which each of ``draws`` equal parts of every side has one: shape (draws, sides).
+    """Return points with one in each of ``draws`` equal parts of each side: shape (draws, sides).
 
     They are those of ``scipy.stats.qmc.LatinHypercube`` with this generator, without half a second for its import.
     """
@@ -232,7 +232,7 @@ def _correlated_keys(matrix: Array) -> list[int]:
 
 
 def _copula(study: Study) -> Callable[[Array], Array]:
-    """Map points of independent sides to points whose sides are correlated."""
+    """Return a function that gives independent points the requested correlations."""
     matrix = study.correlations()
     sides = _correlated_keys(matrix)
     lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
@@ -254,7 +254,7 @@ def _copula(study: Study) -> Callable[[Array], Array]:
 
 
 def reorder_points(points: Array, matrix: Array) -> Array:
-    """Return points whose sides keep their numbers in another order, with (nearly) these correlations.
+    """Reorder the values of each side so that the points have (nearly) these correlations.
 
     Normal scores of the ranks are freed of the correlation that they have by chance, given the one wanted, and the
     numbers of each side are put into the order of the scores (Iman and Conover, 1982).
@@ -312,7 +312,7 @@ def _relation(vary: Vary, key: Key) -> tuple[float, float]:
 
 
 def _bounds_of_draws(vary: Vary, key: Key) -> tuple[float, float]:
-    """Return the bounds of the number that is drawn; half a step further out where it is rounded to whole steps."""
+    """Return the bounds of the drawn number, half a step wider if it is rounded to whole steps."""
     step = quantum(key)
     if step is None:
         return vary.support

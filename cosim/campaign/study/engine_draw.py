@@ -35,7 +35,7 @@ HOW = (
 
 @dataclass(frozen=True)
 class _Parameter:
-    """One uncertain parameter: its deviation and spread, the key of all engines, and those of single stations."""
+    """One uncertain parameter: deviation and spread, its key for all engines, and keys for single stations."""
 
     deviation: float
     spread: float
@@ -58,7 +58,7 @@ class EngineDraw:
 
     @property
     def description(self) -> str:
-        """Which parameters are drawn, how, and where the numbers are from."""
+        """Sentence on the parameters drawn, how, and the origin of their uncertainty."""
         each = ", each engine by itself too" if any(self._table.spreads) else ""
         return (
             f"drawn {DRAWN_BY} ({', '.join(self._table.parameters)}{each}; "
@@ -66,7 +66,7 @@ class EngineDraw:
         )
 
     def named(self, name: str) -> dict[str, Value]:
-        """Return the draw of this name by key: the same on every machine, of another name another one."""
+        """Return the draw of this name by key; the same on each machine."""
         seed = int.from_bytes(sha256(name.encode()).digest())
         points = np.maximum(np.random.default_rng(seed).random((1, self.sides)), MIN_QUANTILE)
         return {key.path: column[0] for key, column in zip(self.keys, self.values(points), strict=True)}
@@ -114,7 +114,7 @@ def engine_draw(scenario: Scenario, source: EngineSource | None = None) -> Engin
 
 
 def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()) -> tuple[EngineDraw | None, str]:
-    """Return the draws of a scenario's engine that flights have unless told otherwise, and a line on it.
+    """Return the draws of an engine's uncertainty that a study makes by default, and a note.
 
     None for an engine that states no uncertainty, with a line on single stations' engines that do; None where
     ``nominal`` says so, and where a key of ``varied`` is drawn with it or brings another engine.  Raises InputError.
@@ -134,7 +134,7 @@ def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()
 
 
 def _describe_stations_not_drawn(scenario: Scenario) -> str:
-    """Describe stations with an engine of their own that states an uncertainty; an empty string without any."""
+    """Describe stations whose own engine has an uncertainty that is not drawn; empty if none."""
     vehicle, _ = scenario.resolved_vehicle()
     found: dict[str, list[str]] = {}
     for number, station in enumerate(list_stations(scenario, vehicle), 1):
@@ -146,7 +146,7 @@ def _describe_stations_not_drawn(scenario: Scenario) -> str:
 
 
 def brings_engine(key: str) -> bool:
-    """Return whether a key may bring another engine than the one that is drawn."""
+    """Return whether a key may select another engine than the drawn one."""
     return key in (ENGINE, "aircraft") or (key.startswith("stations.") and key.endswith(f".{ENGINE}"))
 
 
@@ -156,7 +156,7 @@ def _nominal(key: Key) -> float:
 
 
 def _fit(drawn: Array, key: Key) -> list[Value]:
-    """Return what was drawn as the key takes it: whole numbers within the bounds where it counts something."""
+    """Return a drawn value in the key's type: integers within bounds for counts."""
     if key.kind != "int":
         return list(drawn.tolist())
     low = ceil(key.low) if isfinite(key.low) else -inf

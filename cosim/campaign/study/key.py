@@ -29,7 +29,7 @@ ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # endings that would be re
 
 @dataclass(frozen=True)
 class Key:
-    """One value that can be varied: its nominal value, unit and bounds."""
+    """One value that can be varied, with nominal value, unit and bounds."""
 
     path: str
     kind: Kind
@@ -67,7 +67,7 @@ class Key:
         return what
 
     def fit(self, value: Value) -> Value:
-        """Return ``value`` as the key takes it: rounded where the key counts something.
+        """Return ``value`` in the key's type, rounded if it counts something.
 
         Raises InputError: one line with the key, the value and what is allowed.
         """
@@ -107,7 +107,7 @@ class Key:
 
 
 def unit_of(path: str) -> str:
-    """Return the unit in which the suffix of the name says the value is; indices in lists do not count."""
+    """Return the unit given by the suffix of a name; list indices are ignored."""
     name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
     if name in ODD_UNITS:
         return ODD_UNITS[name]

@@ -109,7 +109,7 @@ def all_keys(scenario: Scenario) -> list[Key]:
 
 
 def flown_engine_keys(scenario: Scenario, source: EngineSource, jets: int) -> Iterator[Key]:
-    """Yield the keys of the engine as no controller knows it, and those of each of the ``jets`` stations."""
+    """Yield the keys of the true engine, unknown to controllers, and those of each of ``jets`` stations."""
     flown = {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}
     yield from _parameters(FLOWN_PARAMETERS, source, flown)
     yield from _station_keys(scenario, source, jets)
@@ -131,7 +131,7 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
-    """Return ``scenario`` with ``values`` written over it by key, all at once; what it expected is left out.
+    """Return ``scenario`` with ``values`` set together by key, without its expectations.
 
     Anything with a dotted path may be written, ``seed`` too.  Another aircraft comes with the engine that it is made
     for, another engine takes every station, and a ``controller`` that is a file, as ``hexjet design`` writes it, brings
@@ -165,7 +165,7 @@ def _with_aircraft_engine(scenario: Scenario, values: Mapping[str, Value]) -> Ma
 
 
 def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
-    """Return the values that a controller file sets below the other values, and these; nothing for a built-in name."""
+    """Return the values from a controller file, overridden by these; unchanged for a built-in controller."""
     path = str(values.get("controller", ""))
     if not is_design(path):
         return {}, values
@@ -219,7 +219,7 @@ def _select_parameters(scenario: Scenario, values: Mapping[str, Value]) -> tuple
 
 
 def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
-    """Refuse another aircraft or engine under values that were meant for the one that the scenario has."""
+    """Refuse to change aircraft or engine together with values meant for the scenario's own."""
     rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
         ("engine", scenario.engine, scenario.engine_parameters, OF_ENGINE),
@@ -304,7 +304,7 @@ def _restore_bounds(field: FieldInfo) -> Any:
 
 
 def _value_keys(path: str, annotation: Any, value: Any) -> Iterator[Key]:
-    """Yield the keys at and below ``path``, whose value is ``value``."""
+    """Yield the keys at and below ``path``, given its value."""
     if isinstance(value, BaseModel):
         yield from _table_keys(path, value)
         return
@@ -365,7 +365,7 @@ def _unwrap(annotation: Any) -> tuple[Any, list[Any]]:
 
 
 def _select_member(union: Any, value: Any) -> Any:
-    """Return the first part of a union that is a list or tuple if the value is one, and none if it is not."""
+    """Return the first list or tuple type of a union if the value is one, else the first other type."""
     is_list = isinstance(value, (list, tuple))
     for member in get_args(union):
         if (get_origin(_unwrap(member)[0]) in (list, tuple)) == is_list and member is not type(None):
@@ -380,7 +380,7 @@ def _is_union(annotation: Any) -> bool:
 
 
 def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
-    """Yield the parameters that an engine declares and the simulation does not set itself."""
+    """Yield the engine's parameters that the simulation does not set itself."""
     nominals = {**resolve_parameters(source, {})[0], **values}
     known = NOT_TOLD if path.startswith("mismatch.") else MODELS_STAY
     for variable in source.archive.parameters:
@@ -393,14 +393,14 @@ def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) ->
             f"{path}.{variable.name}",
             "int" if whole else "float",
             round(nominal) if whole else nominal,
-            _declared(variable.name, variable.unit),
+            _key_of_parameter(variable.name, variable.unit),
             -inf if low is None else low,
             inf if high is None else high,
             text="; ".join(filter(None, (variable.description, known))),
         )
 
 
-def _declared(name: str, unit: str | None) -> str:
+def _key_of_parameter(name: str, unit: str | None) -> str:
     return unit if unit and unit != "1" else unit_of(name)
 
 

@@ -19,7 +19,7 @@ NOT_MODELLED = ("mismatch.", "command.", "controller_parameters.")
 
 
 def model_notes(study: Study) -> list[str]:
-    """Return at most one line: of the flights at the ends of what varies, the one whose model is farthest off.
+    """Return at most one note: the flight at the ends of the ranges whose model deviates most.
 
     Empty where all models are the vehicles', and where no controller believes one.  A flight that cannot be built is
     passed over: it is a row of the campaign, with the reason.
@@ -58,7 +58,7 @@ def nominal_model_notes(scenario: Scenario) -> list[str]:
 
 
 def design_warnings(study: Study) -> list[str]:
-    """Return what is said of the designs that a study flies: a proof that failed or is not there, another engine.
+    """Return warnings on the designs that a study flies: failed or missing proof, or another engine.
 
     Of the first draw with each controller; one that cannot be built is passed over, and is a row of the campaign.
     """
@@ -76,7 +76,7 @@ def design_warnings(study: Study) -> list[str]:
 
 
 def _extreme_flights(study: Study) -> Iterator[Flight]:
-    """Yield the flights whose identified models are compared with what is flown.
+    """Yield the flights at the ends of the ranges, whose models are compared with the vehicle.
 
     These are the first draw with each controller that may use another model, of the built-in ones only one, as they
     use the same model; then the draws with the least and the most of every key that may matter, with the first.

@@ -23,7 +23,7 @@ from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
 
 class NothingVariesError(InputError):
-    """Nothing varies in what is to be a study."""
+    """A study in which nothing varies."""
 
 
 def open_study(
@@ -42,7 +42,7 @@ def open_study(
     nominal_engine: bool = False,
     batch: bool = False,
 ) -> Study:
-    """Return a study, or a scenario as one, with a command line's options written over it.
+    """Return a study, or one made from a scenario, with command-line options applied.
 
     ``vary``, ``correlate``, ``success`` and ``settings`` are texts; what is given for a key replaces what the study has
     for it, and ``controllers`` replace the study's.  A text of ``success`` with a parenthesis is the formula of a
@@ -93,7 +93,7 @@ def open_study(
 
 
 def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
-    """Return whether the engine is to be drawn by its uncertainty though no key of the study says it."""
+    """Return whether the engine's uncertainty is drawn by default."""
     keys = [table.get("key", "") for table in data["vary"] if isinstance(table, dict)]
     if UNCERTAIN in keys or data.get("nominal_engine"):
         return False
@@ -113,7 +113,7 @@ def _add_success(data: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any
 
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
-    """Return a title of what flies and a marked description: the study's file tells of what it states itself."""
+    """Return a title of what flies, with the file's description marked as the file's."""
     changes = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
     listed = [*changes[:3], *([f"{len(changes) - 3} more changes"] if len(changes) > 3 else [])]
     summary = ", ".join(listed) or "with options of its own"
@@ -163,7 +163,7 @@ def _default_design(data: Mapping[str, Any]) -> str:
 
 
 def _merge_by_key(tables: Any, new: list[dict[str, Any]], key_of: Any) -> list[Any]:
-    """Return ``tables`` with those of ``new`` in the place of the ones with the same key, or at the end."""
+    """Return ``tables`` with entries of ``new`` replacing those of the same key, others appended."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         return [tables] if new == [] else new  # validation will report what is wrong
     replaced = {key_of(table): table for table in new}
@@ -174,7 +174,7 @@ def _merge_by_key(tables: Any, new: list[dict[str, Any]], key_of: Any) -> list[A
 
 
 def parse_correlate(text: str) -> Correlation:
-    """Read ``KEY,KEY=R``.  Raises InputError: one line."""
+    """Parse ``KEY,KEY=R``.  Raises InputError."""
     match = re.fullmatch(r"\s*([^=,\s]+)\s*,\s*([^=,\s]+)\s*=\s*(\S+)\s*", text)
     if match is None:
         raise InputError(f"correlate {text}: write it as KEY,KEY=R with the rank correlation R above -1 and below 1")
@@ -183,7 +183,7 @@ def parse_correlate(text: str) -> Correlation:
 
 
 def parse_success(texts: Iterable[str]) -> dict[str, Range]:
-    """Read ``METRIC<=X`` and ``METRIC>=X``; one of each for a metric makes a span.  Raises InputError: one line."""
+    """Parse ``METRIC<=X`` and ``METRIC>=X``; both for one metric give a range.  Raises InputError."""
     success: dict[str, dict[str, float]] = {}
     for text in texts:
         match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)

@@ -41,7 +41,7 @@ class Flight:
 
 
 def flight_of(study: Study, row: Mapping[str, Value | None]) -> Flight:
-    """Return the flight that a row describes; a key that has no value in it is as the scenario has it."""
+    """Return the flight described by a row; missing values are as in the scenario."""
     values = {name: value for name in study.drawn if (value := row[name]) is not None}
     return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
 
@@ -85,7 +85,7 @@ def controllers(study: Study) -> list[str]:
 
 
 def only_controller(study: Study, what: str) -> str:
-    """Return the one controller of a study, of which ``what`` is asked.  Raises InputError where there are several."""
+    """Return a study's only controller; ``what`` needs one.  Raises InputError if there are several."""
     names = controllers(study)
     if len(names) > 1:
         raise InputError(
@@ -96,7 +96,7 @@ def only_controller(study: Study, what: str) -> str:
 
 
 def stopping_rule(study: Study) -> StoppingRule | None:
-    """Return the rule by which ``study`` stops, with no flight counted; None for one that flies all of its draws.
+    """Return the stopping rule of ``study`` before any flight; None if it flies all draws.
 
     Raises InputError if the claim names a controller that the study does not have.
     """

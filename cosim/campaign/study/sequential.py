@@ -34,7 +34,7 @@ MAX_TESTED = 1_000_000  # flights, for which sums take seconds
 
 
 class Claim(NamedTuple):
-    """What is to be shown: a probability of success of each controller, or that the first does better than the second.
+    """Claim to be tested: a success rate of each controller, or that the first beats the second.
 
     ``pair`` has the two controllers; what is claimed then is that of the draws which only one of them flies with
     success more than half are the first's.
@@ -46,17 +46,17 @@ class Claim(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The probability that the test says what is not true, one-sided."""
+        """Probability that the test decides wrongly, one-sided."""
         return 1.0 - self.confidence
 
     @property
     def fewest(self) -> int:
-        """The smallest study that can show the claim: as many flights, and none of them fails."""
+        """Smallest study that can prove the claim, without any failure."""
         return ceil(log(self.error) / log(self.probability))
 
 
 def parse_claim(text: str, name: str = "until =") -> Claim:
-    """Read ``99.9%@95%``, or ``smith>baseline@95%`` for two controllers.  Raises InputError: one line with ``name``."""
+    """Parse ``99.9%@95%``, or ``smith>baseline@95%`` for two controllers.  Raises InputError with ``name``."""
     match = re.fullmatch(r"\s*(?:([0-9.]+)\s*%|(.+?)\s*>\s*(.+?))\s*@\s*([0-9.]+)\s*%\s*", text)
     if match is None:
         raise InputError(
@@ -72,7 +72,7 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
 
 
 def default_runs(text: str) -> int:
-    """Return how many draws a study with this claim has where nobody says it.  Raises InputError as parse_claim."""
+    """Return the default number of draws for this claim.  Raises InputError as parse_claim does."""
     # A study that states no number may fly ten times the fewest flights that can prove its claim.
     return min(10 * parse_claim(text).fewest, MAX_TESTED)
 
@@ -89,7 +89,7 @@ def _percentage(text: str, least: float, where: str) -> float:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a study shows of a claim after ``flights``, of which ``failures`` were no success.
+    """Result for a claim after ``flights``, of which ``failures`` were not successful.
 
     Of a pair ``flights`` counts the draws that only one of the two flew with success, and ``failures`` the second's.
     ``not_flown`` of the flights have no verdict and are no ``failures``.
@@ -108,7 +108,7 @@ class Verdict:
 
 
 class SequentialTest:
-    """The course of one test: successes and failures are counted in the order of the draws, until it has decided."""
+    """Sequential test of a claim, which counts successes and failures in the order of draws until it decides."""
 
     def __init__(self, claim: Claim) -> None:
         self.claim = claim
@@ -123,7 +123,7 @@ class SequentialTest:
         self._ends: dict[Decision, list[tuple[int, int, float]]] = {"shown": [], "refuted": [], "open": []}
 
     def add(self, success: bool) -> Decision:
-        """Count one more flight and return what is decided; flights after a decision are not counted."""
+        """Count one more flight and return the decision; flights after a decision are ignored."""
         if self.decision != "open":
             return self.decision
         self._advance()
@@ -151,7 +151,7 @@ class SequentialTest:
         return 1.0 - self._highest(0.025), 1.0 - self._least(0.025)
 
     def _advance(self) -> None:
-        """Put every course that a study may take one flight on, and end those that have crossed a boundary."""
+        """Advance all possible courses of a study by one flight, and end those that crossed a boundary."""
         self.flights += 1
         going = np.zeros(self._going.size + 1)
         going[:-1] = self._going * (1.0 - self._failing)
@@ -175,18 +175,18 @@ class SequentialTest:
     # better). At a bound this ending and all better, or all worse, ones have the probability ``error``.
 
     def _highest(self, error: float) -> float:
-        """Return the highest probability of failure at which an end as good as this one still has ``error``."""
+        """Return the largest failure probability at which an ending as good as this has the probability ``error``."""
         if self.failures == self.flights and self._crossed != "shown":
             return 1.0
-        return self._solve(lambda failing: self._at_most(failing) - error)
+        return self._solve(lambda failing: self._probability_as_good(failing) - error)
 
     def _least(self, error: float) -> float:
-        """Return the least probability of failure at which an end as bad as this one still has ``error``."""
+        """Return the smallest failure probability at which an ending as bad as this has the probability ``error``."""
         if self.failures == 0:
             return 0.0
-        return self._solve(lambda failing: error - self._at_least(failing))
+        return self._solve(lambda failing: error - self._probability_as_bad(failing))
 
-    def _at_most(self, failing: float) -> float:
+    def _probability_as_good(self, failing: float) -> float:
         shown = self._probability(self._ends["shown"], failing)
         if self._crossed == "shown":
             return shown
@@ -194,7 +194,7 @@ class SequentialTest:
             return shown + self._probability(self._open(range(self._lowest, self.failures + 1)), failing)
         return 1.0 - self._probability(self._ends["refuted"][:-1], failing)
 
-    def _at_least(self, failing: float) -> float:
+    def _probability_as_bad(self, failing: float) -> float:
         refuted = self._probability(self._ends["refuted"], failing)
         if self._crossed == "refuted":
             return refuted
@@ -222,7 +222,7 @@ class SequentialTest:
 
 
 class ClaimTest:
-    """The test of a claim by flights of which some have no verdict: they count against whatever is being decided.
+    """Test of a claim with flights that have no verdict, which count against either decision.
 
     Such a flight is a failure in the course that may show the claim, and a success in the one that may refute it.
     """
@@ -234,16 +234,16 @@ class ClaimTest:
 
     @property
     def decision(self) -> Decision:
-        """What is decided: shown by the worst course, or refuted by the best."""
+        """The decision: shown by the worst course, or refuted by the best."""
         return "shown" if self._worst.decision == "shown" else "refuted" if self._best.decision == "refuted" else "open"
 
     @property
     def is_finished(self) -> bool:
-        """Whether no flight decides any more: it is decided, or both courses have ended the other way."""
+        """Whether further flights are irrelevant: decided, or neither decision can be reached any more."""
         return self.decision != "open" or "open" not in (self._worst.decision, self._best.decision)
 
     def add(self, worst: bool | None, best: bool | None) -> None:
-        """Count one more flight as a success or not in either course, None: not at all; nothing after the end."""
+        """Count one more flight in the worst and the best course as success or failure; None: not at all."""
         if self.is_finished or worst is best is None:
             return
         if worst is not best and self._best is self._worst:
@@ -261,7 +261,7 @@ class ClaimTest:
             course.close()
 
     def verdict(self) -> Verdict:
-        """Return what can be said now."""
+        """Return the result so far."""
         bound = self._worst.lower_end() if self.decision == "open" else self._worst.claim.probability
         interval = (self._worst.interval()[0], self._best.interval()[1])
         return Verdict(self.decision, self.flights, self.failures, bound, interval, self.not_flown)
@@ -294,7 +294,7 @@ class StoppingRule:
         return self.is_decided or self._counted == self._draws
 
     def add(self, number: int, success: bool | None) -> bool:
-        """Take in a flight by its number, None: without a verdict, and return whether the study may stop."""
+        """Count a flight by number, None: without a verdict, and return whether the study may stop."""
         self._waiting[number] = success
         while not self.is_finished and (draw := self._next_draw()) is not None:
             self._count(draw)

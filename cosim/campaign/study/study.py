@@ -58,7 +58,7 @@ def _without_repeats(names: list[str]) -> list[str]:
 
 
 class Study(Model):
-    """Many flights of one scenario."""
+    """Many flights of one scenario, with the keys that vary."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
@@ -93,7 +93,7 @@ class Study(Model):
 
     @property
     def folder(self) -> Path:
-        """The folder from which relative file names in the study start."""
+        """Folder that relative paths in the study start from."""
         return self._folder
 
     @property
@@ -106,7 +106,7 @@ class Study(Model):
 
     @property
     def tried(self) -> list[str]:
-        """The controllers that scenarios are made with, one at least."""
+        """Controllers that the flights use, at least one."""
         return self.controllers or [seen_from(self.base().controller, self.base().folder)]
 
     @property
@@ -119,7 +119,7 @@ class Study(Model):
         if case not in self._bases:
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
-            own = self._case(case).settings if case is not None else {}
+            own = self._find_case(case).settings if case is not None else {}
             origin = Scenario.as_filed(path) if self.settings or own else None
             where = f"{self._where}: settings" if self.settings else str(path)
             for settings, place in ((self.settings, where), (own, f"{self._where}: case {case!r}")):
@@ -133,7 +133,7 @@ class Study(Model):
             self._bases[case] = Scenario.from_table(changed, path.parent, where, origin)
         return self._bases[case]
 
-    def _case(self, name: str) -> Case:
+    def _find_case(self, name: str) -> Case:
         return next(case for case in self.case if case.name == name)
 
     @property
@@ -143,13 +143,13 @@ class Study(Model):
 
     @property
     def case_seeds(self) -> dict[Value, int]:
-        """The seeds of the cases that state one, by name."""
+        """Seeds of the cases that state one, by case name."""
         return {case.name: case.settings["seed"] for case in self.case if "seed" in case.settings}
 
     def autopilot_of(self, case: str | None) -> StudyAutopilot:
         """Return the autopilot as it flies a case.  Raises ValueError for a wrong key."""
         assert self.autopilot is not None
-        changes = self._case(case).autopilot if case is not None else {}
+        changes = self._find_case(case).autopilot if case is not None else {}
         if not changes:
             return self.autopilot
         stated = self.autopilot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
@@ -174,12 +174,12 @@ class Study(Model):
         return self._keys[name]
 
     def set_keys(self, keys: Mapping[str, Key]) -> None:
-        """Set the keys that get values, instead of finding them in the scenario and the code that it names."""
+        """Set the keys of the values, instead of finding them in the scenario and its code."""
         self._keys |= keys
         self._drawn = list(keys)
 
     def engine_draw(self) -> EngineDraw | None:
-        """Return how the engine is drawn by its uncertainty; None where it is not.  Raises InputError."""
+        """Return the draw of the engine's uncertainty, or None.  Raises InputError."""
         return engine_draw(self.base()) if any(vary.uncertainty for vary in self.vary) else None
 
     @property
@@ -220,7 +220,7 @@ class Study(Model):
 
     @property
     def engine_note(self) -> str:
-        """Whether the engine is drawn by its uncertainty, in words; empty where it states none."""
+        """Sentence on whether the engine's uncertainty is drawn; empty without an uncertainty."""
         if any(vary.uncertainty for vary in self.vary):
             return default_draw(self.base(), False)[1]
         return default_draw(self.base(), True, [vary.key for vary in self.vary])[1]
@@ -272,7 +272,7 @@ class Study(Model):
 
     @classmethod
     def from_table(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
-        """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
+        """Validate a parsed table together with its scenario; ``where`` names its source in errors."""
         study = cls.unchecked(data, folder, where)
         if not is_code_forbidden():
             # A study that is only displayed was checked when it was flown.
@@ -282,7 +282,7 @@ class Study(Model):
 
     @classmethod
     def unchecked(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
-        """Validate a parsed table alone, and look at no scenario; ``where`` names its source in the error."""
+        """Validate a parsed table without its scenario; ``where`` names its source in errors."""
         study = validate(cls, data, where)
         study._folder, study._where = folder, where
         files = [seen_from(name, folder) for name in study.controllers]
@@ -290,12 +290,12 @@ class Study(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _vary_cases(cls, data: Any) -> Any:
+    def _accept_vary_texts(cls, data: Any) -> Any:
         return vary_cases(data) if isinstance(data, Mapping) else data
 
     @model_validator(mode="after")
     def _autopilot_flies_alone(self) -> Study:
-        """Refuse controllers beside an autopilot."""
+        """Refuse controllers together with an autopilot."""
         if self.autopilot is not None and self.controllers:
             raise ValueError(
                 f"controllers: {self.autopilot.name} flies in their place, with the gains of the scenario's "
@@ -305,7 +305,7 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _design_fits(self) -> Study:
-        """Refuse a grid with a number of runs, and any other design without one or with levels."""
+        """Refuse a grid with a number of runs, and other samplings without one or with levels."""
         if self.design != "grid":
             for vary in self.vary:
                 if vary.levels is not None:
@@ -333,7 +333,7 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _claim_fits(self) -> Study:
-        """Refuse a claim that this study could not show, or whose error would not be what it says."""
+        """Refuse a claim that this study cannot prove, or whose error probability would be wrong."""
         if self.until is None:
             return self
         try:
@@ -353,7 +353,7 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _correlations_fit(self) -> Study:
-        """Refuse pairs that stand twice, keys without an order, and correlations that cannot hold together."""
+        """Refuse repeated pairs, keys without an order, and inconsistent correlations."""
         by_key = {vary.key: vary for vary in self.vary}
         pairs: set[frozenset[str]] = set()
         for correlation in self.correlate:
@@ -382,7 +382,7 @@ class Study(Model):
 
 
 def study_code(study: Study) -> list[Code]:
-    """Return the files that a study names and that run: of its scenario, its controllers and what it varies."""
+    """Return the files with code that a study names: of scenario, controllers and varied keys."""
     base = study.base()
     code = [
         *(
@@ -431,7 +431,7 @@ def check(study: Study, where: str) -> None:
 
 
 def _check_case(study: Study, case: Case) -> None:
-    """Refuse a case that makes no scenario, or one whose rows would need columns of their own."""
+    """Refuse a case that makes no valid scenario, or needs columns of its own."""
     base, flown = study.base(), study.base(case.name)
     if [entry.name for entry in flown.require] != [entry.name for entry in base.require]:
         raise InputError(f"case {case.name!r}: require: must have the names that the scenario has")
@@ -445,7 +445,7 @@ def _check_case(study: Study, case: Case) -> None:
 
 
 def _check_uncertain_engine(study: Study) -> None:
-    """Refuse an engine that states no uncertainty, and keys that are drawn with it already or bring another engine."""
+    """Refuse an engine without uncertainty, and keys that conflict with drawing it."""
     drawn = study.drawn
     for key in [*(vary.key for vary in study.vary if not vary.uncertainty), *study.case_keys]:
         if drawn.count(key) > 1:
@@ -455,7 +455,7 @@ def _check_uncertain_engine(study: Study) -> None:
 
 
 def _check_names(study: Study, where: str) -> None:
-    """Refuse unknown controllers and metrics, and keys that are columns of their own or stand twice."""
+    """Refuse unknown controllers and metrics, and keys that are other columns or repeated."""
     for name in study.controllers:
         if not is_design(name):
             find_controller_source(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
@@ -482,7 +482,7 @@ def _levels(vary: Vary) -> int:
 
 
 def _check_together(study: Study) -> None:
-    """Refuse another aircraft or engine that cannot be drawn together with what else is drawn."""
+    """Refuse to draw an aircraft or engine together with keys of the present one."""
     nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
     values = {name: value for name, value in nominal.items() if value is not None}
     for vary in study.vary:

@@ -10,7 +10,7 @@ from cosim.campaign.study.key import Key, Value
 
 
 def check_vary(vary: Vary, key: Key) -> None:
-    """Check one key against what it is drawn from."""
+    """Check that a key accepts its distribution."""
     if key.kind in ("choice", "bool"):
         if vary.values is None:
             raise InputError(f"vary {vary.text}: {key.path} is one of {key.allowed}; list values of them")
@@ -33,7 +33,7 @@ def check_vary(vary: Vary, key: Key) -> None:
 
 
 def _check_steps(vary: Vary, key: Key, low: float, high: float) -> None:
-    """Refuse values between whole numbers or control steps, and ranges with too few of them for the levels."""
+    """Refuse values that are not whole numbers or control steps, and ranges with too few of them."""
     step = quantum(key)
     if step is None:
         return
@@ -70,7 +70,7 @@ def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]
 
 
 def round_to_steps(values: list[float], vary: Vary, key: Key) -> list[float]:
-    """Round values to the nearest step within the bounds, for a key that takes steps only."""
+    """Round values within bounds to the nearest step of a key that has steps."""
     step = quantum(key)
     if step is None:
         return values
@@ -79,7 +79,7 @@ def round_to_steps(values: list[float], vary: Vary, key: Key) -> list[float]:
 
 
 def quantum(key: Key) -> float | None:
-    """Return the step of which the key takes whole multiples: 1 for integers, the control step for times; else None."""
+    """Return the step of a key: 1 for integers, the control step for times, else None."""
     return 1.0 if key.kind == "int" else key.grid
 
 

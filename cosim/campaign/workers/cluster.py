@@ -62,7 +62,7 @@ class DaskWorkers:
             raise InputError(f"time limit = {time_limit_s:g} s: must be above 0")
         if address is not None and count is not None:
             raise InputError(f"workers {count}: a cluster has the workers that it has; leave it out with cluster")
-        self._dask = _dask()
+        self._import_dask = _import_dask()
         self._time_limit = time_limit_s
         self._where = address or "the cluster of this process"
         self._frozen: tuple[Study, FrozenStudy] | None = None
@@ -79,7 +79,7 @@ class DaskWorkers:
 
     def _start_cluster(self, count: int | None) -> Any:
         # Threads of this process suffice, because each flight runs in a process of its own.
-        self._cluster = self._dask.LocalCluster(
+        self._cluster = self._import_dask.LocalCluster(
             n_workers=1,
             threads_per_worker=count or len(os.sched_getaffinity(0)),
             processes=False,
@@ -90,7 +90,7 @@ class DaskWorkers:
             memory_limit=0,
             local_directory=str(scratch()),
         )
-        return self._dask.Client(self._cluster, set_as_default=False)
+        return self._import_dask.Client(self._cluster, set_as_default=False)
 
     def _connect(self, address: str) -> Any:
         scheduler = _scheduler_at(address)
@@ -98,9 +98,9 @@ class DaskWorkers:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                return self._dask.Client(scheduler, timeout=MAX_CONNECT_S, set_as_default=False, name="hexjet")
+                return self._import_dask.Client(scheduler, timeout=MAX_CONNECT_S, set_as_default=False, name="hexjet")
             except (OSError, ValueError, TypeError) as error:
-                raise InputError(f"cluster {address}: {_line(error)}") from error
+                raise InputError(f"cluster {address}: {_single_line(error)}") from error
 
     def _check_workers(self) -> None:
         """Refuse workers that would fly something else."""
@@ -176,7 +176,7 @@ class DaskWorkers:
 
 
 class _Threads:
-    """How many flights the cluster can fly at a time, asked every now and then."""
+    """Number of flights that the cluster can fly at a time, updated now and then."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -192,7 +192,7 @@ class _Threads:
 
     @property
     def without_s(self) -> float:
-        """The time for which there have been no workers, s."""
+        """Time since the last worker, s."""
         return 0.0 if self._by_worker else monotonic() - self._last_worker_at
 
     def look(self) -> dict[str, int]:
@@ -206,13 +206,13 @@ class _Threads:
 
 
 class _Tasks:
-    """The flights of one study as tasks: so many at a time, and their rows as they come."""
+    """Flights of one study as Dask tasks: a limited number at a time, and their rows as they arrive."""
 
     def __init__(self, client: Any, study: Study, frozen: FrozenStudy, flights: Iterable[Flight], limit: float) -> None:
         self._client = client
         self._study = study
         self._frozen = frozen
-        self._digest = _digest(frozen)
+        self._content_hash = _content_hash(frozen)
         self._limit = limit
         self._flights = iter(flights)
         self._buffer: deque[Flight] = deque()
@@ -230,7 +230,7 @@ class _Tasks:
         return self._is_exhausted and not self._returned and not self._pending
 
     def hand_out(self, count: int) -> None:
-        """Have ``most`` tasks under way, as long as there are flights."""
+        """Keep ``count`` tasks running while there are flights."""
         while len(self._pending) < count and self._client.status == "running":
             batch = self._returned.popleft() if self._returned else self._next(count)
             if not batch:
@@ -238,7 +238,7 @@ class _Tasks:
             self._submit(batch)
 
     def collect(self) -> Iterator[Row]:
-        """Wait until a task ends, though not for long, and give the rows of all that have."""
+        """Wait a short time for a task to end, and return the rows of all ended tasks."""
         with suppress(Empty):
             future = self._finished.get(timeout=CHECK_INTERVAL_S)
             while True:
@@ -246,7 +246,7 @@ class _Tasks:
                 future = self._finished.get_nowait()
 
     def cancel(self) -> None:
-        """Take back what is under way."""
+        """Cancel the running tasks."""
         futures = [future for future, _ in self._pending.values()]
         self._pending.clear()
         if futures and self._client.status == "running":
@@ -272,7 +272,7 @@ class _Tasks:
             future = self._client.submit(
                 _fly,
                 self._packed,
-                self._digest,
+                self._content_hash,
                 installed_versions(),
                 batch,
                 self._limit,
@@ -293,7 +293,7 @@ class _Tasks:
             return
         try:
             rows: list[Row] = future.result(timeout=MAX_CONNECT_S)
-        except _dask().KilledWorker as error:
+        except _import_dask().KilledWorker as error:
             yield from self._after_losses(batch, error)
         except (TimeoutError, CancelledError):
             # The worker left with its rows, so Dask has the flights flown again.
@@ -308,7 +308,7 @@ class _Tasks:
             yield from rows
 
     def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
-        """Fly once more, alone, each of the flights that lost several workers, so that Dask gave them up."""
+        """Fly each flight again alone after Dask gave up a batch that lost several workers."""
         if len(batch) > 1:
             self._returned.extend([flight] for flight in batch)
             return
@@ -324,15 +324,15 @@ class _Tasks:
 
 
 def _identity_task(frozen: FrozenStudy) -> FrozenStudy:
-    """Return the study itself, as a task that Dask repeats where its result was lost."""
+    """Return the study itself, as a task that Dask repeats if its result is lost."""
     return frozen
 
 
 def _fly(
     frozen: FrozenStudy, digest: str, expected: Mapping[str, str], flights: list[Flight], limit: float
 ) -> list[Row]:
-    """Fly these flights on a worker of the cluster.  Raises FlightError if its packages are not the expected ones."""
-    worker = _dask().get_worker()
+    """Fly flights on a cluster's worker.  Raises FlightError if its package versions differ."""
+    worker = _import_dask().get_worker()
     wrong = list_differences(installed_versions(), expected)
     if wrong:
         raise FlightError(f"worker {worker.address} has {', '.join(wrong)}")
@@ -344,14 +344,14 @@ async def _end_idle() -> None:
     remote.end_idle()
 
 
-def _digest(frozen: FrozenStudy) -> str:
+def _content_hash(frozen: FrozenStudy) -> str:
     digest = hashlib.sha256(json.dumps([frozen.study, frozen.scenario], sort_keys=True, default=str).encode())
     for name, content in sorted(frozen.files.items()):
         digest.update(f"{name} {hashlib.sha256(content).hexdigest()}".encode())
     return digest.hexdigest()
 
 
-def _dask() -> Any:
+def _import_dask() -> Any:
     try:
         import distributed
     except ImportError as error:
@@ -365,7 +365,7 @@ def _scheduler_at(address: str) -> str:
         try:
             scheduler = str(read_json(Path(address))["address"])
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"cluster {address}: no scheduler file: {_line(error)}") from error
+            raise InputError(f"cluster {address}: no scheduler file: {_single_line(error)}") from error
     else:
         scheduler = address
     answer: list[BaseException | dict[str, Any]] = []
@@ -385,14 +385,14 @@ def _scheduler_at(address: str) -> str:
         ) from answer[0]
     if isinstance(answer[0], BaseException):
         hint = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
-        raise InputError(f"cluster {address}: {_line(answer[0])}{hint}") from answer[0]
+        raise InputError(f"cluster {address}: {_single_line(answer[0])}{hint}") from answer[0]
     if answer[0].get("type") != "Scheduler":
         raise InputError(f"cluster {address}: is a {answer[0].get('type')}, not a scheduler")
     return scheduler
 
 
 async def _identity(address: str) -> dict[str, Any]:
-    dask = _dask()
+    dask = _import_dask()
     arguments = dask.Security().get_connection_args("client")
     async with dask.rpc(address, connection_args=arguments) as scheduler:
         identity: dict[str, Any] = await scheduler.identity()
@@ -403,15 +403,15 @@ def _describe(error: BaseException) -> str:
     """Describe a worker's error in one line."""
     if isinstance(error, ModuleNotFoundError) and str(error.name).split(".")[0] == "cosim":
         return "hexjet-cosim is not installed there"
-    return f"{type(error).__name__}: {_line(error)}"
+    return f"{type(error).__name__}: {_single_line(error)}"
 
 
-def _line(error: BaseException) -> str:
+def _single_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 class _LogFilter:
-    """Dask logs every connection that is lost; here one line says it."""
+    """Filters Dask's log of lost connections, which one message replaces."""
 
     def __init__(self) -> None:
         names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]

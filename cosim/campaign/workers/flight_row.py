@@ -76,7 +76,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     What was not measured is None; flight, draw, controller, seed, what was varied, outcome, reason and success always
     have a value.
     """
-    varied = {name: _kind(study, name) for name in study.drawn}
+    varied = {name: _column_type(study, name) for name in study.drawn}
     measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
     flown = {"autopilot": str, **study.autopilot.columns} if study.autopilot is not None else {}
     by: Kinds = {"by": str} if study.batch else {}
@@ -84,7 +84,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
-    """Fly one flight and make its row; whatever goes wrong is a row ``failed`` that says why.
+    """Fly one flight and return its row; any error makes a row ``failed`` with the reason.
 
     Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
     """
@@ -113,7 +113,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
 def with_autopilot(
     study: Study, scenario: Scenario, folder: Path, case: str | None = None, page: bool = True
 ) -> tuple[Row, Run]:
-    """Fly the study's autopilot as its case has it, recorded in ``folder``; return the values for its row, and the run.
+    """Fly with the study's autopilot as the case states, into ``folder``; return values of the row and the run.
 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
@@ -142,14 +142,14 @@ def _plugin_kinds(study: Study) -> Kinds:
 
 
 def _margin_kinds(study: Study) -> Kinds:
-    """Return the columns of margins: the smallest, whose it is, that of limits, and one for each other requirement."""
+    """Return the columns of margins: the smallest, its requirement, that of limits, and one per requirement."""
     names = [requirement.name for requirement in study_requirements(study)]
     smallest: Kinds = {"margin": float, "decided_by": str, LIMITS_MARGIN: float}
     return smallest | dict.fromkeys([MARGIN_OF + name for name in names], float)
 
 
 def study_requirements(study: Study) -> list[Requirement]:
-    """Return what a study requires of each flight beside its own limits: ``[[require]]`` and ``[success]``."""
+    """Return the requirements of a study besides a flight's limits: ``[[require]]`` and ``[success]``."""
     return [*stated_requirements(study.base()), *range_requirements(study.success, "success")]
 
 
@@ -189,7 +189,7 @@ def failed_row(study: Study, flight: Flight, reason: str) -> Row:
 
 
 def verdict_of(outcome: Value, success: Value) -> bool | None:
-    """Return whether a row's flight was a success; None where it was not flown to a verdict."""
+    """Return whether a row's flight succeeded; None without a verdict."""
     return None if outcome == "failed" else bool(success)
 
 
@@ -238,11 +238,11 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
 
 
 def _plugin_hashes(run: Run) -> str:
-    """Return one line for every plug-in beside the controller."""
+    """Return one line per plug-in other than the controller, with its hash."""
     return "; ".join(f"{block.key} {block.name} {block.sha256}" for block in run.summary.brought)
 
 
-def _kind(study: Study, key: str) -> type[Value]:
+def _column_type(study: Study, key: str) -> type[Value]:
     if key.startswith(CUSTOM_PARAMETERS):
         return float
     varied = study.key(key)
@@ -250,7 +250,7 @@ def _kind(study: Study, key: str) -> type[Value]:
 
 
 def _machine_trouble(error: BaseException | None) -> OSError | None:
-    """Return the error of the operating system behind another, if it says that the machine has no more to give."""
+    """Return the operating system's error behind another, if it means a lack of resources."""
     while error is not None and not (isinstance(error, OSError) and error.errno in RESOURCE_ERRNOS):
         error = error.__cause__ or error.__context__
     return error

@@ -51,7 +51,7 @@ _COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1
 
 
 class LocalWorkers:
-    """``count`` processes of this machine; ``time_limit_s`` is of each flight, by default as the study's length asks.
+    """``count`` processes of this machine; ``time_limit_s`` per flight depends on the study by default.
 
     ``fly`` makes the row of a flight in the processes, which import it by its name, and ``failed`` that of one of which
     only the reason is known.  The processes start with the first flights, at most one a flight, and stay for further
@@ -95,7 +95,7 @@ class LocalWorkers:
         self.close()
 
     def _hand_out(self, study: Study, waiting: _Waiting, ahead: int, limit: float) -> bool:
-        """Give every process its flights, one each before anyone has two; False when there is nothing left to do."""
+        """Give each process its next flights, one each before any gets two; return False if none are left."""
         for depth in range(1 + ahead):
             if depth == 0:
                 self._start_missing(waiting)
@@ -111,9 +111,9 @@ class LocalWorkers:
             idle += 1
 
     def _collect(self, study: Study, waiting: _Waiting, ahead: _QueueDepth, limit: float) -> Iterator[Row]:
-        """Wait until something happens, and give the rows that came of it."""
+        """Wait for an event and yield the resulting rows."""
         by_connection = {process.connection: process for process in self._processes}
-        for connection in wait(list(by_connection), self._patience(limit)):
+        for connection in wait(list(by_connection), self._next_timeout(limit)):
             process = by_connection[connection]  # type: ignore[index]
             message = process.receive()
             if message is None:
@@ -133,13 +133,13 @@ class LocalWorkers:
             elif not process.is_alive:
                 yield from self._after_loss(study, process, waiting)
 
-    def _patience(self, limit: float) -> float:
+    def _next_timeout(self, limit: float) -> float:
         busy = [process for process in self._processes if process.queued]
         ends = [process.active_since + limit for process in busy if process.active_since is not None]
         return max(0.0, min([CHECK_INTERVAL_S, *(end - time.monotonic() for end in ends)]))
 
     def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
-        """Put back the flights of a lost process; yield a failed row for a flight that has lost too many processes."""
+        """Queue the flights of a lost process again; yield a failed row for a flight that has crashed too many."""
         was_ready, ending = process.active_since is not None, process.describe_end()
         queued = self._end(process)
         if not was_ready:
@@ -157,14 +157,14 @@ class LocalWorkers:
             self._end(process)
 
     def _end(self, process: _Process) -> list[Flight]:
-        """End a process, and return the flights that it had been given and did not fly."""
+        """End a process and return its flights that are not flown."""
         self._processes.remove(process)
         process.end()
         return list(process.queued)
 
 
 class _Waiting:
-    """Flights that no process has yet; those given back come first."""
+    """Flights that wait for a process; those of lost processes come first."""
 
     def __init__(self, flights: Iterable[Flight]) -> None:
         self._flights = iter(flights)
@@ -175,7 +175,7 @@ class _Waiting:
         return self._first.popleft() if self.has_more_than(0) else None
 
     def has_more_than(self, count: int) -> bool:
-        """Return whether more than ``count`` flights wait, taking no more from the study than it takes to know."""
+        """Return whether more than ``count`` flights wait, reading no more of them than needed."""
         while len(self._first) <= count:
             try:
                 self._first.append(next(self._flights))
@@ -187,13 +187,13 @@ class _Waiting:
         self._first.extendleft(reversed(list(flights)))
 
     def lose(self, flight: Flight) -> int:
-        """Count a process that was lost in this flight, and return how many there were."""
+        """Count a process lost with this flight, and return the count."""
         self._losses[flight.number] += 1
         return self._losses[flight.number]
 
 
 class _QueueDepth:
-    """The number of flights that wait in a process: none where they are long, so that all processes end together."""
+    """Number of flights to queue in a process: 0 for long flights, so that processes end together."""
 
     def __init__(self) -> None:
         self.flights = 0
@@ -207,7 +207,7 @@ class _QueueDepth:
 
 
 class _Process:
-    """One process, what it has been given, and since when it is at the first of it."""
+    """One process, its flights, and when it began the first of them."""
 
     def __init__(self, fly: Fly) -> None:
         self.queued: deque[Flight] = deque()
@@ -248,7 +248,7 @@ class _Process:
         self.queued.append(flight)
 
     def receive(self) -> Any:
-        """Return a row, a message that the process is ready, or why it cannot go on; None if the process is lost."""
+        """Return a row, the message "ready", or an error; None if the process is lost."""
         try:
             message = self.connection.recv()
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -271,7 +271,7 @@ class _Process:
         return self._process.describe_end(1.0) or running
 
     def worker_columns(self, wall_s: float | None = None) -> Row:
-        """Return the part of a row that says which process flew it."""
+        """Return the columns that say which process flew the row."""
         return {"worker": f"{os.uname().nodename}:{self._process.pid}", "wall_s": wall_s}
 
     def end(self) -> None:
@@ -286,7 +286,7 @@ class _Process:
 
 
 def serve(descriptor: int, folder: str) -> None:
-    """Fly the flights that arrive until the other end is gone; ``folder`` is the process's own, deleted at the end."""
+    """Fly arriving flights until the connection closes; ``folder`` is deleted at the end."""
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_parent()
@@ -319,7 +319,7 @@ def _serve_flights(connection: Connection[Any, Any], folder: str) -> None:
 
 
 def _exit_with_parent(descriptor: int, folder: str) -> None:
-    """End this process when the one that started it goes, however it goes."""
+    """End this process when its parent ends in any way."""
     hung_up = poll()
     hung_up.register(descriptor, 0)
     hung_up.poll()
@@ -327,7 +327,7 @@ def _exit_with_parent(descriptor: int, folder: str) -> None:
 
 
 def _end_with_parent() -> None:
-    """Have the system end this process too, a second later: while C code holds Python's lock, no thread can.
+    """Make the system end this process a second after its parent, because C code may block Python threads.
 
     It sends SIGHUP, number 1, and what answers that is ``alarm`` itself: ``alarm(1)``.
     """
@@ -338,7 +338,7 @@ def _end_with_parent() -> None:
 
 
 def _exit(folder: str) -> None:
-    """End this process at once, and leave nothing behind."""
+    """End this process at once and delete its folder."""
     gone = f"{folder}-gone"
     with suppress(OSError):
         # After this a flight in progress writes nothing more into the folder.

@@ -18,17 +18,17 @@ MAX_LOSSES = 3
 
 
 class Workers(Protocol):
-    """Flies a study's flights in other processes; a context manager that leaves none of them behind."""
+    """Flies a study's flights in other processes; a context manager that ends them all."""
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        """Fly flights, which are taken only as they can be flown; yield their rows as they are finished.
+        """Fly flights, taken only when they can be flown; yield rows as they finish.
 
         A flight whose process was lost is flown again, and is a row ``failed`` after three of them; one that takes too
         long is a row ``failed`` at once.  Raises FlightError if nothing can be flown any more.
         """
 
     def close(self) -> None:
-        """End every process, those at work included; may be called twice."""
+        """End all processes, also busy ones; may be called twice."""
 
     def __enter__(self) -> Workers: ...
 
@@ -48,12 +48,12 @@ def time_limit(study: Study) -> float:
 
 
 def update_mean(mean: float | None, seconds: float) -> float:
-    """Return the running mean of flights' durations [s] after one more; None: there was none before."""
+    """Return the running mean of flight durations [s] with one more; None: the first."""
     return seconds if mean is None else mean + 0.1 * (seconds - mean)
 
 
 def describe_loss(end: str) -> str:
-    """Return the reason of a flight that was given up; ``end`` says how its last process ended."""
+    """Return the reason of a flight that was given up; ``end`` describes its last process's end."""
     return f"the process was lost in this flight {MAX_LOSSES} times; the last {end}"
 
 

@@ -27,7 +27,7 @@ _unpacking = Lock()
 
 
 class _Processes:
-    """Processes that wait for flights; each is used by one thread at a time."""
+    """Idle processes; each is used by one thread at a time."""
 
     def __init__(self) -> None:
         self._idle: dict[LocalWorkers, tuple[float, Timer]] = {}  # idle workers by their time limit
@@ -69,7 +69,7 @@ atexit.register(_processes.end_idle)
 
 
 def fly_together(frozen: FrozenStudy, digest: str, flights: Sequence[Flight], limit: float, folder: Path) -> list[Row]:
-    """Fly some flights of the study with this digest; ``folder`` is one that goes when the worker goes."""
+    """Fly some flights of the study with this digest; ``folder`` is deleted with the worker."""
     with _unpacking:  # worker threads may unpack concurrently
         _unpack(frozen, folder / digest)
         # Whoever sends a study to a cluster has accepted its code.
@@ -91,7 +91,7 @@ def end_idle() -> None:
 
 
 def _unpack(frozen: FrozenStudy, folder: Path) -> None:
-    """Write the study down if that was not done yet, or somebody has cleaned up since."""
+    """Write the study's files unless they are there, as someone may have deleted them."""
     if not (folder / STUDY).is_file():  # the study file is written last
         folder.mkdir(parents=True, exist_ok=True)
         frozen.write(folder)

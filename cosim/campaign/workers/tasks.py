@@ -20,7 +20,7 @@ class _Task:
 
 
 def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> Iterator[tuple[int, R]]:
-    """Yield place and answer of ``act`` for every argument, in the order in which processes finish them.
+    """Yield index and result of ``act`` for each argument, in the order of completion.
 
     The processes import ``act`` by its name.  Raises what ``act`` raises, and FlightError for an argument with which
     three processes were lost.
@@ -28,7 +28,7 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act
     limit_s = 86_400.0  # s, a day: no task is endless
-    with LocalWorkers(workers, limit_s, _answer, _lost) as pool:
+    with LocalWorkers(workers, limit_s, _answer, _lost_task) as pool:
         for row in pool.fly(study, tasks):
             result: dict[str, Any] = dict(row)
             if "error" in result:
@@ -43,5 +43,5 @@ def _answer(act: Any, task: Any) -> dict[str, Any]:
         return {"number": task.number, "error": error}
 
 
-def _lost(act: Any, task: Any, reason: str) -> dict[str, Any]:
+def _lost_task(act: Any, task: Any, reason: str) -> dict[str, Any]:
     return {"number": task.number, "error": FlightError(reason)}

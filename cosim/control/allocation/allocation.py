@@ -90,7 +90,7 @@ class TiltAllocator:
         return True
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Return throttles and tilts for a collective and a torque command, and what the limits do not allow of it.
+        """Return throttles and tilts for a collective and a torque command, and the part beyond the limits.
 
         ``collective`` in throttle; ``torque`` roll in throttle, pitch and yaw in rad of tilt at hover thrust; ``added``
         is a disturbance of the torque that the controller does not know: the residual is counted against the sum.
@@ -134,7 +134,7 @@ class TiltAllocator:
         )
 
     def _allocate_plan(self, plan: Plan, collective: float, roll: float, pitch: float, yaw: float) -> Actuation:
-        """Allocate with lost engines: the same priorities, the throttles from the plan's weights."""
+        """Allocate with failed engines: the same priorities, with throttles by the plan's weights."""
         low, high = self._low, self._high
         least_roll, most_roll = plan.roll_range
         r = clip(roll, least_roll, most_roll)
@@ -203,7 +203,7 @@ class TiltAllocator:
 
 
 class RotorAllocator:
-    """Throttles of a multirotor whose rotors point straight up.
+    """Allocation for a multirotor whose rotors point straight up.
 
     Torque commands are in throttle: a unit of roll adds one to the rotors on the left and takes one from those on
     the right; pitch does so front and rear, yaw by the sense of rotation.  ``hover``: the throttle of hover.
@@ -226,7 +226,7 @@ class RotorAllocator:
                 raise InputError(f"vehicle.jets: the rotors give no {axis} moment both ways")
 
     def reset(self) -> None:
-        """Do nothing: this allocation has no state."""
+        """Do nothing: there is no state."""
 
     def trim(self, collective: float) -> PerJet:
         return (collective,) * len(self.signs)

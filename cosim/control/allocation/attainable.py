@@ -50,7 +50,7 @@ class Hull:
 
     @classmethod
     def of(cls, layout: Layout, min_thrust: Array, max_thrust: Array, low: Array, high: Array) -> Hull | None:
-        """Return the hull of a layout; None where its hinges do not allow one, or it has too many corners."""
+        """Return the hull of a layout; None if its hinges do not allow one or it has too many corners."""
         import numpy as np
 
         columns, sets, thrusts, angles = [], [], [], []
@@ -104,7 +104,7 @@ class Hull:
 
 
 def _sets(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
-    """Yield sets of jets that common hinges move, and those hinges."""
+    """Yield sets of jets that share hinges, and these hinges."""
     hinges_of = [{number for number, _ in chain} for chain in layout.chains]
     remaining = set(range(len(hinges_of)))
     while remaining:
@@ -123,7 +123,7 @@ def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
 
 
 def _deflects_outside_carrier(layout: Layout, jet: int) -> bool:
-    """Return whether a hinge deflects the jet further out on the body than one that carries it.
+    """Return whether a hinge that carries a jet is inside of one that deflects it.
 
     Force and lever then turn by the same angle, and their product is not linear in it."""
     deflected = False
@@ -160,7 +160,7 @@ def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Arr
 
 
 def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) -> Array:
-    """Return force and moment per thrust for the cosine and sine of each hinge, which need not be of one angle."""
+    """Return force and moment per thrust for cosine and sine of each hinge, which may vary independently."""
     import numpy as np
 
     station = layout.stations[jet]

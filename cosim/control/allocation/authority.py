@@ -51,7 +51,7 @@ class Range(NamedTuple):
 
 
 class Authority(NamedTuple):
-    """The largest moments either way [N m, the smaller of the two], with these jets lost.
+    """Largest moments [N m, the smaller of both directions] with these jets out.
 
     ``lift``: most thrust in balance over the weight; ``moment``: what is attained, None where no balance was found.
     ``lift_bound``, ``moment_bound``: what is not exceeded, infinity where that is not known; None where there is no
@@ -66,7 +66,7 @@ class Authority(NamedTuple):
 
     @property
     def cannot_hover(self) -> bool:
-        """Whether it is certain that nothing balances the weight."""
+        """Whether no balance of the weight exists."""
         return self.moment_bound is None
 
     def moment_range(self, axis: int) -> Range:
@@ -76,7 +76,7 @@ class Authority(NamedTuple):
 
 
 class Reach:
-    """A layout with the thrusts that its engines give [N, least and most] and the ranges of its hinges [rad]."""
+    """A layout with the thrust ranges [N] of its engines and the angle ranges [rad] of its hinges."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Reach:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether there is an upper bound beside what is attained."""
+        """Whether an upper bound is known."""
         return self._hull is not None
 
     def without(self, lost: Sequence[int]) -> Reach:
@@ -110,7 +110,7 @@ class Reach:
 
     def section(self, directions: Sequence[Any]) -> list[Range]:
         """Return :meth:`moment` along some directions, without bringing its bounds together."""
-        return [self._largest(self._about(direction), 0) for direction in directions]
+        return [self._largest(self._about_axis(direction), 0) for direction in directions]
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
         """Return the lift, and the moment about each axis with the other two at zero."""
@@ -139,9 +139,9 @@ class Reach:
         """Return the largest moment [N m] along a unit direction in body axes, with none across it at hover's lift.
 
         Minus infinity where the weight cannot be carried so."""
-        return self._largest(self._about(direction))
+        return self._largest(self._about_axis(direction))
 
-    def _about(self, direction: Any) -> Objective:
+    def _about_axis(self, direction: Any) -> Objective:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
@@ -192,7 +192,7 @@ class Reach:
         )
 
     def _climb(self, objective: Objective, thrust: Array, at: Array) -> float:
-        """Return what a climb from these thrusts and angles attains; where it fails, from a point close to them."""
+        """Return what a climb from these thrusts and angles attains; if it fails, from a point nearby."""
         import numpy as np
 
         scale = self._weight / len(thrust)

@@ -49,7 +49,7 @@ MAX_FIRST: Final = 60
 
 
 class Effector(NamedTuple):
-    """A hinge or a surface as allocation sees it."""
+    """A hinge or surface as allocation treats it."""
 
     lower: float
     upper: float
@@ -61,7 +61,7 @@ class Effector(NamedTuple):
 
 
 class AllocationModel(NamedTuple):
-    """What allocation knows of a vehicle.
+    """Data of a vehicle that allocation needs.
 
     ``tensor``: of inertia, kg m^2, by rows; ``low`` and ``span``: thrust of the reference engine without throttle, and
     what full throttle adds [N], which shares of thrust count in; ``shares``: least and most of each station;
@@ -86,7 +86,7 @@ SurfaceOf = tuple[tuple[float, ...], float, float, float, float]
 
 
 class Constants(NamedTuple):
-    """The numbers that allocation computes with while all engines run, for another implementation of it.
+    """Numbers that allocation uses while all engines run, for another implementation.
 
     ``stations``, ``hinges``, ``surfaces``, ``scales``, ``norms`` and ``weight`` as
     :class:`._effectiveness.Solver` takes them.  ``preferred`` are the thrusts [N], and ``neutral`` the positions of
@@ -112,7 +112,7 @@ class Constants(NamedTuple):
 
 
 class SolverOptions(NamedTuple):
-    """Start, limits and priorities of a solution, in place of the allocator's own."""
+    """Start, limits and priorities of one solution that override the allocator's own."""
 
     last: list[float]  # thrusts [N] and servos of the last step
     thrust_limits: list[tuple[float, float]]  # N, limits of each thrust
@@ -173,7 +173,7 @@ class EffectivenessAllocator:
         self._last = [*self._preferred, *(effector.rest for effector in self._effectors)]
 
     def _use(self, health: Sequence[JetHealth]) -> None:
-        """Take every jet's thrust to be ``span (gain (idle + share) + fixed)``."""
+        """Set the model of each jet's thrust to ``span (gain (idle + share) + fixed)``."""
         idle = self._low / self._span
         self._health = list(health)
         self._thrust_limits: list[tuple[float, float]] = []
@@ -186,7 +186,7 @@ class EffectivenessAllocator:
             )
 
     def _settle(self) -> None:
-        """Find the hover: thrusts that carry the weight in balance, to begin with and to be left at.
+        """Compute the hover: thrusts that balance the weight, used as start and as neutral position.
 
         Where there is a choice they push nowhere: else dear thrusts stayed even and a tilted hinge balanced them.
         """
@@ -203,7 +203,7 @@ class EffectivenessAllocator:
         self._hovers = self._last = found
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """Allocate for engines in this health from the next step on; always possible, whatever it then gives."""
+        """Allocate for engines of this health from the next step on; always possible, however little is left."""
         before = self._last
         self._use(health)
         self._settle()
@@ -218,7 +218,7 @@ class EffectivenessAllocator:
 
     @property
     def constants(self) -> Constants:
-        """The numbers that it computes with, as they are in this state of the engines."""
+        """Numbers in use for the present health of the engines."""
         stations, hinges, surfaces = self._described
         return Constants(
             stations,
@@ -285,7 +285,7 @@ class EffectivenessAllocator:
         return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROLL, PITCH, LIFT, YAW))
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Return throttles and tilts for a lift and angular accelerations, and what the limits do not allow of them.
+        """Return throttles and tilts for lift and angular accelerations, and the part beyond the limits.
 
         ``collective``: the thrust fraction at which each of the reference's engines gives its part of the lift;
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.

@@ -32,14 +32,14 @@ class EngineReference(NamedTuple):
         return _interpolate(self.throttle, self.thrust, throttle)
 
     def reported_to_thrust(self, thrust: float, speed: float) -> float:
-        """Return the thrust [N] that a report stands for, by the spool's speed where it is measured."""
+        """Return the thrust [N] for a report, by spool speed if that is measured."""
         if self.speed is None or speed != speed:
             return thrust
         return _interpolate(self.speed, self.thrust, speed)
 
 
 class EngineMonitor:
-    """Compares every engine with an interval that a healthy one cannot leave, and estimates what it gives.
+    """Compares each engine with the range of a healthy one, and estimates the thrust that it delivers.
 
     A healthy engine is a lag behind a delay, neither known exactly: ``tau x' = T(u(t - d)) - x`` with ``tau`` within a
     factor of what was measured and ``d`` within some seconds of it.  With ``T_min`` and ``T_max`` over the delays that
@@ -114,7 +114,7 @@ class EngineMonitor:
             engine.settle(x)
 
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
-        """Update by one step: its throttles, and the reports at its end.  Return whether a health changed."""
+        """Update with a step's throttles and the reports at its end; return whether a health changed."""
         past = self._past
         past.append(tuple([curve.straight_at(throttle[i]) for i, curve in enumerate(self._thrust_by_throttle)]))
         del past[0]
@@ -178,11 +178,11 @@ class EngineMonitor:
 
     @property
     def commanded_thrust(self) -> list[PerJet]:
-        """The thrust that the last commands give at rest [N], oldest first: over the longest delay and more."""
+        """Steady thrust for the last commands [N], oldest first, over at least the longest delay."""
         return list(self._past)
 
     def mark_shut_off(self, i: int) -> None:
-        """Count engine ``i`` as lost: it is shut off on purpose."""
+        """Count engine ``i`` as failed, because it is shut off on purpose."""
         self._set_health(i, 0.0, 0.0)
 
     def have_started(self, throttle: PerJet, output: EngineOutput) -> bool:
@@ -202,7 +202,7 @@ class EngineMonitor:
         )
 
     def _assess(self, i: int, x: float, lost_below: float = 0.2, follows_above: float = 0.3) -> bool:
-        """Set the health of an engine that has been outside for long enough; return whether it changed.
+        """Update the health of an engine that was outside for long enough; return whether it changed.
 
         It counts as lost below this fraction of the commanded thrust, and follows above this one of the change.
         """
@@ -238,7 +238,7 @@ class EngineMonitor:
 
 
 class _Engine:
-    """One engine: the interval of a healthy one, and how it compares with it.
+    """State of one engine: the range of a healthy one, and its deviation from that.
 
     ``fast`` and ``slow``: of the rest that a bound goes in a step, by the shortest and the longest lag.  ``gain`` and
     ``fixed`` [N]: what it gives of its command, and besides.
@@ -256,7 +256,7 @@ class _Engine:
         self.agreed = self.agreed_reference = thrust  # thrusts at the last agreement with model
 
     def follow(self, least: float, most: float) -> tuple[float, float]:
-        """Return the bounds, upper and lower, after a step in which the command asks for ``least`` to ``most`` N."""
+        """Return upper and lower bound after a step whose command corresponds to ``least`` to ``most`` N."""
         high, low = self.high, self.low
         high += (self.fast if most > high else self.slow) * (most - high)
         low += (self.fast if least < low else self.slow) * (least - low)
@@ -265,7 +265,7 @@ class _Engine:
 
 
 class _Curve:
-    """:func:`_interpolate` through fixed points, where it looks first between those of the last answer."""
+    """:func:`_interpolate` through fixed points, which first tries the segment used last."""
 
     def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
         self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]
@@ -290,7 +290,7 @@ class _Curve:
         return self._y + self._rise * (x - self._x) / self._run
 
     def straight_at(self, u: float) -> float:
-        """Return the value at a throttle: by one line where the points from 0 to 1 are on it."""
+        """Return the value at a throttle, by one line if the points from 0 to 1 are on it."""
         return self._start + u * self._slope if self._straight else self.at(u)
 
 

@@ -67,7 +67,7 @@ class EngineLag(NamedTuple):
 
 
 class HingedRecovery(EffectivenessAllocator):
-    """As :class:`EffectivenessAllocator` while all engines run; without one see the module's text.
+    """Like :class:`EffectivenessAllocator` while all engines run; with one out see the module's text.
 
     ``lag``: of the engines.
     """
@@ -91,11 +91,11 @@ class HingedRecovery(EffectivenessAllocator):
 
     @property
     def is_leaning(self) -> bool:
-        """Whether it leans against what its hinges push aside: without an engine, where they carry engines."""
+        """Whether it leans against the force of its hinges: with an engine out whose hinge carries engines."""
         return bool(self._reported) and bool(self._carriers)
 
     def observe(self, thrust: PerJet) -> None:
-        """Take the ``thrust`` [N] that the engines' reports at the end of a step stand for."""
+        """Take the ``thrust`` [N] reported by the engines at the end of a step."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
         # A rotor that turns without fire reports a speed as if it had thrust.
@@ -144,7 +144,7 @@ class HingedRecovery(EffectivenessAllocator):
     def allocate_forward(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
-        """Allocate as :meth:`EffectivenessAllocator.allocate_forward`; hover is solved anew afterwards."""
+        """Allocate as :meth:`EffectivenessAllocator.allocate_forward`; the next hover is solved from scratch."""
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().allocate_forward(force, lift, pitch, torque, tilts)
 
@@ -224,7 +224,7 @@ class HingedRecovery(EffectivenessAllocator):
     def _lean(
         self, missing: Sequence[float], lift: float, lean_s: float = 0.1, max_rad: float = 0.2, held_rad: float = 0.1
     ) -> None:
-        """Let :attr:`lean` follow the force that is given: what is missing of none ahead and aside, and a lift [N].
+        """Update :attr:`lean` for the horizontal force that is missing or excessive, and a lift [N].
 
         ``lean_s``: its time constant; hinges move as fast, and it is not to follow each.  ``max_rad``: at most while
         the reported thrusts cannot hold the weight; ``held_rad``: from then on, to touch down level.

@@ -137,7 +137,7 @@ def _rows(jets: Sequence[Jet]) -> Array:
 
 
 def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
-    """Return the pseudo-inverse of a bank or rotor allocation, which gives the demand back from the commands.
+    """Return the pseudo-inverse of a bank or rotor allocation, from commands to demand.
 
     Rows of roll, pitch and yaw, by every throttle and then the left and the right tilt; at hover's thrust, where a tilt
     is what was asked for.  Raises InputError for an allocator of another kind.
@@ -159,12 +159,12 @@ def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
 
 
 def load_solver() -> None:
-    """Load the solver, which takes 0.2 s: a flight that may have to plan anew does so before it begins."""
+    """Import the solver, which takes 0.2 s, before a flight that may need it."""
     import scipy.optimize  # noqa: F401
 
 
 def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> Any:
-    """Solve a linear program with scipy; None where it has no solution."""
+    """Solve a linear program with scipy; None if infeasible."""
     from scipy.optimize import linprog
 
     a, b = ub if ub is not None else (None, None)
@@ -190,7 +190,7 @@ def _most_collective(
 
 
 def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
-    """Commands per collective on the straight line from the most that ``up`` gives without roll to ``top``.
+    """Return commands per collective along the line from the maximum without roll to ``top``.
 
     Both ends give their collective in balance, and so does everything between them.
     """
@@ -260,7 +260,7 @@ def _weights(
 
 
 def _exact(given: Array, value: Array, wanted: Array) -> Array:
-    """Return ``value`` with the least change that gives ``wanted`` to rounding, where the jets can."""
+    """Return ``value`` with the smallest change that gives ``wanted`` exactly, if the jets can."""
     import numpy as np
 
     moved: Array = value + np.linalg.lstsq(given, wanted - given @ value, rcond=None)[0]

@@ -15,7 +15,7 @@ MAX_BEND = 1e-9
 
 
 class StaticCurve(NamedTuple):
-    """Thrust of one engine at rest, at throttles from 0 to 1, and the engine's name for error messages."""
+    """Static thrust curve of one engine from throttle 0 to 1, and its name for errors."""
 
     engine: str
     throttle: Sequence[float]
@@ -35,7 +35,7 @@ class StaticCurve(NamedTuple):
 
 
 class ThrustMap:
-    """From thrust fractions, 0 to 1, to throttles, one static curve per station.
+    """Converts thrust fractions, 0 to 1, to throttles with one static curve per station.
 
     Controllers, allocation and identified models use thrust fractions: a fraction c asks for the thrust at rest
     ``T = T_0 + c (T_1 - T_0)`` of the ``reference`` engine at throttle 0 and 1, so that equal changes of c are equal
@@ -102,7 +102,7 @@ class Inverse:
         self._select(0)
 
     def _select(self, line: int) -> None:
-        """Keep the line in use, with its range of thrusts: mostly the next thrust is on it too."""
+        """Select a line and its thrust range, as the next thrust is mostly on the same line."""
         thrusts, last = self.thrusts, len(self.slopes) - 1
         self._throttle, self._thrust, self._slope = self.throttles[line], thrusts[line], self.slopes[line]
         self._above = thrusts[line] if line > 0 else -inf

@@ -28,13 +28,13 @@ class Arming:
         self.reset(EngineState.IDLE)
 
     def reset(self, engines: EngineState) -> None:
-        """Stand disarmed with these engines, or, where they fly, be in the air and armed."""
+        """Start disarmed with these engines, or in the air and armed if they run."""
         self.armed = self.flew = engines is EngineState.FLY
         self.engines = engines
         self.since = 0
 
     def arm(self, k: int, flying: bool) -> None:
-        """Arm the vehicle, which stands or is flying."""
+        """Arm the vehicle, standing or flying."""
         self.armed = True
         self.engines = EngineState.FLY if flying else EngineState.IDLE
         self.flew = flying
@@ -61,7 +61,7 @@ class Arming:
         self.engines = EngineState.OFF
 
     def restart_wait(self, k: int) -> None:
-        """Restart the time that it may stand armed at step ``k``."""
+        """Restart the timeout for standing armed at step ``k``."""
         self.since = k
 
     def idle_too_long(self, k: int) -> bool:

@@ -19,7 +19,7 @@ from cosim.control.autopilot.status import Status
 
 
 class Autopilot(FlightState):
-    """Flight modes of one vehicle: the requests of ground stations become the command of every control step."""
+    """Flight modes of one vehicle, which turn requests of ground stations into commands."""
 
     # m/s: legs that sink faster do not stand on the ground.
     max_settle_sink = 1.0
@@ -74,7 +74,7 @@ class Autopilot(FlightState):
         )
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """Return the command of step ``k``; :attr:`engines` says what the engines do with it."""
+        """Return the command of step ``k``; :attr:`engines` is the required engine state."""
         self._update_estimates(k, measured, report)
         self._check_failsafes(k)
         command = self._command_step(k)
@@ -107,7 +107,7 @@ class Autopilot(FlightState):
         self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)
 
     def _report_starts(self, k: int, report: Report) -> None:
-        """Report engines that start and have started; a vehicle that stands armed waits for them."""
+        """Report starting and started engines; an armed vehicle on the ground waits for them."""
         off = self.engines is EngineState.OFF
         if self.report.starting and not report.starting and not off:
             self.say(Severity.INFO, "all engines run", k)
@@ -156,7 +156,7 @@ class Autopilot(FlightState):
         return self._command_in_air(k)
 
     def _limit_fall(self, k: int, collective: float | None) -> float | None:
-        """Return the requested collective, or the greater one that it takes not to hit the ground.
+        """Return the requested collective, or the larger one needed to avoid the ground.
 
         Where height control takes over from a pilot's throttle it is the one that slows the vehicle down.
         """
@@ -166,7 +166,7 @@ class Autopilot(FlightState):
             if braking is not None:
                 self.course.guide.restart_height()
                 return braking
-        if collective is None or self.landing.collective is not None or not self._gives_collective():
+        if collective is None or self.landing.collective is not None or not self._commands_collective():
             # Before the first step nothing was allocated.
             if k > 0:
                 self.envelope.restart_at(report.collective)
@@ -192,7 +192,7 @@ class Autopilot(FlightState):
         return self._idle_command()
 
     def _go_on_with_mission(self, k: int) -> None:
-        """Let a vehicle that has landed in a mission wait where an item says so, and disarm it if it may not go on."""
+        """In a mission, keep a landed vehicle waiting as the item states, and disarm it if the mission ends."""
         mission = self.mission_flight
         if mission.waits_on_ground:
             mission.stay_on_ground(k)
@@ -221,13 +221,13 @@ class Autopilot(FlightState):
             return self._command_in_air(k)
         if not self._wants_up(k):
             return self._end_take_off(k, "")
-        if self._gives_collective():
+        if self._commands_collective():
             return self._command_mode(k)
         command = self.take_off.rise(k - self.arming.since)
         return self._end_take_off(k, "did not leave the ground") if command is None else command
 
     def _end_take_off(self, k: int, why: str) -> Command:
-        """End a take-off: in the air already, or back to standing; with a reason, disarmed."""
+        """End a take-off in the air or on the ground; with a reason, disarm."""
         if self.landing.touchdown.is_off_ground:
             self.landed = LandedState.IN_AIR
             return self._command_in_air(k)
@@ -252,7 +252,7 @@ class Autopilot(FlightState):
                 return self._command_settling(k, landing.collective)
             landing.collective = None
         command = self._command_mode(k)
-        if self._gives_collective():
+        if self._commands_collective():
             if has_contact and landing.touchdown.is_standing:
                 self.stand(k)
         elif course.descending and is_down:
@@ -263,7 +263,7 @@ class Autopilot(FlightState):
         return command
 
     def _command_settling(self, k: int, collective: float) -> Command:
-        """Return the command that takes the thrust away, and note when the vehicle stands."""
+        """Return the command that removes the thrust, and detect when the vehicle stands."""
         command = self.landing.settle(collective)
         if self.landing.has_settled:
             disarms = self.landing.disarms
@@ -276,7 +276,7 @@ class Autopilot(FlightState):
         return Command((0.0, 0.0, self.estimates.euler[2]), self.estimates.altitude, None, 0.0)
 
     def _command_mode(self, k: int) -> Command:
-        """Return the command of the manoeuvre that the mode names; where one is complete, enter Hold."""
+        """Return the command of the present mode; enter Hold when its manoeuvre is complete."""
         mode = self.mode
         if mode in BY_STICK or mode is Mode.OFFBOARD:
             return self.remote.fly(mode)
@@ -307,11 +307,11 @@ class Autopilot(FlightState):
         self.hold_here(k)
         return self.course.fly()
 
-    def _gives_collective(self) -> bool:
+    def _commands_collective(self) -> bool:
         return self.remote.commands_collective(self.mode)
 
     def handle(self, request: Request, k: int) -> Answer:
-        """Take a request before step ``k``.  Never raises for what a ground station may send."""
+        """Handle a request before step ``k``.  Never raises for anything a ground station may send."""
         handler = HANDLERS.get(type(request))
         if handler is None:
             return refuse(Result.UNSUPPORTED, f"{type(request).__name__} is not known here")

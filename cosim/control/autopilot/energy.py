@@ -45,7 +45,7 @@ class Energy:
         self.ground_speed.reset()
 
     def consume(self, report: Report, running: bool, flying: bool) -> None:
-        """Update what remains, in the air and on the ground; ``running``: the engines fly.
+        """Update the remaining energy; ``running``: the engines run.
 
         A battery is emptied by the fans' power, which grows as thrust to 3/2 (momentum theory), relative to hover.
         """
@@ -67,14 +67,14 @@ class Energy:
 
     @property
     def burn(self) -> float:
-        """The fraction that a second in the air takes; 0: not known."""
+        """Fraction of the tank used per second in the air; 0: unknown."""
         if self._weight * self.mean_s > self.settling_s * (1.0 - 0.5 * self.settling_s / self.mean_s):
             return self._rate / self._weight
         endurance = self._parameters["HJ_ENDURANCE"]
         return self.hover_burn or (1.0 / endurance if endurance > 0.0 else 0.0)
 
     def descent_time(self, height: float) -> float:
-        """Return how long the descent from a height [m] above the ground to standing there takes."""
+        """Return the duration of a descent from a height [m] until standing."""
         p, limits = self._parameters, self._course.guide.limits
         fastest, slow = min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"]), p["HJ_LAND_SLOW_H"]
         end = min(p["MPC_LAND_SPEED"], fastest)
@@ -98,7 +98,7 @@ class Energy:
         return max(level, abs(climb) / rate)
 
     def climb_time(self, height: float) -> float:
-        """Return how long a take-off to a height takes, from idle on."""
+        """Return the duration of a take-off from idle to a height."""
         return (
             self._parameters["HJ_SPOOL_TIME"]
             + self._course.guide.limits.response_time
@@ -123,7 +123,7 @@ class Energy:
         return min(landmarks.home_altitude, landmarks.ground)
 
     def needed_fractions(self) -> tuple[float, float]:
-        """Return the fractions that the way home and down, and the way down alone, take from here, without a margin.
+        """Return the fractions needed for the return and for a landing here, without margins.
 
         The way home begins where the vehicle comes to rest.
         """
@@ -135,7 +135,7 @@ class Energy:
         return burn * (seconds + self.return_time(position, altitude)), burn * descent
 
     def _stop(self) -> tuple[Pair, float]:
-        """Return where the vehicle comes to rest if it stops now, and after how long [s]; as the set-point brakes."""
+        """Return where and after how long [s] the vehicle comes to rest if it stops now."""
         p, fix = self._parameters, self._estimates.fix
         (north, east), (vn, ve), speed = fix.position, fix.velocity, hypot(*fix.velocity)
         if speed < MAX_ENTRY_M_S:
@@ -146,16 +146,16 @@ class Energy:
 
     @property
     def margin(self) -> float:
-        """The margin of a way home, as a fraction of what it takes."""
+        """Margin of the return, as a fraction of its need."""
         return self._parameters["HJ_FUEL_MARGIN"] / 100.0
 
     @property
     def floor(self) -> float:
-        """The fraction at which it returns whatever the way takes."""
+        """Fraction at which it returns in any case."""
         return self._parameters["HJ_FUEL_LOW"] / 100.0
 
     def describe_shortage(self, seconds: float, position: Pair, altitude: float) -> str:
-        """Return why energy is short of a way of ``seconds`` to a position and home from there; empty: it is not."""
+        """Return why energy does not suffice for ``seconds`` to a position and home; empty: it does."""
         if self.remaining is None or not self.burn:
             return ""
         need = self.burn * (seconds + (1.0 + self.margin) * self.return_time(position, altitude))
@@ -166,12 +166,12 @@ class Energy:
         )
 
     def describe_climb_shortage(self, altitude: float) -> str:
-        """Return why the energy is short of a take-off from here straight up to an altitude [m]; empty: it is not."""
+        """Return why energy does not suffice for a vertical take-off to an altitude [m]; empty: it does."""
         seconds = self.climb_time(altitude - self._estimates.altitude)
         return self.describe_shortage(seconds, self._estimates.fix.position, altitude)
 
     def describe_way_shortage(self, position: Pair, altitude: float) -> str:
-        """Return why the energy is short of a way from here to a position [m]; empty: it is not."""
+        """Return why energy does not suffice for flying from here to a position [m]; empty: it does."""
         n, e = self._estimates.fix.position
         seconds = self.travel_time(hypot(position[0] - n, position[1] - e), altitude - self._estimates.altitude)
         return self.describe_shortage(seconds, position, altitude)

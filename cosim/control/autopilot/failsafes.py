@@ -67,7 +67,7 @@ class FailsafeMonitor:
     def update(
         self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report, mode: Mode, acting: bool = False
     ) -> None:
-        """Check one step in the air in a mode; ``acting``: the action of the fence is still being flown."""
+        """Check one step in the air; ``acting``: the fence's action is being flown."""
         self._check_engines(report)
         self._tank.update(k, mode)
         self._check_fence(fix.position, measured.altitude, home, acting)
@@ -89,7 +89,7 @@ class FailsafeMonitor:
         return self._measure_excess(north, east, altitude, home)[1]
 
     def _measure_excess(self, north: float, east: float, altitude: float, home: Home | None) -> tuple[float, str]:
-        """Return how far outside the fence a position is (m), and why; 0 and an empty text where it is inside."""
+        """Return the distance outside the fence (m) and the reason; 0 and empty inside."""
         drawn = measure_excess(self.zones, north, east)
         around = self._measure_excess_around_home(north, east, altitude, home)
         return around if around[0] >= drawn[0] else drawn
@@ -117,7 +117,7 @@ class FailsafeMonitor:
             self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed{dry}")
 
     def check_sensors(self, failed: tuple[str, ...]) -> None:
-        """Act on sensors that have newly failed; without its own attitude or rates the vehicle must not fly on."""
+        """Act on newly failed sensors; without attitude or rates the vehicle must land."""
         new = [text for text in failed if text not in self._failed_sensors]
         self._failed_sensors = failed
         for text in new:
@@ -131,7 +131,7 @@ class FailsafeMonitor:
             self._act(NOTHING, "wind takes most of the lean that is allowed")
 
     def _check_fence(self, position: tuple[float, float], altitude: float, home: Home | None, acting: bool) -> None:
-        """Act where the fence is passed, and again where that was taken over and it does not come back.
+        """Act when the fence is crossed, and again if a pilot took over and stays outside.
 
         A pilot who takes over may fly it back: it acts again 2 m further out than where it was taken over (also when
         the fence itself has come nearer by that), or after 10 s outside.
@@ -153,7 +153,7 @@ class FailsafeMonitor:
 
 
 class FuelFailsafe:
-    """Acts on low fuel at three levels: return, land, and land again after a pilot has taken over the landing.
+    """Acts on low fuel at three levels: return, land, and land again after a pilot took over.
 
     Each level is what the way takes, as :class:`Energy` estimates it, with its part of ``HJ_FUEL_MARGIN``; the
     parameters in per cent are the least.
@@ -180,7 +180,7 @@ class FuelFailsafe:
         self._warned_at: int | None = None  # step of the warning; None: it lands
 
     def update(self, k: int, mode: Mode) -> None:
-        """Check one step in the air, in a mode, and act once at each level."""
+        """Check one step in the air and act once per level."""
         remaining = self._energy.remaining
         if remaining is None or self._dry or (k % self._interval and remaining > 0.0):
             return
@@ -205,14 +205,14 @@ class FuelFailsafe:
             self._watch_landing(k, mode, percent, down)
 
     def _describe(self, way: str, need: float, is_estimated: bool, word: str) -> str:
-        """Describe why a level is reached: what the way takes, or where that is little the floor."""
+        """Describe why a level is reached: the need of the way, or the minimum."""
         percent = 100.0 * (self._energy.remaining or 0.0)
         if not is_estimated:
             return f"energy {word} ({percent:.0f} %)"
         return f"{self._energy.name} for the way {way}: {100.0 * need:.0f} %, {percent:.0f} % left"
 
     def _watch_landing(self, k: int, mode: Mode, percent: float, down: float) -> None:
-        """Warn of a landing that was taken over, and land again at the last moment."""
+        """Warn if a pilot took over the landing, and land again at the last moment."""
         if mode is Mode.LAND:
             self._warned_at = None
             return

@@ -114,7 +114,7 @@ class FlightState:
         self.reset()
 
     def reset(self, measured: Measured | None = None) -> None:
-        """Start a flight where the sensors read ``measured``; parameters, mission, fence and rally points stay."""
+        """Start a flight at a measured state; parameters, mission, fence and rally points are kept."""
         self.mode = Mode.HOLD
         self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
         # Reason of the active failsafe; empty: none.
@@ -156,7 +156,7 @@ class FlightState:
         return self.arming.refusals(self.mode, self.landed, self.report, self.k)
 
     def enter(self, mode: Mode, k: int) -> None:
-        """Enter another mode, or the same one from its beginning."""
+        """Enter a mode, or restart the present one."""
         if mode is not self.mode:
             self.say(Severity.INFO, f"mode {mode.value}", k)
             if self.mode is Mode.MISSION and self.armed and (rest := self.mission_flight.mission.describe_rest()):
@@ -180,7 +180,7 @@ class FlightState:
         self.course.aim(position, height, None)
 
     def stand(self, k: int) -> None:
-        """Note that the vehicle has come to stand, armed."""
+        """Note that the vehicle stands, armed."""
         self.landed = LandedState.ON_GROUND
         self.arming.stand(k)
         self.landing.collective = None
@@ -207,7 +207,7 @@ class FlightState:
         self.say(Severity.CRITICAL, "engines shut off", k)
 
     def activate_failsafe(self, action: int, reason: str) -> None:
-        """Take a parameter's action, unless the mode is at least as cautious."""
+        """Take a failsafe action unless the present mode is at least as cautious."""
         self.failsafe = reason
         if action == RETURN and self.landmarks.home is None:
             action = LAND
@@ -222,7 +222,7 @@ class FlightState:
         self.say(Severity.CRITICAL, f"{reason}: {_ACTIONS[mode]}", self.k)
 
     def set_home_here(self) -> None:
-        """Set home and the ground to where the vehicle stands."""
+        """Set home and ground to the present position."""
         self.landmarks.home = Home(*self.estimates.fix.position, self.estimates.altitude)
         self.landmarks.ground = self.estimates.altitude
 

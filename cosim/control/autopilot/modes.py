@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Mode(Enum):
-    """The flight modes.  MANUAL and STABILIZED are the same law here: lean and collective by stick."""
+    """The flight modes.  MANUAL and STABILIZED are the same here: stick commands lean and collective."""
 
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
@@ -27,7 +27,7 @@ DIRECT = frozenset({Mode.MANUAL, Mode.STABILIZED})  # stick modes without height
 
 
 class LandedState(Enum):
-    """Where the vehicle is between standing and flying."""
+    """State between standing and flying."""
 
     ON_GROUND = "on_ground"
     TAKING_OFF = "taking_off"

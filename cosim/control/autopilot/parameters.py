@@ -30,7 +30,7 @@ class EnumValue(NamedTuple):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One line of the table; ``least`` and ``most`` are in ``unit``, as the value is."""
+    """One parameter; ``least`` and ``most`` bound its value, in ``unit``."""
 
     name: str
     kind: Literal["float", "int"]
@@ -125,7 +125,7 @@ def table(
     level: str = "",
     jets: Sequence[Jet] = (),
 ) -> list[Parameter]:
-    """Return every parameter of a vehicle; ``delay``: of its roll model in samples, None where it has no model.
+    """Return all parameters of a vehicle; ``delay``: of its roll model in samples, or None.
 
     ``level``: of a controller from outside; what tunes the loops in whose place it stands cannot be changed then.
     ``jets``: where its engines are, for ground stations that draw them.
@@ -258,7 +258,7 @@ def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
 
 
 def _of_px4() -> Iterator[Parameter]:
-    """Yield the parameters from which ground stations learn that a PX4 vehicle needs no set-up."""
+    """Yield parameters that tell ground stations that a PX4 vehicle is already set up."""
     for name, value, text in (
         ("SYS_AUTOSTART", 22000, "an airframe is chosen (PX4 keeps 22000 to 22999 for others' own)"),
         ("COM_RC_IN_MODE", 1, "sticks come over MAVLink only"),
@@ -273,7 +273,7 @@ def _of_px4() -> Iterator[Parameter]:
 
 
 def _geometry(jets: Sequence[Jet], max_jets: int = 12) -> Iterator[Parameter]:
-    """Where the engines are, as PX4's allocation states it: FRD from the centre of gravity; none beyond its twelve.
+    """Yield engine positions in PX4's form: FRD from the centre of gravity; at most twelve.
 
     The direction of a thrust is told where it is not straight up, which is what PX4 takes it to be.
     """

@@ -44,7 +44,7 @@ class Result(Enum):
 
 
 class Answer(NamedTuple):
-    """The one answer to a request; ``text`` says why where it was not accepted."""
+    """Answer to a request; ``text`` gives the reason of a refusal."""
 
     accepted: bool
     result: Result
@@ -70,7 +70,7 @@ class SetMode(CheckedRecord):
 
 
 class Takeoff(CheckedRecord):
-    """Climb to a height above home; without one to the parameter's."""
+    """Climb to a height above home, by default the parameter's."""
 
     altitude_m: Metres | None = None
 
@@ -84,7 +84,7 @@ class ReturnHome(CheckedRecord):
 
 
 class Goto(CheckedRecord):
-    """Fly to a position and hold there; an omitted value keeps its present value."""
+    """Fly to a position and hold there; an omitted value stays unchanged."""
 
     north: Metres | None = None
     east: Metres | None = None
@@ -94,7 +94,7 @@ class Goto(CheckedRecord):
 
 
 class OrbitYaw(Enum):
-    """Where the nose points on a circle."""
+    """Direction of the nose on a circle."""
 
     CENTRE = "centre"
     AS_IT_IS = "as_it_is"
@@ -102,7 +102,7 @@ class OrbitYaw(Enum):
 
 
 class Orbit(CheckedRecord):
-    """Fly round a centre until something else is asked, or ``turns`` times; what is not given is as where it is.
+    """Circle around a centre ``turns`` times or without end; omitted values are the present ones.
 
     ``speed``, m/s, may come out less: the vehicle has to lean into the circle.
     """
@@ -133,7 +133,7 @@ class SetSpeed(CheckedRecord):
 
 
 class SetHome(CheckedRecord):
-    """Set the home position; an omitted value is the vehicle's present one."""
+    """Set the home position; omitted values are the vehicle's present ones."""
 
     north: Metres | None = None
     east: Metres | None = None
@@ -156,7 +156,7 @@ class Sticks(CheckedRecord):
 
 
 class OffboardAttitude(CheckedRecord):
-    """Either an attitude (body to NED, normalised here) or body rates, rad/s; ``thrust`` is the collective."""
+    """Attitude (body to NED, normalised here) or body rates, rad/s; ``thrust`` is the collective."""
 
     quaternion: tuple[Stick, Stick, Stick, Stick] | None = None
     rates: tuple[AngularRate, AngularRate, AngularRate] | None = None
@@ -186,7 +186,7 @@ class OffboardVelocity(CheckedRecord):
 
 
 class OffboardPosition(CheckedRecord):
-    """Hold a position from home [m, north-east-down] and, where it is given, a yaw angle."""
+    """Hold a position relative to home [m, NED] and optionally a yaw angle."""
 
     north: Metres
     east: Metres
@@ -195,7 +195,7 @@ class OffboardPosition(CheckedRecord):
 
 
 class ItemKind(Enum):
-    """What an item of a mission asks for, with the fields of the item that it uses.
+    """Kind of a mission item, with the fields that it uses.
 
     ``ALTITUDE`` goes to north and east, if given, at its present height, and there to the altitude.  ``LEFT_OUT`` is
     of a payload that is not here: passed at once, so that the other items keep their numbers.
@@ -226,7 +226,7 @@ _NEEDS = {  # fields that an item must have
 
 
 class MissionItem(CheckedRecord):
-    """One item of a mission; which fields count follows from its kind."""
+    """One mission item; its kind determines which fields count."""
 
     kind: ItemKind
     north: Metres | None = None
@@ -252,7 +252,7 @@ class MissionItem(CheckedRecord):
 
 
 class MissionUpload(CheckedRecord):
-    """A new mission in place of the old one."""
+    """Replace the mission."""
 
     items: tuple[MissionItem, ...]
 
@@ -272,7 +272,7 @@ class MissionStart(CheckedRecord):
 
 
 class MissionSetCurrent(CheckedRecord):
-    """Go on with the mission at this item."""
+    """Continue the mission at this item."""
 
     index: Index
 
@@ -310,7 +310,7 @@ class FenceZone(CheckedRecord):
 
 
 class FenceUpload(CheckedRecord):
-    """A new fence in place of the old one; without zones there is none."""
+    """Replace the fence; without zones remove it."""
 
     zones: tuple[FenceZone, ...]
 
@@ -321,7 +321,7 @@ class FenceUpload(CheckedRecord):
 
 
 class RallyPoint(CheckedRecord):
-    """A place to return to where it is nearer than home; ``altitude``: of the flight there, at least."""
+    """Return point used if it is nearer than home; ``altitude``: minimum of the flight there."""
 
     north: Metres
     east: Metres
@@ -329,7 +329,7 @@ class RallyPoint(CheckedRecord):
 
 
 class RallyUpload(CheckedRecord):
-    """New rally points in place of the old ones."""
+    """Replace the rally points."""
 
     points: tuple[RallyPoint, ...]
 

@@ -14,7 +14,7 @@ from cosim.control.autopilot.requests import FenceZone, Orbit, RallyPoint
 
 
 class Status(NamedTuple):
-    """The state of the autopilot at one instant, for telemetry and records."""
+    """State of the autopilot at one instant, for telemetry and records."""
 
     k: int
     mode: Mode

@@ -36,7 +36,7 @@ class Blocks(NamedTuple):
 
 
 class ControlLoops(NamedTuple):
-    """The loops that the autopilot commands, and what their predictors are made with.
+    """Loops commanded by the autopilot, and the data to make their predictors.
 
     ``controller`` and ``delay`` (samples of the roll model; None without one) are what the rate loops fly with at the
     start; ``predictors`` makes others.  ``level``: of a controller from outside in the place of some of the loops.
@@ -63,7 +63,7 @@ class LiveTuning:
         blocks.rate.keep_history(1000)
 
     def set(self, name: str, value: float) -> None:
-        """Store a value and let it act from the next step on.  Raises InputError where it is not allowed."""
+        """Store a parameter, effective from the next step.  Raises InputError if it is not allowed."""
         parameters = self._parameters
         value = parameters.check(name, value)
         if value == parameters[name]:
@@ -104,7 +104,7 @@ def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]
 
 
 def controller_of(values: Mapping[str, float]) -> str | None:
-    """Return the name of the predictor that HJ_PRED_TYPE stands for; None for one from outside."""
+    """Return the predictor's name for HJ_PRED_TYPE; None for a custom one."""
     return next((spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"]), None)
 
 

@@ -23,7 +23,7 @@ from cosim.spec.vehicle import RateModel
 
 
 class AxisLaw(Protocol):
-    """One axis of a rate loop.  It may have ``predicted``, the rate that it feeds back, for the log."""
+    """Rate loop of one axis.  Optional ``predicted`` is the fed-back rate, for the log."""
 
     def reset(self) -> None:
         """Return to rest, with nothing applied."""
@@ -52,7 +52,7 @@ class Axis:
 
     @property
     def gain(self) -> float:
-        """``k``, rad/s^2 per command: what :attr:`slow_pole` adds up, with everything faster at rest."""
+        """``k``, rad/s^2 per command: input of :attr:`slow_pole` with all faster dynamics at rest."""
         value: complex = self.model.gain / self.step
         for zero in self.model.all_zeros:
             value *= 1.0 - zero
@@ -90,7 +90,7 @@ def _fast_poles(model: RateModel) -> list[complex]:
 
 
 class Actuators:
-    """Model of the actuators: ``A = (1 - p) z / (z - p) z^-1-n``, a lag of one pole behind a delay of ``n`` steps."""
+    """Model of the actuators: ``A = (1 - p) z / (z - p) z^-1-n``, one lag and ``n`` steps of delay."""
 
     def __init__(self, samples: int, pole: float) -> None:
         self._pole, self.samples = pole, samples
@@ -102,7 +102,7 @@ class Actuators:
 
     @classmethod
     def from_axis(cls, axis: Axis) -> Actuators:
-        """Make them from a model: its delay in whole steps, and one lag for all that is faster than its integrator."""
+        """Make it from a model: whole-step delay, and one lag for all dynamics faster than the integrator."""
         samples = max(1, round(axis.model.delay_samples))
         lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # in steps
         return cls(samples, lag / (1.0 + lag))
@@ -112,7 +112,7 @@ class Actuators:
         self.now = 0.0
 
     def update(self, applied: float) -> float:
-        """Return what acted over the step that ends now, after the command of it."""
+        """Return the output over the step that ends now, given its command."""
         sent = self._sent
         del sent[0]
         sent.append(applied)
@@ -121,7 +121,7 @@ class Actuators:
 
     @property
     def upcoming_sum(self) -> float:
-        """The sum of what will act over the steps of the delay."""
+        """Sum of the outputs over the steps of the delay."""
         total = self._of_lag * self.now
         for weight, command in zip(self._weights, self._sent[-self.samples :], strict=True):
             total += weight * command
@@ -134,7 +134,7 @@ def positive_parameter(name: str, value: float, meaning: str, minimum: float = 1
 
 
 def attitude_gain_parameter(value: float) -> Parameter:
-    """Return the parameter for the gain of the attitude loop above, the only one that a law does not apply itself."""
+    """Return the parameter for the attitude loop's gain, which laws do not apply themselves."""
     return positive_parameter(
         "angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it"
     )
@@ -147,15 +147,15 @@ class RateLaw:
     parameters: ClassVar[tuple[Parameter, ...]]
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis.  Raises InputError where its model does not do."""
+        """Return the law of one axis.  Raises InputError for an unsuitable model."""
         raise NotImplementedError
 
     def make_axis(self, axis: Axis, values: Mapping[str, float]) -> tuple[AxisLaw, float]:
-        """Return the law of one axis and the gain of the attitude loop above it, 1/s.  Raises as the law does."""
+        """Return the law of one axis and the attitude loop's gain, 1/s.  Raises like the law."""
         return self.make_axis_law(axis, values), values["angle"] / axis.delay
 
     def prepare(self, belief: Belief) -> None:
-        """Make a law for every axis with a model.  Raises InputError if there is none."""
+        """Make a law for each axis with a model.  Raises InputError if there is none."""
         if not belief.models:
             raise InputError(
                 f"{type(self).__name__}: needs a model of how this engine turns {belief.vehicle.name}, and none is "
@@ -191,7 +191,7 @@ class RateLaw:
 
     @property
     def pid_axes(self) -> list[tuple[RateAxis, float]] | None:
-        """The built-in PIDs that it consists of, with what scales their set-points; None where it is another law."""
+        """Its built-in PIDs with their set-point scales; None for other laws."""
         axes = [law.axis for law in self._laws if isinstance(law, Pid)]
         return list(zip(axes, self._scales, strict=True)) if len(axes) == len(self._laws) else None
 

@@ -11,7 +11,7 @@ from cosim.control.phases.wing import WingFlight, dynamic_pressure
 
 
 class SurfaceHover(FlightLaw):
-    """Hover with surfaces, which turn the vehicle by the air that comes from ahead."""
+    """Hover with control surfaces, which act in forward speed."""
 
     def __init__(self, loops: Loops, allocator: EffectivenessAllocator) -> None:
         super().__init__(loops)
@@ -24,7 +24,7 @@ class SurfaceHover(FlightLaw):
 
 
 class HingedLean(FlightLaw):
-    """Hover without an engine on hinges that carry engines: it leans against their push to the side.
+    """Hover with an engine out and hinges that carry engines: it leans against their side force.
 
     The allocator's pressure stays as it is: :meth:`HingedRecovery.allocate` assumes zero while an engine is lost.
 

@@ -20,7 +20,7 @@ FULLY_ALLOCATED = Unallocated(0.0, 0.0, 0.0, 0.0)  # nothing was left unallocate
 
 
 class CustomRate(Protocol):
-    """A user's rate loop as the laws use it, like the built-in one: it learns what allocation left out."""
+    """A user's rate loop with the interface of the built-in one."""
 
     predicted: Vector3
 
@@ -32,7 +32,7 @@ class CustomRate(Protocol):
 
 
 class Demand:
-    """What one step demands: the command, the outputs of loops and law, and the allocation residual.
+    """Demand of one step: command, loop outputs and allocation residual.
 
     ``torque``, ``collective`` and ``allocated``, the part of it per engine that was allocated, go into the log;
     ``unallocated`` is what the loops learn in the next step.
@@ -109,7 +109,7 @@ class Loops:
         return self.rate.predicted if self.custom_rate is None else self.custom_rate.predicted
 
     def inject(self, torque: Vector3, injected: Disturbance) -> Vector3:
-        """Return the rate loop's output with what is added to it there, roll after the added delay; once a step."""
+        """Return the rate loop's output with injected signals, roll after its added delay; called once a step."""
         roll, pitch, yaw = torque
         x, y, z = injected.torque_output
         if x != 0.0 or y != 0.0 or z != 0.0:
@@ -131,7 +131,7 @@ class Loops:
 
 
 class FlightLaw:
-    """The law of one phase; this base class is the law of hover, which flies where no other law applies."""
+    """Law of one flight phase; this base class is hover, used if no other law applies."""
 
     def __init__(self, loops: Loops) -> None:
         self.loops = loops
@@ -140,10 +140,10 @@ class FlightLaw:
         """Begin a flight."""
 
     def idle(self) -> None:
-        """Give up the manoeuvre: the engines idle or are off."""
+        """Abort the manoeuvre, because the engines idle or are off."""
 
     def leave(self) -> None:
-        """Hand over: another law flies from this step on."""
+        """Hand over to another law, which flies from this step on."""
 
     def applies(self, demand: Demand) -> bool:
         """Return whether the law is to fly this step; laws are asked in their order, up to the first that does."""
@@ -189,7 +189,7 @@ class Selector:
             law.reset()
 
     def select(self, demand: Demand) -> FlightLaw:
-        """Return the first law that applies to the step; the one that flew until now leaves where it is another."""
+        """Return the first law that applies, after telling the previous one to leave."""
         chosen = self.laws[-1]
         for law in self.laws:
             if law.applies(demand):
@@ -201,6 +201,6 @@ class Selector:
         return chosen
 
     def idle(self) -> None:
-        """Give up the manoeuvre of every law: the engines idle or are off."""
+        """Abort all manoeuvres, because the engines idle or are off."""
         for law in self.laws:
             law.idle()

@@ -28,7 +28,7 @@ from cosim.spec.vehicle import EngineLead, Vehicle
 
 
 class _EngineResponse:
-    """The engines' output of one quantity, and its prediction over their delay.
+    """One quantity of the engines, predicted over their delay.
 
     ``slope_s``: time constant of the reports' slope, short against any jet.
     """
@@ -46,7 +46,7 @@ class _EngineResponse:
         self.predicted, self.slope = value, 0.0
 
     def observe(self, value: float) -> None:
-        """Take what the engines report at the end of a step."""
+        """Take the engines' report at the end of a step."""
         self._slope += self._weight * ((value - self._value) / self._step - self._slope)
         self._value = value
 
@@ -61,7 +61,7 @@ class _EngineResponse:
         return course
 
     def command_for(self, second_derivative: float) -> float:
-        """Return the command that gives the output this second derivative when it arrives."""
+        """Return the command that gives this second derivative when it takes effect."""
         return self.predicted + (self._twice * self.slope + second_derivative) / self._square
 
     def record_command(self, value: float) -> None:
@@ -72,7 +72,7 @@ class _EngineResponse:
 
 
 class Recovery:
-    """Roll and collective while engines are lost and their thrust is not yet made up for; see the module's text.
+    """Roll and collective control after an engine loss, until reallocation has taken effect; see the module.
 
     ``delay``: of the engines [s].  ``level_s`` and ``climb_s`` [s]: behind the delay until it is level, and until it
     climbs as asked for, sums of the time constants; shorter, and jets at their limits roll it over; longer, and the
@@ -108,7 +108,7 @@ class Recovery:
         self.is_complete = False
 
     def reset(self, thrust: PerJet, gains: Sequence[float], weight: float) -> None:
-        """Begin at a loss: ``gains`` of lost engines are 0, the lift asked for until now was ``weight`` [N].
+        """Begin at a loss: ``gains`` of failed engines are 0, ``weight`` is the lift demanded so far [N].
 
         ``thrust`` is as for :meth:`observe`.
         """
@@ -117,12 +117,12 @@ class Recovery:
         self.is_complete = False
 
     def observe(self, thrust: PerJet, gains: Sequence[float]) -> None:
-        """Take each engine's thrust [N], as reckoned from its report at the end of a step."""
+        """Take each engine's thrust [N] from its report at the end of a step."""
         self._roll.observe(self._moment_of(thrust))
         self._lift.observe(self._lift_of(thrust, gains))
 
     def _moment_of(self, thrust: PerJet) -> float:
-        """Return the roll moment [N m] with that of lost engines, of which the last one has the most thrust left.
+        """Return the roll moment [N m], including the failing engines' remaining thrust.
 
         It is less than their speed stands for, as they have no fire; how much less is not known.
         """
@@ -172,7 +172,7 @@ class Recovery:
 
     @property
     def least_collective(self) -> float:
-        """The least collective that leaves room for a roll moment: 0.7 of what the engines give.
+        """Smallest collective that leaves room for roll: 0.7 of the available thrust.
 
         turbine-100 slows no faster for a step down by more than eight tenths, and roll has to find it slower on one
         side than on the other.

@@ -41,7 +41,7 @@ Gains = tuple[tuple[float, ...], ...]
 
 
 class ReducedAttitude:
-    """Control of four rotors of which one is lost; see the module's text.
+    """Control of four rotors with one out; see the module.
 
     ``lag`` and ``delay`` of the rotors [s]; ``added_delay``: of every command, steps.  Raises InputError
     where the vehicle has not four rotors in opposite pairs, each pair turning the frame its own way.
@@ -83,11 +83,11 @@ class ReducedAttitude:
         # Final spin [rad/s], and the thrust [N] of the opposite rotor at that spin.
         weight, limit = vehicle.mass_kg * GRAVITY, radians(vehicle.limits.rate_deg_s)
         self._spin, self._opposite_thrust = self._equilibrium(weight, limit)
-        self._gains = [self._feedback_for(jet, lag) for jet in range(4)]
+        self._gains = [self._gains_for_loss(jet, lag) for jet in range(4)]
         self.is_flying = False
 
     def _equilibrium(self, weight: float, limit: float, max_spin: float = 0.9) -> tuple[float, float]:
-        """Return the final spin [rad/s], and the thrust of the rotor across that keeps it there [N].
+        """Return the final spin [rad/s] and the opposite rotor's thrust there [N].
 
         ``max_spin``: of the rate ``limit`` at which the vehicle is lost; the rest is for thrust beyond the weight.
         """
@@ -95,7 +95,7 @@ class ReducedAttitude:
         opposite = max(self._least, 0.5 * (weight - damping * max_spin * limit / lever))
         return lever * (weight - 2.0 * opposite) / damping, opposite
 
-    def _feedback_for(self, failed: int, lag: float) -> Gains:
+    def _gains_for_loss(self, failed: int, lag: float) -> Gains:
         pair = next(i for i in range(4) if i not in (failed, self._opposites[failed]))
         x, y = self._positions[pair]
         arm = hypot(x, y)
@@ -117,7 +117,7 @@ class ReducedAttitude:
         self.is_flying = False
 
     def observe(self, thrust: PerJet) -> None:
-        """Take the thrusts [N] that the rotors report at the end of a step."""
+        """Take the rotors' reported thrusts [N] at the end of a step."""
         self._thrust = thrust
 
     def update(

@@ -12,7 +12,7 @@ from cosim.control.phases.recovery import Recovery
 
 
 class ShutOpposite(FlightLaw):
-    """With the first engine lost, shut off the opposite one: its thrust goes the same way, and the moment with it.
+    """With the first engine out, shut off the opposite one, whose moment has the same sign.
 
     ``opposites``: for every jet, from 0, the opposite one; ``recovery`` flies until the thrust is made up for, where
     there is one; ``mass`` [kg] of the vehicle, tank full.
@@ -30,7 +30,7 @@ class ShutOpposite(FlightLaw):
         return self._is_recovering and demand.command.rate is None
 
     def update(self, demand: Demand) -> Actuation:
-        """Update as :meth:`FlightLaw.update`, with roll and collective of the recovery in place of the loops'."""
+        """Update as :meth:`FlightLaw.update`, with the recovery's roll and collective."""
         loops, recovery, command, measured = self.loops, self._recovery, demand.command, demand.measured
         assert recovery is not None
         climb = 0.0 if command.collective is not None else loops.altitude.climb(command.altitude - measured.altitude)
@@ -58,7 +58,7 @@ class ShutOpposite(FlightLaw):
         return actuation
 
     def handle_loss(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
-        """Return the engine opposite the first one that is lost, and begin the recovery."""
+        """Return the engine opposite to the first failed one, and begin the recovery."""
         failed = [i for i, gain in enumerate(monitor.gains) if gain < 1.0]
         if len(failed) != 1 or monitor.health[failed[0]] != JetHealth(0.0):
             return NO_JETS

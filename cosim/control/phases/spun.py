@@ -10,7 +10,7 @@ from cosim.control.phases.reduced_attitude import ReducedAttitude
 
 
 class SpunFlight(FlightLaw):
-    """Control of the thrust's direction, without a heading, once one rotor is lost; a commanded rate gives upright."""
+    """Thrust direction control without heading after one rotor failed; rate commands mean upright."""
 
     def __init__(self, loops: Loops, reduced: ReducedAttitude, thrust_map: ThrustMap, rotors: int) -> None:
         super().__init__(loops)
@@ -37,7 +37,7 @@ class SpunFlight(FlightLaw):
         return Actuation(throttle, loops.allocator.rest, demand.unallocated, NO_JETS)
 
     def handle_loss(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
-        """Begin with the first rotor that is lost."""
+        """Begin with the first failed rotor."""
         failed = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
         if len(failed) == 1 and not self._reduced.is_flying:
             self._reduced.begin(failed[0], monitor.reported_thrust, monitor.commanded_thrust)

@@ -145,7 +145,7 @@ class WingFlight(FlightLaw):
         return command.ahead is not None and command.rate is None and command.collective is None and not demand.is_idle
 
     def is_slow(self, demand: Demand, has_stopped: bool) -> bool:
-        """Return whether less speed is asked for than that at which the corridor is open, and it is no faster by now.
+        """Return whether the commanded and actual speed are below the speed of the full corridor.
 
         ``has_stopped``: it was so a step ago, and remains so for as long as no more speed is asked for.
         """
@@ -161,7 +161,7 @@ class WingFlight(FlightLaw):
         return super().steer(demand)
 
     def update(self, demand: Demand) -> Actuation:
-        """Update as :meth:`FlightLaw.update`, with forces forward and up of which the wing carries a part."""
+        """Update as :meth:`FlightLaw.update`, with a part of the force carried by the wing."""
         allocator, injected, measured = self._allocator, demand.injected, demand.measured
         if not allocator.surfaces:
             return super().update(demand)
@@ -226,7 +226,7 @@ class WingFlight(FlightLaw):
         return Command(attitude, command.altitude, command.rate, command.collective, command.place, command.ahead)
 
     def actuator_demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
-        """Return what jets, hinges and surfaces have to give beside the wing where ``vertical`` N are needed up."""
+        """Return the forces required of jets, hinges and surfaces for ``vertical`` N, beside the wing's."""
         roll, pitch, _ = to_euler(measured.attitude)
         lift, drag, moment = (self._pressure * coefficient for coefficient in self._table.at(self._alpha))
         self._lift = lift
@@ -252,7 +252,7 @@ class WingFlight(FlightLaw):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """What is shown; see :class:`cosim.base.protocols.Shows`."""
+        """Log columns; see :class:`cosim.base.protocols.Shows`."""
         return (
             Column("ahead_setpoint_m_s", "m/s", "heading", "speed ahead that the law for the wing flies to now"),
             Column("ahead_m_s", "m/s", "heading", "speed ahead over the ground, as measured"),

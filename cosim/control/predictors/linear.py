@@ -109,7 +109,7 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
 
 @dataclass(frozen=True)
 class DelayedSystem:
-    """``x' = A x + B v``, ``y' = C x'`` of the inputs ``v``, with a delay of whole samples before it.
+    """``x' = A x + B v``, ``y' = C x'`` with inputs ``v`` delayed by whole samples.
 
     A delay of ``n + f`` samples has two inputs, of ``n`` and of ``n + 1`` samples ago.
     """
@@ -207,7 +207,7 @@ class PredictorSpace(Protocol):
 
     @property
     def history_length(self) -> int:
-        """The number of past commands that it reads."""
+        """Number of past commands that it uses."""
 
     @property
     def states(self) -> Mapping[str, int]:
@@ -224,7 +224,7 @@ class PredictorSpace(Protocol):
 
 
 class NoSpace:
-    """The measurement itself, without prediction."""
+    """State space of no prediction: the measurement itself."""
 
     history_length = 1
     states: Mapping[str, int] = {}
@@ -233,11 +233,11 @@ class NoSpace:
         return measured
 
     def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Do nothing."""
+        """Do nothing, as there is no state."""
 
 
 class SmithSpace:
-    """Smith's predictor, and with the time constant of its robustness filter the filtered one."""
+    """State space of Smith's predictor or, with a filter time constant, of the filtered one."""
 
     def __init__(self, model: RateModel, filter_s: float | None = None) -> None:
         self.history_length = int(model.delay_samples) + 2
@@ -304,7 +304,7 @@ class ObserverSpace:
         return np.asarray(prediction @ state + self._on_the_way @ sent[: samples + 1])
 
     def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Do nothing: it reads the past commands."""
+        """Do nothing, as it uses the past commands."""
 
 
 def linear_response(predictor: LinearPredictor) -> PairResponse:
@@ -342,4 +342,4 @@ class LinearSpace:
         return np.asarray(self._of_state @ state + self._weights @ sent)
 
     def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Do nothing: it reads the past commands."""
+        """Do nothing, as it uses the past commands."""

@@ -34,7 +34,7 @@ Own = Mapping[str, float]  # parameter values by name
 
 @dataclass(frozen=True)
 class TuningParameter:
-    """One number that a predictor is tuned with.
+    """One tuning parameter of a predictor.
 
     It stands in ``[control.predictor]`` of ``vehicle.toml`` where that has a key of this name, else in
     ``[control.predictor.own.<predictor>]``, and is ``default`` where it is not stated.  A design searches the range
@@ -114,7 +114,7 @@ _FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}  # fields of the bui
 
 
 class Registry(Mapping[str, PredictorSpec]):
-    """The predictors by name, those of installed packages after what was registered."""
+    """Predictors by name: registered ones, then those of installed packages."""
 
     def __init__(self, specs: Iterable[PredictorSpec]) -> None:
         self._specs: dict[str, PredictorSpec] = {}
@@ -123,7 +123,7 @@ class Registry(Mapping[str, PredictorSpec]):
             self.register(spec)
 
     def register(self, spec: PredictorSpec) -> None:
-        """Make a predictor known.  Raises InputError for one that could not be told from others, or not be tuned."""
+        """Register a predictor.  Raises InputError for ambiguous or untunable ones."""
         where = f"predictor {spec.name!r}"
         if not _NAME.fullmatch(spec.name):
             raise InputError(f"{where}: a name has small letters, digits and hyphens, and begins with a letter")
@@ -160,13 +160,13 @@ class Registry(Mapping[str, PredictorSpec]):
         del self._specs[name]
 
     def find(self, name: str, complaint: str) -> PredictorSpec:
-        """Return the predictor of that name.  Raises InputError: ``complaint``, and which there are."""
+        """Return the predictor of this name.  Raises InputError: ``complaint`` and the known names."""
         if name not in self:
             raise InputError(f"{complaint}; {nearest(name, self)}")
         return self[name]
 
     def check(self, tuning: PredictorTuning, where: str) -> None:
-        """Hold what a vehicle states of predictors from elsewhere against them.
+        """Check the tuning of plug-in predictors in a vehicle against their parameters.
 
         Raises InputError: one line with the key, the value and what is allowed.
         """
@@ -198,7 +198,7 @@ class Registry(Mapping[str, PredictorSpec]):
         return len(self._specs)
 
     def _look(self) -> None:
-        """Register what installed packages bring, the first time that it is asked for."""
+        """Register the predictors of installed packages at the first need."""
         if self._waiting == {}:
             return
         from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry

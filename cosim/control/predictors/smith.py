@@ -15,10 +15,10 @@ from cosim.spec.vehicle import RateModel
 
 
 class NoPredictor:
-    """The baseline: the measurement itself."""
+    """No prediction: the measurement itself."""
 
     def reset(self) -> None:
-        """Do nothing: it has no state."""
+        """Do nothing: there is no state."""
 
     def update(self, measured: float, applied: float) -> float:
         return measured
@@ -93,7 +93,7 @@ class DelayedModel:
         samples = int(model.delay_samples)
         fraction = model.delay_samples - samples
         self.line = DelayLine(samples)
-        self.model = _fractional(model, fraction) if fraction else rate_model(model)
+        self.model = _fractional_delay(model, fraction) if fraction else rate_model(model)
 
     def reset(self) -> None:
         """Return to rest."""
@@ -101,7 +101,7 @@ class DelayedModel:
         self.model.reset()
 
     def update(self, applied: float) -> float:
-        """Return the output at ``t_k`` from the inputs up to the one held over ``[t_k-1, t_k)``."""
+        """Return the output at ``t_k`` from inputs up to that held over ``[t_k-1, t_k)``."""
         return self.line.update(self.model.update(applied))
 
 
@@ -194,7 +194,7 @@ def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[floa
     return [b0, at_one - b0, 0.0], [1.0, -2.0 * a, a * a]
 
 
-def _fractional(model: RateModel, fraction: float) -> DiscreteModel:
+def _fractional_delay(model: RateModel, fraction: float) -> DiscreteModel:
     poles = model.poles
     if model.pole_pairs or model.zero_pairs:
         raise InputError("identified model: with pairs of poles or zeros its delay must be a whole number of samples")

@@ -44,7 +44,7 @@ class StateModel:
         self._continuous = (float(l1), float(l2))
 
     def fraction(self, f: float) -> tuple[Matrix, Matrix]:
-        """Return the state transition over ``f`` of a step, and what a command held over it adds."""
+        """Return the transition over a fraction ``f`` of a step, and the effect of a command held over it."""
         l1, l2 = self._continuous
         whole = _integral(l1, l2, self.step)
         return _exponential(l1, l2, f * self.step), _integral(l1, l2, f * self.step) @ np.linalg.solve(whole, self.B)
@@ -57,7 +57,7 @@ class Observer(Protocol):
         """Return to rest."""
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
-        """Return the state at ``t_k`` and the input disturbance, from the rate there and what acted in the step before.
+        """Return state and input disturbance at ``t_k`` from the rate and the previous step's input.
 
         ``late`` is the command that arrived then, given ``d`` samples earlier (the mean of two where that is not a
         whole number), ``push`` what it adds to the state over the step.
@@ -95,7 +95,7 @@ class DoubleIntegratorObserver:
 
 
 class ModelObserver:
-    """Ours: a Luenberger observer of the identified model, of its state alone or with a constant input disturbance.
+    """Luenberger observer of the identified model, optionally with a constant input disturbance.
 
     ``x^ = A x + B (u + d)``, corrected by ``L (y - x^[0])`` at the same instant; all observer poles at
     ``exp(-bandwidth T)``.
@@ -281,7 +281,7 @@ class _Mode:
 
 
 class ModalPredictor:
-    """Ours: what :class:`StatePredictor` with :class:`ModelObserver` does, for a model of any order.
+    """:class:`StatePredictor` with :class:`ModelObserver` in modal form, for a model of any order.
 
     An engine with a slow spool, the airframe and the gyro's filter make three poles or more; a model of two would
     have to call one of them delay.

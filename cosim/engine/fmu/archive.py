@@ -74,12 +74,12 @@ class Archive:
 
     @property
     def start(self) -> str | None:
-        """The name of the parameter that starts the engine in equilibrium at a throttle; None: it has none."""
+        """Parameter that starts the engine in equilibrium at a throttle, or None."""
         return self.ports["start"].variable.name if "start" in self.ports else None
 
 
 def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
-    """Read an archive; ``ports`` specifies ports, the others are found by name and unit.
+    """Read an archive; ``ports`` states ports, others are found by name and unit.
 
     Raises InputError: one line with the file and what is wrong with it.
     """
@@ -107,7 +107,7 @@ def validate(data: bytes) -> list[str]:
 
 
 def read_component(path: Path, data: bytes) -> Archive:
-    """Read an FMU without engine ports; raise UnusableError if it cannot be used."""
+    """Read an FMU without engine ports.  Raises UnusableError."""
     return _read(path, data, hashlib.sha256(data).hexdigest(), None)
 
 
@@ -157,7 +157,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
 
 
 def _refuse_input_clocks(root: ElementTree.Element) -> None:
-    """Raise PortError for an input clock: nothing ticks it, so what depends on it would stand still."""
+    """Raise PortError for an input clock, because nothing would tick it."""
     clock = root.find("ModelVariables/Clock[@causality='input']")
     if clock is not None:
         raise PortError(f"has the input clock {clock.get('name')}: {describe_removed('input clock')}")
@@ -180,7 +180,7 @@ def hash_equations(data: bytes, root: ElementTree.Element, description: Any) -> 
 
 
 def read_engine_sources(data: bytes) -> list[tuple[str, bytes]]:
-    """Return names and contents of the engine's C sources in a library archive, those of the FMI adapter left out.
+    """Return names and contents of the engine's own C sources in a shipped archive.
 
     Raises UnusableError where one is damaged.
     """
@@ -205,7 +205,7 @@ def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], sta
 
 
 def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
-    """Fill in the limits of FMI 3.0's unsigned variables, which FMPy leaves out."""
+    """Read the limits of FMI 3.0's unsigned variables, which FMPy omits."""
     unsigned = {
         element.get("name"): element for element in root.iterfind("ModelVariables/*") if element.tag.startswith("UInt")
     }

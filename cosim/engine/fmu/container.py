@@ -20,7 +20,7 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 
 
 class ArchiveLimits(NamedTuple):
-    """Limits of what an archive may hold."""
+    """Limits of the contents of an archive."""
 
     # Chosen by us: an engine is a library of a few MB with perhaps some tables, and a hundred times that is accepted.
     max_packed_bytes: int = 512 * 2**20  # size of the archive
@@ -60,7 +60,7 @@ def to_one_line(error: object) -> str:
 
 
 class Zip(zipfile.ZipFile):
-    """A readable zip archive whose contents do not depend on the operating system that packed it.
+    """A zip archive whose contents are read in the same way on each operating system.
 
     System files (:func:`is_system_file`) are left out, and the backslashes of some Windows programs become ``/``.
     """
@@ -155,7 +155,7 @@ def parse_xml(xml: bytes) -> ElementTree.Element:
 
 
 def read_fmi_version(root: ElementTree.Element) -> int:
-    """Return the FMI version, 2 or 3; raise UnusableError for another one or if there is no co-simulation interface."""
+    """Return the FMI version, 2 or 3.  Raises UnusableError for others or without co-simulation."""
     version = root.get("fmiVersion", "none stated")
     if version != "2.0" and not version.startswith("3.0"):
         raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")

@@ -68,18 +68,18 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
     try:
         description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
     except Exception as error:
-        raise _refusal(complaints) if complaints else _unusable(error) from error
+        raise _explain_refusal(complaints) if complaints else _unusable_error(error) from error
     more = _more(description)
     if more is not None:
         complaints += [complaint for complaint in more if complaint not in complaints]
     elif undeclared := _undeclared(description):
         complaints.append(undeclared)
     elif stumbled:
-        raise _unusable(stumbled)
+        raise _unusable_error(stumbled)
     if dangerous := [
         complaint for complaint in [*_doubles(description), *complaints] if not is_harmless_violation(complaint)
     ]:
-        raise _refusal(dangerous)
+        raise _explain_refusal(dangerous)
     for v in description.modelVariables:
         if (v.causality, v.variability) == ("parameter", "constant"):
             v.causality = "local"  # nobody can set it, so it is a local
@@ -97,7 +97,7 @@ _COMBINED = {
 
 
 def add_missing_initial(xml: bytes) -> bytes:
-    """Return the description with ``initial`` stated where a variable's kind gives it no default.
+    """Return the description with ``initial`` added to variables whose kind has no default.
 
     FMPy, asked without its validation too, reads no description with a parameter that is constant, say, which tools
     write; what its validation says of that is a blemish.
@@ -128,17 +128,17 @@ def pack_descriptions(data: bytes, change: Callable[[bytes], bytes] = bytes) -> 
     return buffer
 
 
-def _refusal(complaints: Sequence[str]) -> UnusableError:
+def _explain_refusal(complaints: Sequence[str]) -> UnusableError:
     more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
     return UnusableError(f"modelDescription.xml is not valid: {complaints[0]}{more}")
 
 
-def _unusable(error: object) -> UnusableError:
+def _unusable_error(error: object) -> UnusableError:
     return UnusableError(f"modelDescription.xml cannot be used: {to_one_line(error)}")
 
 
 def _more(description: Any) -> list[str] | None:
-    """Return the complaints of FMPy's validation of the model itself; None where FMPy fails."""
+    """Return the complaints of FMPy's model validation; None if FMPy fails."""
     from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
 
     try:

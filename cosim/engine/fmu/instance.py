@@ -45,11 +45,11 @@ VALUES = {
 
 
 class InstanceError(Exception):
-    """Failure of an FMU call: one line without the FMU's name, which the caller adds."""
+    """An FMU call failed: one line without the FMU's name, which the caller adds."""
 
 
 class FmuInstance:
-    """An instance of ``archive``, whose unpacked files are in ``folder``.
+    """An instance of ``archive``, whose files are unpacked in ``folder``.
 
     Raises InstanceError if the library does not load or the FMU refuses to be instantiated.
     """
@@ -72,7 +72,7 @@ class FmuInstance:
         try:
             with _isolate_modules(self._resources) if self._python else nullcontext():
                 if not fmu.instantiate(name, archive.token, self._resources, self.log, archive.returns_early):
-                    raise InstanceError(self._with_log("cannot be instantiated"))
+                    raise InstanceError(self._append_log("cannot be instantiated"))
         except BaseException:
             fmu.free_library()
             raise
@@ -92,7 +92,7 @@ class FmuInstance:
         *,
         step: float,
     ) -> float:
-        """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
+        """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N].
 
         Where the mapping file states a warm-up, it is made in steps of ``step`` seconds, and the thrust is that after
         it.  Raises InstanceError if the FMU returns an error on the way.
@@ -118,7 +118,7 @@ class FmuInstance:
         return thrust
 
     def _warm_up(self, step: float) -> None:
-        """Run at throttle 0 for as long as the mapping file says, and count the steps."""
+        """Run at zero throttle for the mapping's warm-up time, and count the steps."""
         count = round(self.archive.starting.warm_up_s / step)
         if not count:
             return
@@ -150,7 +150,7 @@ class FmuInstance:
         return value - self.output("ram_drag") if name == "thrust" and "ram_drag" in ports else value
 
     def set_run(self, on: bool) -> bool:
-        """Set the engine's port ``run`` between two steps; False if it has none."""
+        """Set the engine's port ``run`` between steps; return False if it has none."""
         port = self.archive.ports.get("run")
         if port is None:
             return False
@@ -170,21 +170,21 @@ class FmuInstance:
             self._call(self._slave.bind_values("Set", self._type(variable), [variable.reference], array))
 
     def _call(self, call: Callable[..., None], *arguments: Any) -> None:
-        """Call a function of the FMU.  Raises InstanceError if it returns worse than a warning, or is not there."""
+        """Call an FMU function.  Raises InstanceError if it is missing or returns worse than a warning."""
         try:
             call(*arguments)
         except CallError as error:
             self.record_failure(error.status)
-            raise InstanceError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
+            raise InstanceError(self._append_log(f"{error.function} returned {_status(error.status)}")) from error
         except OSError as error:
             raise InstanceError(str(error)) from error
 
     def record_failure(self, status: int) -> None:
-        """Record that the FMU is in its error state, or after a fatal error that nothing may be called any more."""
+        """Record an error status, and after a fatal one that no call is allowed."""
         self._stepping = False
         self._dead = self._dead or STATUS.get(status) == "fatal"
 
-    def _with_log(self, text: str) -> str:
+    def _append_log(self, text: str) -> str:
         messages = to_one_line(self.log.take())
         return f"{text}: {messages}" if messages else text
 
@@ -196,10 +196,10 @@ class FmuInstance:
             more = ", which is for FMUs that step in the background; these are not supported"
         self.record_failure(status)
         text = FAULTS[what].format(status=_status(status), port=port)
-        return self._with_log(f"{text} {moment}{more}")
+        return self._append_log(f"{text} {moment}{more}")
 
     def _reached(self) -> str:
-        """Return how far a discarded step of FMI 2.0 has come, or an empty string where the FMU does not report it."""
+        """Describe how far a discarded FMI 2.0 step got; empty if the FMU does not tell."""
         component, value = ctypes.c_void_p(self._slave.component), ctypes.c_double(math.nan)
         try:
             # Status kind 2 is fmi2LastSuccessfulTime.
@@ -235,7 +235,7 @@ class FmuInstance:
     def _call_blocks(
         self, way: Literal["Set", "Get"], names: Sequence[str]
     ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
-        """Return one FMI call for each type of the ports, the first port's first, and where each port is in them."""
+        """Return one FMI call per type of ports, the first port's first, and each port's place in them."""
         ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
         types = list(dict.fromkeys(port.variable.type for port in ports.values()))
         blocks: list[_bank.Block] = []
@@ -263,7 +263,7 @@ class FmuInstance:
         return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
-        """Terminate and free the instance, and let go of the library."""
+        """Terminate and free the instance and close the library."""
         if self.fmu is None:
             return
         fmu, self.fmu = self.fmu, None

@@ -61,7 +61,7 @@ def _nonzero(value: float) -> float:
     return value
 
 
-def _one_variable(name: object) -> object:
+def _check_one_variable(name: object) -> object:
     if isinstance(name, list) or (isinstance(name, str) and "*" in name):
         raise ValueError(f"is one variable; {describe_removed('several engines')}")
     return name
@@ -77,7 +77,7 @@ else:
         """Return the model of a table that may have a value for each of these ports."""
         return create_model(name, __base__=Model, __module__=__name__, **dict.fromkeys(ports, (kind | None, None)))
 
-    _Ports = _table("_Ports", KINDS, Annotated[str, BeforeValidator(_one_variable)])
+    _Ports = _table("_Ports", KINDS, Annotated[str, BeforeValidator(_check_one_variable)])
     _Units = _table("_Units", [port for port in KINDS if port not in ("run", "start")], str)
     _Scale = _table(
         "_Scale",
@@ -103,7 +103,7 @@ class _FlameOut(Model):
     relight_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_form(self) -> Self:
+    def _check_one_form(self) -> Self:
         numbers = [self.thrust_left, self.run_down_s, self.exponent, self.relight_s]
         if self.electric and any(value is not None for value in numbers):
             raise ValueError("electric = true stands alone")
@@ -139,7 +139,7 @@ class _Ledger(Model):
 
 
 class MappingFile(Model):
-    """A mapping file, as its author wrote it."""
+    """Contents of a mapping file as its author wrote it."""
 
     fmu: str = Field(min_length=1)
     title: str = ""

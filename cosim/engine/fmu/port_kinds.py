@@ -31,7 +31,7 @@ NEEDED = ("throttle", "thrust")  # ports that every engine has
 
 
 class PortKind(NamedTuple):
-    """What a port is: causality, quantity, the types that it may have.
+    """Kind of a port: causality, quantity and allowed types.
 
     A port is found by its own name; what other tools call it is for a mapping file to say, because a name that means
     different things to different tools gives a wrong number.

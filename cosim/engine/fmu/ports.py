@@ -30,7 +30,7 @@ from cosim.engine.fmu.variables import INTEGERS, ConstantValue, Port, Variable
 
 @dataclass(frozen=True)
 class PortMap:
-    """Specified ports of an FMU; all others are found by name and unit."""
+    """Stated ports of an FMU; all others are found by name and unit."""
 
     ports: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -46,11 +46,11 @@ RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]" 
 
 
 class PortError(ValueError):
-    """A port is missing, ambiguous or unfit: one line without the FMU's name, which the caller knows."""
+    """A port is missing, ambiguous or unsuitable: one line without the FMU's name."""
 
 
 def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[str, Port], list[str]]:
-    """Return all specified and detected ports of an engine, and notes on what was assumed or left out.
+    """Return all stated and found ports of an engine, and notes on assumptions and omissions.
 
     Raises PortError if a needed or specified port is unfit; an unfit optional one is left out with a note.
     """
@@ -82,7 +82,7 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
 
 
 class PortFinding(NamedTuple):
-    """What is found of one port: its variable, and why it is not ready; ``part`` is the table that would say it."""
+    """Result for one port: variable, and why it is not ready; ``part`` is the mapping table that states it."""
 
     port: str
     variable: Variable | None
@@ -92,7 +92,7 @@ class PortFinding(NamedTuple):
 
 
 def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
-    """Yield what is found of every port of one engine, the troubles of all of them; one that is not there is left out.
+    """Yield the results for all ports of one engine, with all problems; absent optional ones are omitted.
 
     :func:`find_ports` raises the first trouble of a port that is needed.
     """
@@ -122,7 +122,7 @@ def normalise_name(name: str) -> str:
 
 
 def split_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
-    """Split a name such as ``thrust_lbf`` or ``fuel-flow-kg_h`` into its stem and unit, None if it has no unit."""
+    """Split a name such as ``thrust_lbf`` into stem and unit; None without a unit."""
     words = re.split(r"[^A-Za-z0-9%]+", name)
     for count in (3, 2, 1):
         unit = "/".join(word for word in words[-count:] if word.lower() != "per")
@@ -145,7 +145,7 @@ def _find_mapped(port: str, kind: PortKind, name: str, variables: Sequence[Varia
 
 
 def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
-    """Return the variable that has a port's name or, for throttle and thrust, is the only one that can be it.
+    """Return the variable with a port's name, or the only candidate for throttle or thrust.
 
     None if there is none and the port is not needed.
     """
@@ -182,7 +182,7 @@ def _list_unused(kind: PortKind, variables: Sequence[Variable], ports: Mapping[s
 
 
 def _of_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> list[Variable]:
-    """Return the variables whose declared unit is that of an optional port; none for a ratio, which may be anything."""
+    """Return the variables with the unit of an optional port; none for ratios, which fit everything."""
     if port in NEEDED or kind.quantity is RATIO:
         return []
     free = _list_unused(kind, variables, ports)
@@ -233,7 +233,7 @@ def _make_port(
         return _throttle_port(v, port_map, notes)
     if name == "start":
         own = _declared_range(v)
-        return _port_over_range(v, *own) if own else replace(ports["throttle"], variable=v)
+        return _scale_to_range(v, *own) if own else replace(ports["throttle"], variable=v)
     if name == "run":
         if v.is_array:
             raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")
@@ -282,7 +282,7 @@ def _throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: 
             raise PortError(f"its {v.name} is a whole number from {limits[0]:g} to {limits[1]:g}: a throttle needs "
                             f"{min_steps} steps at least; {RANGE_ADVICE}")  # fmt: skip
         notes.append(f"{v.name} is a whole number: the throttle moves in {steps:.0f} steps")
-    return _port_over_range(v, *limits)
+    return _scale_to_range(v, *limits)
 
 
 def _declared_range(v: Variable, no_bound: float = 1e9) -> tuple[float, float] | None:
@@ -293,7 +293,7 @@ def _declared_range(v: Variable, no_bound: float = 1e9) -> tuple[float, float] |
     return v.min, v.max
 
 
-def _port_over_range(v: Variable, low: float, high: float) -> Port:
+def _scale_to_range(v: Variable, low: float, high: float) -> Port:
     span = high - low
     return Port(v, 1.0 / span, -low / span if low else 0.0, span, low, min(low, high), max(low, high))
 

@@ -26,7 +26,7 @@ _NEEDED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Termi
 
 
 class _Callbacks(ctypes.Structure):
-    """What an FMU of FMI 2.0 may call."""
+    """Callbacks that an FMI 2.0 FMU may call."""
 
     _fields_ = [(name, c_void_p) for name in ("logger", "allocate", "free", "step_finished", "environment")]
 
@@ -63,14 +63,14 @@ class Slave:
             raise
 
     def function(self, name: str) -> Any:
-        """Return one of its functions, without the beginning of the name.  Raises OSError where there is none."""
+        """Return a function of the FMU by its name without prefix.  Raises OSError if missing."""
         try:
             return self.dll[self._prefix + name]
         except AttributeError:
             raise OSError(f"it has no function {self._prefix}{name}") from None
 
     def instantiate(self, name: str, token: str, resources: Path, log: _bank.Log, returns_early: bool = False) -> bool:
-        """Make the instance, whose messages go to ``log``; False where it refuses."""
+        """Create the instance, with messages to ``log``; return False if it refuses."""
         if self.fmi == 2:
             libc = ctypes.CDLL(None)
             allocate, free = (ctypes.cast(each, c_void_p).value for each in (libc.calloc, libc.free))
@@ -134,15 +134,15 @@ class Slave:
         return self.bind("DoStep", now, c_double(step), c_bool(True), *results)
 
     def terminate(self) -> None:
-        """End the simulation, whatever the FMU says to that."""
+        """End the simulation, whatever status the FMU returns."""
         self.function("Terminate")(c_void_p(self.component))
 
     def free(self) -> None:
-        """Free the instance and let go of the library."""
+        """Free the instance and close the library."""
         if self.component:
             self.function("FreeInstance")(c_void_p(self.component))
         self.free_library()
 
     def free_library(self) -> None:
-        """Let go of the library, whose instance is never freed."""
+        """Close the library without freeing the instance."""
         ctypes.CDLL(None).dlclose(c_void_p(self.dll._handle))

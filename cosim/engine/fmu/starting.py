@@ -13,7 +13,7 @@ Setting = tuple[Variable, float]
 
 
 class EngineStart(NamedTuple):
-    """What every instance of an engine begins with."""
+    """How each instance of an engine is started."""
 
     constants: tuple[Setting, ...] = ()  # set before initialization and held
     warm_up_s: float = 0.0  # s at zero throttle before the flight
@@ -41,7 +41,7 @@ def resolve_start(port_map: PortMap, inputs: Sequence[Variable], ports: Mapping[
 
 
 def convert_value(variable: Variable, specified: ConstantValue, where: str) -> float:
-    """Return the number for a specified value of an input or a parameter; raise PortError if it cannot have it."""
+    """Return the number for a stated value of an input or parameter.  Raises PortError."""
     shown = f"{where}: {variable.name} = {f'{specified:g}' if isinstance(specified, float) else repr(specified)}"
     if isinstance(specified, str):
         items = dict(variable.items)

@@ -30,7 +30,7 @@ Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
 
 
 class ParameterRange(NamedTuple):
-    """One uncertain parameter: nominal value, 95 % range, and standard deviation between engines, each in its unit."""
+    """One uncertain parameter: nominal value, 95 % range, and deviation between engines, in its unit."""
 
     name: str
     nominal: float
@@ -62,7 +62,7 @@ class Uncertainty(Model):
         return self
 
     def _check_correlation(self) -> None:
-        """Refuse a correlation that is no matrix of one."""
+        """Refuse a matrix that is not a correlation."""
         rows, names = self.correlation or [], self.parameters
         for row, name in zip(rows, names, strict=False):
             if len(row) != len(names):
@@ -93,7 +93,7 @@ class Uncertainty(Model):
 
     @property
     def factor(self) -> list[list[float]]:
-        """The lower triangle L of the correlation R = L L^T, in which a deviation that others fix has a column of 0."""
+        """Lower triangle L of the correlation R = L L^T; fully dependent deviations have zero columns."""
         return lower_factor(self.correlations)
 
     def quantiles(self, normal: Array) -> list[Array]:
@@ -143,7 +143,7 @@ class Uncertainty(Model):
                 )
 
     def describe(self, index: int) -> str:
-        """Describe what the uncertainty of one parameter is, without the deviation itself."""
+        """Describe the uncertainty of one parameter, without its deviation."""
         words = [f"standard deviation, cut off at {MAX_SIGMA:g} of it"]
         if self.spreads[index]:
             words.append(f"{self.spreads[index]:g} between engines")
@@ -172,7 +172,7 @@ def lower_factor(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
 
 
 def without_uncertainty(path: Path) -> bytes:
-    """Return what a mapping file states besides ``[uncertainty]``, however it is written."""
+    """Return a mapping file's contents without ``[uncertainty]``, in canonical form."""
     table = read_toml(path)
     table.pop("uncertainty", None)
     return toml_text(table).encode()

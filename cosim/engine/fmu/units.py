@@ -16,7 +16,7 @@ Exponents = tuple[int, ...]  # one exponent for each of BASE_UNITS
 
 
 class Unit(NamedTuple):
-    """``SI value = factor * value + offset``; the exponents say of which SI base units."""
+    """``SI value = factor * value + offset``, with the exponents of the SI base units."""
 
     exponents: Exponents
     factor: float = 1.0
@@ -24,7 +24,7 @@ class Unit(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """What a port is a measure of, and the units known by name."""
+    """Quantity that a port measures, with the names of its units."""
 
     name: str
     si: str
@@ -41,7 +41,7 @@ def exponents(unit: str) -> Exponents:
 
 
 class UnitError(ValueError):
-    """A unit does not serve: one clause that follows the variable's name."""
+    """A unit is unsuitable: a clause that follows the variable's name."""
 
 
 # Exact: N in an international pound under standard gravity, then m in a foot and kg in a pound.
@@ -100,7 +100,7 @@ _PER_SECOND = exponents("1/s")  # of a speed that may be rpm in disguise
 
 
 def find_unit(name: str, quantity: Quantity) -> tuple[float, float] | None:
-    """Return factor and offset of a unit known by name; the case counts only where it tells two units apart."""
+    """Return factor and offset of a unit by name; case matters only where it distinguishes units."""
     if name in quantity.units:
         return quantity.units[name]
     close = {size for known, size in quantity.units.items() if known.lower() == name.strip().lower()}

@@ -65,7 +65,7 @@ def _extract(archive: Archive, data: bytes, folder: Path) -> None:
 
 
 def unpack(archive: Archive) -> UnpackedArchive:
-    """Unpack an archive's files for this machine into a folder that nobody else uses.
+    """Unpack an archive's files for this machine into a private folder.
 
     Raises InputError if the archive has changed since it was read, or there is no space for its files.
     """
@@ -101,7 +101,7 @@ def _read(path: str) -> bytes:
 
 
 def _take_free_folder(archive: Archive) -> UnpackedArchive | None:
-    """Return a free folder of the same archive, made by this process and not by the one it was forked from."""
+    """Return a free folder of the same archive made by this process, not by the one it was forked from."""
     own = [folder for folder in _free if folder.sha256 == archive.sha256 and folder.path.parent == scratch()]
     for folder in reversed(own):
         _free.remove(folder)

@@ -17,7 +17,7 @@ ConstantValue = bool | int | float | str
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable of an FMU, or one element of an array; ``start`` is None where none is stated."""
+    """One scalar variable or array element of an FMU; ``start`` is None if not stated."""
 
     name: str
     type: str  # type name in FMI
@@ -36,13 +36,13 @@ class Variable:
 
     @property
     def is_array(self) -> bool:
-        """Whether setting it means setting other elements too."""
+        """Whether setting it sets other elements too."""
         return len(self.starts) > 1
 
 
 @dataclass(frozen=True)
 class Port:
-    """A variable of an FMU as the co-simulation sees it: ``canonical = scale * value + offset``.
+    """A variable of an FMU in co-simulation units: ``canonical = scale * value + offset``.
 
     The other way round it is ``value = gain * canonical + bias``, limited to ``low .. high``: both ways are kept, so
     that the ends of a range are met exactly.

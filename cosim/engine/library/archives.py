@@ -52,7 +52,7 @@ def archive_path(fmus: Path, name: str, fmi: int) -> Path:
 def build_all(
     engines: Path, fmus: Path, names: Sequence[str] | None = None, *, adapter: Path | None = None, force: bool = False
 ) -> list[Path]:
-    """Build the archives of the named engines, or of all, and return their paths; those up to date are left alone.
+    """Build the archives of the named engines, or of all, if outdated; return their paths.
 
     ``adapter`` is the folder of the FMI adapter, ``engines/fmi`` unless stated.  Nothing is written to standard output.
     Raises BuildError for an unknown engine, a wrong ``engine.toml``, or a compiler that is missing or fails.
@@ -81,7 +81,7 @@ def build_one(
     resources: Mapping[str, bytes],
     within: Path | None = None,
 ) -> None:
-    """Build one archive of what has the three functions of ``engine.h``, or a tool of its own, and no ``engine.toml``.
+    """Build one archive from C with the functions of ``engine.h``, or a tool, without ``engine.toml``.
 
     ``resources`` are its files of that folder; it is built below ``within``.  Raises BuildError if no compiler does it.
     """
@@ -133,7 +133,7 @@ def _build(
 
 
 def write_archive(contents: Mapping[str, bytes], target: Path) -> None:
-    """Write an archive whose bytes depend on its contents alone, and put it in place at once."""
+    """Write an archive whose bytes depend only on its contents, and replace the target atomically."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
         with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
@@ -180,7 +180,7 @@ def _cmake_options() -> dict[str, str]:
 
 
 def _reason(output: str, error: Exception) -> str:
-    """Return one line from the output of CMake and the compiler that says why compilation failed."""
+    """Return the line of CMake's or the compiler's output that explains the failure."""
     if isinstance(error, FileNotFoundError):
         return "cannot be compiled: cmake is not found (it comes with the Python package cmake)"
     if re.search(r"No CMAKE_C(XX)?_COMPILER could be found|no such file or directory: .*cl\.exe", output):
@@ -192,7 +192,7 @@ def _reason(output: str, error: Exception) -> str:
 
 @contextlib.contextmanager
 def _cmake_on_path() -> Iterator[None]:
-    """Let FMPy's bare ``cmake`` be the one it depends on, also where the environment is not on PATH."""
+    """Put the cmake that FMPy depends on first on the PATH."""
     before = os.environ.get("PATH", "")
     try:
         from cmake import CMAKE_BIN_DIR
@@ -229,7 +229,7 @@ def hash_build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> str:
 
 
 def _build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> list[Path]:
-    """Return the files that decide what is built: C sources, and the builder itself."""
+    """Return the files that an archive depends on: C sources and the builder itself."""
     tool = [engine.tool] if engine.tool else []
     return [*engine.sources, *tool, *_adapter_files(adapter, fmi), *sorted(Path(__file__).parent.glob("*.py"))]
 

@@ -33,12 +33,12 @@ LEDGER = {"pole", "delay"}  # keys of the table [ledger]
 
 
 class BuildError(ValueError):
-    """An engine cannot be built: one line that says which and why."""
+    """An engine cannot be built: one line with engine and reason."""
 
 
 @dataclass(frozen=True)
 class VariableDefinition:
-    """One variable of an engine, as ``[variables.<name>]`` states it."""
+    """One variable of an engine, from ``[variables.<name>]``."""
 
     name: str
     reference: int
@@ -81,7 +81,7 @@ class EngineDefinition:
 
 
 def read_engine(folder: Path) -> EngineDefinition:
-    """Read and check ``engine.toml``.  Raises BuildError with one line that names file, key and what is allowed."""
+    """Read and check ``engine.toml``.  Raises BuildError with file, key and allowed values."""
     path = folder / "engine.toml"
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -155,7 +155,7 @@ def _parse_flame_out(table: dict[str, Any]) -> dict[str, float]:
 def _check_variable(
     variables: Iterable[VariableDefinition], where: str, name: str, causality: str, unit: str | None = None
 ) -> None:
-    """Refuse a port or ledger entry that names no variable of its kind, or one in another unit."""
+    """Refuse a port or ledger entry without a variable of its kind and unit."""
     kind = [v for v in variables if v.causality == causality]
     variable = next((v for v in kind if v.name == name), None)
     if variable is None:

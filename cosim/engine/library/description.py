@@ -59,7 +59,7 @@ def _xml(root: ElementTree.Element) -> bytes:
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: str | None) -> ElementTree.Element:
-    """Add an element; attributes that are None are left out."""
+    """Add an XML element, without attributes that are None."""
     return ElementTree.SubElement(parent, tag, {key: text for key, text in attributes.items() if text is not None})
 
 
@@ -90,7 +90,7 @@ def _add_head(root: ElementTree.Element, engine: EngineDefinition) -> ElementTre
 
 
 def _identity(v: VariableDefinition) -> dict[str, str]:
-    """Return the attributes that say what a variable is."""
+    """Return the attributes that identify a variable."""
     return {
         "name": v.name,
         "valueReference": str(v.reference),

@@ -61,7 +61,7 @@ _KINDS = {*REALS, *INTEGERS, "Boolean"}  # FMI types of scalar variables
 
 @dataclass(frozen=True)
 class ControllerFmu:
-    """A controller in an FMU; its variables are those of FMPy's description."""
+    """Controller in an FMU; variables are those of FMPy's description."""
 
     path: Path  # path of the archive
     mapping: Path | None
@@ -80,13 +80,13 @@ class ControllerFmu:
 
     @property
     def files(self) -> dict[str, Path]:
-        """The controller's files by name, the one that the user names first."""
+        """The controller's files by name, beginning with the one the user named."""
         paths = [self.path] if self.mapping is None else [self.mapping, self.path]
         return {path.name: path for path in paths}
 
 
 class IncompleteError(UnusableError):
-    """An FMU with some outputs of a controller that lacks another."""
+    """An FMU has only some outputs of a controller."""
 
 
 def is_controller(path: Path) -> bool:
@@ -101,7 +101,7 @@ def is_controller(path: Path) -> bool:
 
 
 def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> ControllerFmu:
-    """Read a controller's archive, or a mapping file that names one; raise InputError with one line on failure.
+    """Read a controller's archive or a mapping file for one.  Raises InputError.
 
     ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
     """
@@ -188,7 +188,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
 
 
 def _servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the actuators of the ``tilt_`` outputs: those mapped, and left and right, or all others if one lacks."""
+    """Return the actuators of the ``tilt_`` outputs: mapped ones with left and right, or all others."""
     servos = [name[5:] for name in mapped if name.startswith("tilt_") and not name.endswith("_applied")]
     short = [
         normalise_name(name)[4:]
@@ -284,7 +284,7 @@ def _receive(pipes: Pipes, count: int) -> bytes | None:
 
 
 class _Group:
-    """Variables of one type, set or got by one call; ``positions`` are those in the numbers that come or go."""
+    """Variables of one type that one call sets or gets; ``positions`` are their indices in the numbers."""
 
     def __init__(self, slave: Slave, way: str, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
         self._positions = positions
@@ -315,7 +315,7 @@ def _by_type(slave: Slave, way: str, variables: Mapping[int, Any]) -> list[_Grou
 
 
 class _Instance:
-    """An instance of the controller FMU, advanced one control step at a time."""
+    """Instance of a controller FMU, advanced by control steps."""
 
     def __init__(self, fmu: ControllerFmu, folder: Path, settings: Mapping[str, Any]) -> None:
         self._fmu, self._dt = fmu, float(settings["step_s"])

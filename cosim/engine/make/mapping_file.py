@@ -26,7 +26,7 @@ _HEAD = """\
 
 @dataclass(frozen=True)
 class BegunMapping:
-    """A mapping file begun: ``text`` is what is written to ``path``."""
+    """A mapping file that was begun: ``text`` for the file ``path``."""
 
     path: Path
     archive: Archive
@@ -40,7 +40,7 @@ class BegunMapping:
 
     @property
     def open(self) -> Mapping[str, str]:
-        """Why each of the other ports that an engine needs, or that the FMU seems to have, is not ready."""
+        """Reasons why other ports that an engine needs, or the FMU seems to have, are not ready."""
         return {each.port: each.trouble for each in self.findings if each.trouble}
 
     @property
@@ -50,7 +50,7 @@ class BegunMapping:
 
 
 def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
-    """Return the mapping file of an engine's FMU, begun, for ``out`` or beside it; nothing of the FMU is run.
+    """Return a mapping file for an engine's FMU, for ``out`` or beside it, without running the FMU.
 
     Raises InputError for what is no FMU of an engine.
     """
@@ -73,7 +73,7 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
 
 
 def write_mapping(begun: BegunMapping) -> Path:
-    """Write a mapping file and return its path.  Raises InputError where it is there already, or cannot be written."""
+    """Write a mapping file and return its path.  Raises InputError if it exists or cannot be written."""
     if begun.path.exists():
         raise InputError(f"{begun.path}: is there already; name another file as out, or remove it")
     with map_os_errors(InputError, begun.path):
@@ -110,21 +110,21 @@ def _lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -> Ite
 
 
 def _section(title: str, lines: Sequence[str]) -> Sequence[str]:
-    """Return a table of the file with these lines; nothing where there are none."""
+    """Return a table of the file with these lines; empty without lines."""
     return [f"\n[{title}]\n", *lines] if lines else []
 
 
 def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterator[str]:
-    """Yield the line of a port; an optional one of which the FMU has nothing has none."""
+    """Yield the line of a port; optional ports without a candidate have none."""
     if each.variable is not None:
-        line = f"{each.port} = {_quoted(each.variable.name)}"
+        line = f"{each.port} = {_toml_string(each.variable.name)}"
         is_ready = not each.trouble or each.port in NEEDED
         about = "; ".join([_describe(each.variable), *each.notes])
         yield _with_comment(line, about) if is_ready else _with_comment(f"# {line}", each.trouble)
     elif each.trouble:
         yield _open(f'{each.port} = ""', each.trouble)
         free = [v for v in _of(archive, KINDS[each.port].causality) if v.name not in taken and each.port in NEEDED]
-        yield from (f"#     {_quoted(v.name)}: {_describe(v)}\n" for v in free)
+        yield from (f"#     {_toml_string(v.name)}: {_describe(v)}\n" for v in free)
 
 
 def _of(archive: Archive, causality: str) -> Sequence[Variable]:
@@ -151,9 +151,9 @@ def _describe(v: Variable) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _quoted(name: str) -> str:
+def _toml_string(name: str) -> str:
     return toml_text({"x": name}).partition("=")[2].strip()
 
 
 def _key(v: Variable) -> str:
-    return _quoted(v.name) if not v.name.replace("_", "").isalnum() or not v.name.isascii() else v.name
+    return _toml_string(v.name) if not v.name.replace("_", "").isalnum() or not v.name.isascii() else v.name

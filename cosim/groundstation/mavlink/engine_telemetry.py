@@ -79,7 +79,7 @@ def _spools(v: TelemetryState) -> list[float]:
 
 
 def esc_status(v: TelemetryState) -> list[Message]:
-    """Return spool speeds [rpm]; none where no engine reports one, as the field has no value for "unknown"."""
+    """Return spool speeds [rpm]; no message if no engine reports one, as the field cannot say unknown."""
     rpm = _spools(v)
     if not any(isfinite(speed) for speed in rpm):
         return []
@@ -93,7 +93,7 @@ def esc_status(v: TelemetryState) -> list[Message]:
 
 
 def esc_info(v: TelemetryState) -> list[Message]:
-    """Return which engines work; the exhaust's temperature, the only one known, does not fit its field."""
+    """Return which engines run; exhaust temperature, the only one known, does not fit the field."""
     health = [1.0 if fraction > 0.0 else 0.0 for fraction in v.sample.health[: v.vehicle.jets]]
     counter = v.sample.k & U16
     return [

@@ -76,7 +76,7 @@ _ADVANCED, _AUTOMATIC = 1, 4
 
 
 class ModeLine(NamedTuple):
-    """One mode of MODES; the names are those that QGroundControl uses for PX4."""
+    """One mode of MODES, with QGroundControl's names for PX4."""
 
     mode: Mode
     name: str

@@ -31,7 +31,7 @@ class Stream:
     in_turn: bool = False  # messages take turns, one per slot
 
     def select(self, messages: list[Message], turn: int) -> list[Message]:
-        """Return those of its messages that go in a slot; ``turn``: the slots before."""
+        """Return the messages for a slot; ``turn``: number of earlier slots."""
         return [messages[turn % len(messages)]] if self.in_turn and messages else messages
 
 
@@ -110,11 +110,11 @@ class Streams:
 
     @property
     def next_due(self) -> float:
-        """Time at which something is due again, as of the last call."""
+        """Time of the next due message, as of the last call."""
         return self._next_due
 
     def iterate_due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
-        """Iterate over the messages that are due with the stations that get them; none where it is only for the log."""
+        """Yield due messages and their stations, none if only for the log."""
         earliest = inf
         slots = self._next
         next_slots: dict[tuple[int, float], float] = {}

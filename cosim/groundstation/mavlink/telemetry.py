@@ -197,7 +197,7 @@ def altitude(v: TelemetryState) -> list[Message]:
 
 
 def battery_status(v: TelemetryState) -> list[Message]:
-    """Return what is left of a vehicle's tank or battery in per cent: stations show no other message of fuel."""
+    """Return the remaining fuel or battery in per cent, as stations show no other fuel message."""
     function = 1 if isnan(v.vehicle.fuel_capacity) else 2  # MAV_BATTERY_FUNCTION: all, propulsion
     voltages, percent = [U16] * 10, _percent(v)
     return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
@@ -303,7 +303,7 @@ def estimator_status(v: TelemetryState) -> list[Message]:
 
 
 def wind_cov(v: TelemetryState) -> list[Message]:
-    """Return the wind that the vehicle estimates from what pushes it in flight; nothing on board measures it."""
+    """Return the wind as estimated from the force on the vehicle; nothing measures it."""
     status, fix = v.status, v.status.fix
     if status.landed is LandedState.ON_GROUND or not status.positioned:
         return []

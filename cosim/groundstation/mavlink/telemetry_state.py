@@ -54,7 +54,7 @@ class FlightEvents:
     clock: Callable[[], float] = field(default=time.time)
 
     def update(self, before: TelemetryState | None, now: TelemetryState) -> None:
-        """Note arming, take-off, landing and the fuel burnt between two snapshots."""
+        """Record arming, take-off, landing and burnt fuel between two snapshots."""
         self._share_fuel(before, now)
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
@@ -66,7 +66,7 @@ class FlightEvents:
             self.landed_ms = now.ms
 
     def _share_fuel(self, before: TelemetryState | None, now: TelemetryState) -> None:
-        """Share what the tank has lost since the last snapshot among the engines, by the flow of each."""
+        """Distribute the fuel lost since the last snapshot over the engines, by their flows."""
         flows, full = now.sample.engines.fuel_flow[: now.vehicle.jets], now.vehicle.fuel_capacity
         spent, total = before.sample.fuel - now.sample.fuel if before else nan, sum(flows)
         if not spent >= 0.0:
@@ -81,7 +81,7 @@ class FlightEvents:
 
 
 class TelemetryState:
-    """A snapshot with what several messages need of it, computed once."""
+    """A snapshot with derived values that several messages need."""
 
     def __init__(self, vehicle: VehicleConstants, snapshot: Snapshot, events: FlightEvents) -> None:
         assert snapshot.sample is not None
@@ -111,7 +111,7 @@ class TelemetryState:
 
     @property
     def predictor_signals(self) -> tuple[Vector3, Vector3, Vector3]:
-        """The predictors' model rates of all axes without delay and with it [rad/s], and delays [s]; NaN: none."""
+        """Model rates of the predictors without and with delay [rad/s], and delays [s], per axis; NaN: none."""
         roll, pitch, yaw = self.snapshot.diagnostics
         step = self.snapshot.info.scenario.step_s
         return (
@@ -122,7 +122,7 @@ class TelemetryState:
 
     @property
     def remaining(self) -> float | None:
-        """The fraction of a full tank or battery that is left; None: not known."""
+        """Remaining fraction of the full tank or battery; None: unknown."""
         full, fuel = self.vehicle.fuel_capacity, self.sample.fuel
         return self.status.remaining if isnan(full) or isnan(fuel) else min(1.0, max(0.0, fuel / full))
 

@@ -48,7 +48,7 @@ _PAGE = (0, 0)  # id of the local page as a station
 
 
 class MavlinkVehicle:
-    """A vehicle on MAVLink links.  ``services``: a message belongs to the first that handles it.
+    """A vehicle on MAVLink links.  ``services``: the first that handles a message gets it.
 
     ``on_request``: messages for REQUEST_MESSAGE beside the telemetry, made of simulation time in ms.
     ``shutdown_requests``: the requests for a reboot and for a shutdown; none: both are unsupported.
@@ -90,7 +90,7 @@ class MavlinkVehicle:
         port.wake = link.wake
 
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
-        """Send messages to one station, or (None) to all; telemetry never displaces them."""
+        """Send messages to one station, or to all (None); telemetry never displaces them."""
         for message in messages:
             packed = self._pack(message)
             if packed is None:
@@ -130,7 +130,7 @@ class MavlinkVehicle:
                 return
 
     def poll(self, now: float, service_s: float = 0.01) -> float:
-        """Do what is due; returns when there is something to do again."""
+        """Do everything that is due, and return the time of the next call."""
         self._now = now
         self.port.deliver_answers(now)
         snapshot = self.port.snapshot
@@ -207,7 +207,7 @@ class MavlinkVehicle:
             self.send(None, home_position(state))
 
     def _watch_link(self, now: float, lost_s: float = 3.5) -> None:
-        """Tell the pilot that no ground station was heard for ``lost_s`` (as in QGroundControl), or one is again."""
+        """Tell the pilot when no station was heard for ``lost_s`` (as in QGroundControl), or one is back."""
         if self.page_count():
             self._note_station(_PAGE)
         if not self.stations:
@@ -228,7 +228,7 @@ class MavlinkVehicle:
             self._note_station((client.system, client.component))
 
     def _note_station(self, ids: tuple[int, int], max_stations: int = 64) -> None:
-        """Note that a station is alive; if there are too many, the one that was silent for longest is forgotten."""
+        """Record that a station is alive; with too many, drop the one that was silent for longest."""
         self.stations.pop(ids, None)
         if len(self.stations) >= max_stations:
             del self.stations[next(iter(self.stations))]
@@ -265,7 +265,7 @@ class MavlinkVehicle:
         return None if build is None or self._state is None else [build(self._state.ms)]
 
     def _request_next(self, plan: Plan, index: int, command: MavCommand, client: Client, key: tuple[Any, ...]) -> None:
-        """Make the requests of a command one after another; the last answer, or the first refusal, is acknowledged."""
+        """Make a command's requests in turn; acknowledge the last answer or the first refusal."""
 
         def reply(answer: Answer) -> None:
             if answer.accepted and index + 1 < len(plan.requests):
@@ -288,7 +288,7 @@ class MavlinkVehicle:
         self.send(client.peer, (ack,))
 
     def _set_mode(self, message: Message, client: Client) -> None:
-        """Set a mode without an acknowledgement: the heartbeat shows the mode, a text says why it was refused."""
+        """Set a mode without acknowledgement: heartbeats show the mode, a text explains a refusal."""
         mode = from_custom(message.custom_mode, self.constants.personality) if message.base_mode & 1 else None
         if mode is None:
             self._report_unusable(f"mode {message.custom_mode} is not known here", client.peer)
@@ -300,7 +300,7 @@ class MavlinkVehicle:
 
         self.port.ask(SetMode(mode.value), reply, client.label)
 
-    def _setpoint(self, message: Message, client: Client) -> None:
+    def _handle_setpoint(self, message: Message, client: Client) -> None:
         state = self._state
         if state is None:
             return
@@ -310,7 +310,7 @@ class MavlinkVehicle:
             self._report_unusable(str(error), client.peer)
 
     def _report_unusable(self, text: str, peer: Peer) -> None:
-        """Count and, not too often, report messages that come many times a second and are not understood."""
+        """Count frequent messages that are not understood, and report them now and then."""
         self.link.refused["value"] += 1
         if self._now - self._last_report >= self.report_interval_s:
             self._last_report = self._now
@@ -322,13 +322,13 @@ class MavlinkVehicle:
             self.send(client.peer, (answer,))
 
     def _timesync(self, message: Message, client: Client) -> None:
-        """Answer with simulation time, which all the time stamps are in."""
+        """Answer with simulation time, which all time stamps use."""
         if message.tc1 == 0 and self._state is not None:
             now = round(self._state.time * 1e9)
             self.send(client.peer, (mav.MAVLink_timesync_message(now, message.ts1),))
 
     def _origin(self, message: Message, client: Client) -> None:
-        """Answer with the origin, which is fixed where the flight began, and report that it was not moved."""
+        """Answer with the fixed origin, and report that it was not moved."""
         state = self._state
         if state is None:
             return
@@ -340,7 +340,7 @@ class MavlinkVehicle:
             self._report_unusable(commands.ORIGIN_FIXED, client.peer)
 
     def _follow(self, message: Message, client: Client) -> None:
-        """Report that follow-me is not flown, which is the only use of a position to follow."""
+        """Report that follow-me is not supported, the only use of a target's position."""
         self._report_unusable(NO_FOLLOWING, client.peer)
 
 
@@ -355,7 +355,7 @@ _HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {  # m
     "COMMAND_LONG": MavlinkVehicle._command,
     "COMMAND_INT": MavlinkVehicle._command,
     "SET_MODE": MavlinkVehicle._set_mode,
-    **dict.fromkeys(_SETPOINTS, MavlinkVehicle._setpoint),
+    **dict.fromkeys(_SETPOINTS, MavlinkVehicle._handle_setpoint),
     "PING": MavlinkVehicle._ping,
     "TIMESYNC": MavlinkVehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,

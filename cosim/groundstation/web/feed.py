@@ -44,13 +44,13 @@ def describe_flight(info: FlightInfo) -> dict[str, Any]:
 
 
 def describe_parameters(parameters: Parameters) -> list[dict[str, Any]]:
-    """Return the table of the vehicle's parameters without their values, which are sent on their own."""
+    """Return the vehicle's parameters without values, which are sent separately."""
     keys = ("name", "kind", "unit", "group", "text", "default", "least", "most", "values", "read_only")
     return [{key: getattr(line, key) for key in keys} for line in parameters]
 
 
 class RowConverter:
-    """Converter of a sample to the log's columns, in the order in which :func:`describe_flight` names them.
+    """Converts a sample to log columns, in the order of :func:`describe_flight`.
 
     ``digits``: of a number: a strip has a thousand pixels, a position 1 mm in 1 km.
     """

@@ -97,7 +97,7 @@ ALLOWED = (
 
 
 class WebServer:
-    """Server of one session's page; ``port`` 0 takes any that is free.
+    """Server of one session's page; ``port`` 0 selects a free one.
 
     ``start`` raises InputError where the port is taken.  Everything the flight's thread does here is to leave its last
     sample for the strip chart; frames are made and sent in the server's thread, and a page that is slow misses frames.
@@ -120,7 +120,7 @@ class WebServer:
 
     @property
     def url(self) -> str:
-        """Address of the page with its token, for those alone who may command."""
+        """Address of the page with the token, for those who may command."""
         return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     @property
@@ -141,13 +141,13 @@ class WebServer:
         self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run(listening, running)), name="web")
         self._thread.daemon = True  # the thread ends with the process
         self._thread.start()
         running.wait()
 
     def stop(self) -> None:
-        """Say goodbye to every page and end the thread; may be called twice."""
+        """Close all pages and end the thread; may be called twice."""
         if self._thread is not None:
             self._call_soon(self._stopping.set)
             self._thread.join()
@@ -160,7 +160,7 @@ class WebServer:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    async def _main(self, listening: socket.socket, running: threading.Event) -> None:
+    async def _run(self, listening: socket.socket, running: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
         # Browsers open connections ahead of need, which is not an error.
@@ -183,7 +183,7 @@ class WebServer:
             logger=quiet,
         ):
             unsubscribe = self._exchange.subscribe(self._on_publish)
-            frames = asyncio.create_task(self._frames())
+            frames = asyncio.create_task(self._send_frames())
             running.set()
             await self._stopping.wait()
             unsubscribe()
@@ -219,7 +219,7 @@ class WebServer:
         return make_response(status, f"{text}\n".encode())
 
     async def _serve_page(self, connection: ServerConnection) -> None:
-        """Serve one WebSocket from its first message to its end."""
+        """Serve one WebSocket until its end."""
         try:
             if not await self._admit(connection):
                 return
@@ -238,7 +238,7 @@ class WebServer:
             self._pages.pop(connection, None)
 
     async def _admit(self, connection: ServerConnection) -> bool:
-        """Return whether the page has shown the token and there is room for it; else close the connection."""
+        """Return whether the page sent the token and there is room; else close the connection."""
         try:
             async with asyncio.timeout(LIMITS.hello_s):
                 hello = _parse_message(await connection.recv())
@@ -299,13 +299,13 @@ class WebServer:
             self._newest_point = point
             self._strip.append((snapshot.info.number, snapshot.sample))
 
-    async def _frames(self) -> None:
+    async def _send_frames(self) -> None:
         while True:
             await asyncio.sleep(1.0 / LIMITS.frames_1_s)
             self._frame()
 
     def _frame(self) -> None:
-        """Send the present state to every page that reads what it is sent."""
+        """Send the present state to each page that keeps reading."""
         snapshot = self._exchange.snapshot
         if snapshot is None or not self._pages:
             self._strip.clear()
@@ -329,7 +329,7 @@ class WebServer:
         broadcast(ready, _dump(frame))
 
     def _points(self, snapshot: Snapshot) -> list[feed.Point]:
-        """Return the strip chart's new points, thinned evenly where the flight runs faster than it can be drawn."""
+        """Return new points of the strip chart, thinned if the flight is too fast to draw."""
         new = []
         while self._strip:
             number, sample = self._strip.popleft()
@@ -338,7 +338,7 @@ class WebServer:
         return [feed.make_chart_point(sample) for sample in new[:: 1 + len(new) // LIMITS.max_points]]
 
     def _send_updates(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
-        """Send a page the flight, the parameters and the messages that it does not have yet."""
+        """Send a page changes of flight, parameters and messages."""
         if page.flight != snapshot.info.number:
             page.flight = snapshot.info.number
             page.values = {}
@@ -357,7 +357,7 @@ class WebServer:
 
 
 class _Page:
-    """State of one open page: what it was sent, and how much it may send."""
+    """State of one open page: what was sent, and its message budget."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -368,7 +368,7 @@ class _Page:
         self._allowance, self._last_count = LIMITS.burst_messages, self.read_at
 
     def may_send(self, now: float) -> bool:
-        """Count one message at ``now`` [s]; False if there were too many."""
+        """Count one message at ``now`` [s]; return False if there were too many."""
         self._allowance = (
             min(LIMITS.burst_messages, self._allowance + LIMITS.messages_1_s * (now - self._last_count)) - 1.0
         )
@@ -376,7 +376,7 @@ class _Page:
         return self._allowance >= 0.0
 
     def is_reading(self, connection: ServerConnection, now: float) -> bool:
-        """Return whether little enough waits in its buffer that it can get another frame."""
+        """Return whether its buffer is empty enough for another frame."""
         if connection.transport.get_write_buffer_size() > LIMITS.buffer_bytes:
             return False
         self.read_at = now
@@ -413,7 +413,7 @@ def _parse_message(text: str | bytes) -> dict[str, Any]:
 
 
 def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
-    """Send without waiting; a page that does not read gets nothing, and is closed soon."""
+    """Send without blocking; a page that does not read gets nothing and is closed soon."""
     if connection.transport.get_write_buffer_size() <= 2 * LIMITS.buffer_bytes:
         broadcast([connection], _dump(message))
 
@@ -444,7 +444,7 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
 
 
 def is_token(presented: Any, token: str) -> bool:
-    """Return whether a page has shown the token that it was given, in a time that reveals nothing of it."""
+    """Compare a page's token in constant time."""
     return isinstance(presented, str) and presented.isascii() and hmac.compare_digest(presented, token)
 
 

@@ -39,7 +39,7 @@ MAX_AMPLITUDE = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}
 
 
 class SweepTuning(NamedTuple):
-    """How a sweep is chosen where nothing is said, and how it is tried again."""
+    """Settings of automatic sweeps and their repetitions."""
 
     lead_s: float = 1.0
     rest_s: float = 6.0  # s for the loop to come to rest
@@ -145,7 +145,7 @@ def identify_axis(
 def _band(
     base: Scenario, vehicle: Vehicle, axis: str, from_hz: float | None, to_hz: float | None
 ) -> tuple[float, float]:
-    """Return the band [Hz], what is not given by the lag of the engines where they turn the axis.
+    """Return the band [Hz], by default from the lag of the engines if they turn the axis.
 
     From the engine's answer to a step about hover: above ``TUNING.corners`` times its corner it hardly answers.
     """
@@ -170,7 +170,7 @@ def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, ind
 def _fly_until_clear(
     base: Scenario, axis: str, sweep: Sweep, automatic: bool, subject: str, lags: int
 ) -> tuple[_Flight, FrequencyResponse, list[str]]:
-    """Fly the sweep and estimate the response; an automatic amplitude grows while points or the fit are lost in noise.
+    """Fly the sweep and estimate the response; raise an automatic amplitude while noise hides points.
 
     Raises NotIdentifiedError where it stays lost.
     """
@@ -218,7 +218,7 @@ class _Flight:
 
 
 class _Watch:
-    """An observer that keeps what the identification needs of every step."""
+    """Observer that keeps the signals needed for identification."""
 
     def __init__(self, axis: int) -> None:
         self._axis = axis
@@ -264,7 +264,7 @@ def _scenario(
 
 
 def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
-    """Fly the sweep, and smaller ones where it saturates, until one fits.
+    """Fly the sweep, with smaller amplitudes while it saturates.
 
     An automatic amplitude then is that one; of a given one the error says what would fit.  If none fits, the loop
     itself is not stable.  Raises InputError.
@@ -347,7 +347,7 @@ def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
 def _fits(
     response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
 ) -> tuple[Fit, ...]:
-    """Fit the chosen form, then those it is worth comparing with."""
+    """Fit the chosen form, and others for comparison."""
     fixed = dict(hold or {})
     name = "1 lag" if lags == 1 else f"{lags} lags"
     fits = [fit(response, lags, ", ".join([name, *(f"{held} held" for held in fixed)]), fixed)]

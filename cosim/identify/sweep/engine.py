@@ -40,7 +40,7 @@ def identify_engine(
     lags: int = 0,
     hold: Mapping[str, float] | None = None,
 ) -> Identification:
-    """Identify an engine (name, FMU file, or loaded) around ``throttle`` as one pole (and ``lags`` more) with a delay.
+    """Identify an engine (name, FMU file or object) around ``throttle``: one pole, ``lags`` more, a delay.
 
     The delay counts as whole where it is within 0.05 samples of it.  An engine that breathes does so in the standard
     atmosphere at sea level.  Raises InputError for an engine, a band or an
@@ -82,7 +82,7 @@ def identify_engine(
 def estimate_response(
     record: Record, sweep: Sweep, subject: str, lags: int, hold: Mapping[str, float] | None = None
 ) -> tuple[FrequencyResponse, list[str]]:
-    """Estimate the response twice, the second time around a first model; return it with notes."""
+    """Estimate the response twice, the second time with a first model; return it with notes."""
     response = estimate(record, sweep.from_hz, sweep.to_hz)
     need_coherence(response, subject, sweep.amplitude)
     first = fit(response, lags, "first", hold).model
@@ -91,7 +91,7 @@ def estimate_response(
 
 
 def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
-    """Fit the form: first with a whole delay, where a free one comes out whole, then with a free one."""
+    """Fit the form: first with a whole delay if a free one is nearly whole, then with a free one."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     delay = round(free.model.delay_samples)
     if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > WHOLE_TOLERANCE:
@@ -102,7 +102,7 @@ def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | No
 def _band(
     engine: EngineSpec, throttle: float, size: float, step: float, low: float | None, high: float | None
 ) -> tuple[float, float]:
-    """Return the band, Hz: where not given, a decade either side of the corners that a step of the throttle shows."""
+    """Return the band, Hz, by default a decade around the corners seen in a throttle step."""
     if low is not None and high is not None:
         return low, high
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
@@ -114,7 +114,7 @@ def _band(
 
 
 def settling_lag(engine: EngineSpec, step: float) -> float:
-    """Return the lag [s] with which an engine's thrust comes to its end after a small step about half throttle.
+    """Return the settling lag [s] of an engine's thrust after a small step around half throttle.
 
     Raises InputError for an engine that does not answer.
     """
@@ -123,7 +123,7 @@ def settling_lag(engine: EngineSpec, step: float) -> float:
 
 
 def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
-    """Return two lags in the answer to a step, s: of how it sets out, and of how it comes to its end.
+    """Return two lags of a step response, s: of its beginning and of its settling.
 
     Seconds from 10 to 90 % over ln 9: the time constant if it were one lag.  The second is until it stays within
     :data:`MAX_SWING` of its end, where that is later: thrust that overshoots far and comes back has it longer, and a

@@ -24,7 +24,7 @@ WHOLE_TOLERANCE = 0.05  # samples: nearer delays are rounded
 
 @dataclass(frozen=True)
 class Model:
-    """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``, sampled every ``step`` seconds behind a hold."""
+    """``gain / ((s + rate) prod(lag s + 1)) e^(-delay s)``, sampled every ``step`` seconds with hold."""
 
     gain: float  # output per unit of command and s
     rate: float  # 1/s, slow pole; 0: an integrator
@@ -82,7 +82,7 @@ class Model:
 
 
 def separate_equal(poles: Iterable[float]) -> list[float]:
-    """Move equal poles apart a little: partial fractions need different ones."""
+    """Separate equal poles slightly, because partial fractions need distinct ones."""
     separated = list(poles)
     for i in range(1, len(separated)):
         while any(abs(separated[i] - other) <= 1e-6 * separated[i] for other in separated[:i]):
@@ -99,7 +99,7 @@ def _input_fraction(decay: float, fraction: float) -> float:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model, its 95 % bounds, and how well it follows the response."""
+    """A model with 95 % intervals and its misfit to the response."""
 
     label: str
     model: Model
@@ -130,7 +130,7 @@ def counts(response: FrequencyResponse) -> Array:
 
 
 def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, float] | None = None) -> Fit:
-    """Fit log magnitude and phase by least squares, weighted by coherence, with the values in ``hold`` fixed.
+    """Fit log magnitude and phase by least squares weighted by coherence, with the values in ``hold`` fixed.
 
     1 dB weighs as 6.6 deg, which is what the complex logarithm gives.  The bounds are those of the linearised problem
     with the misfit taken for independent errors: where the form itself does not fit, they say how well the numbers are
@@ -157,7 +157,7 @@ def _logarithmic(name: str) -> bool:
 
 
 class _Problem:
-    """The vector that is fitted is ``ln |gain|, rate, ln lag ..., delay`` without what is held.
+    """Least-squares problem in ``ln |gain|, rate, ln lag ..., delay`` without held values.
 
     ``unambiguous``: of the delay after which the phases of the two closest points repeat.
     """
@@ -213,7 +213,7 @@ class _Problem:
         return np.concatenate([self.weight * error.real, self.weight * error.imag])
 
     def start(self) -> Array:
-        """Fit the magnitude, which has no delay and no sign, then the delay and the sign that suit the phase best."""
+        """Fit the magnitude, which has no delay and no sign, then delay and sign to the phase."""
         from scipy.optimize import least_squares
 
         low_hz, high_hz = float(self.hertz[0]), float(self.hertz[-1])
@@ -259,7 +259,7 @@ class _Problem:
         self.sign, x[last] = best[1], best[2]
 
     def _ends(self, name: str, value: float, wide: float, max_exponent: float = 300.0) -> tuple[float, float]:
-        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
+        """Return the interval in the parameter's unit; pole rates and delays are not below 0."""
         low, high = value - wide, value + wide
         if not _logarithmic(name):
             return max(low, 0.0), high

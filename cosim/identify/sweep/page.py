@@ -108,7 +108,7 @@ def response_figure(identification: Identification, points: int = 300, coherence
 def _model_curves(
     label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, identification: Identification, dash: str
 ) -> list[Figure]:
-    """Draw a model, its phase on the same turn of the circle as the measured one, and model over measured."""
+    """Draw a model, its phase on the measured turn, and model over measured."""
     value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
     turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)

@@ -25,7 +25,7 @@ MIN_BINS = 9
 
 @dataclass(frozen=True)
 class Record:
-    """Equally spaced signals of one sweep, from rest to rest.
+    """Equally spaced signals of one sweep, which starts and ends at rest.
 
     ``injected`` is what the sweep adds, known exactly; ``command`` is what acts over ``[t_k, t_k+1)``, the injected
     signal included; ``output`` is taken at ``t_k``.  Constant offsets do no harm.
@@ -103,7 +103,7 @@ def estimate(
 
 
 def _groups(seconds: float, low: float, high: float, count: int, max_groups: int = 60) -> list[tuple[int, int]]:
-    """Return each group's first bin and the one behind its last: even in log frequency where the bins allow it."""
+    """Return each group's first bin and the bin after its last, evenly in log frequency if possible."""
     first = max(1, round(low * seconds) - MIN_BINS // 2)
     end = min(round(high * seconds) + MIN_BINS // 2 + 1, count)
     edges = [first]
@@ -116,7 +116,7 @@ def _groups(seconds: float, low: float, high: float, count: int, max_groups: int
 
 
 def _local(offset: Array, injected: Complex, command: Complex, output: Complex) -> tuple[complex, float, float]:
-    """Estimate response at the centre, coherence and relative standard deviation over one group of bins."""
+    """Estimate response, coherence and relative deviation at the centre of a group of bins."""
     basis = np.vander(offset / np.abs(offset).max(), 3, increasing=True)
     regressors, instruments = command[:, None] * basis, injected[:, None] * basis
     gram = instruments.conj().T @ regressors

@@ -29,7 +29,7 @@ LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0
 
 @dataclass(frozen=True)
 class Sweep:
-    """An exponential chirp, somewhat wider than the band in which the response is wanted."""
+    """Exponential chirp, slightly wider than the band of interest."""
 
     from_hz: float
     to_hz: float
@@ -43,7 +43,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Identification:
-    """One input, one output: the response and the models fitted to it, the first being the chosen one."""
+    """Response of one output to one input, and the fitted models, the chosen one first."""
 
     kind: str  # "engine" or "axis"
     subject: str  # name of the engine or aircraft
@@ -63,17 +63,17 @@ class Identification:
 
     @property
     def chosen(self) -> Fit:
-        """The fit that goes into the model file."""
+        """Fit that the model file contains."""
         return self.fits[0]
 
     @property
     def refused(self) -> list[str]:
-        """Why the chosen fit is no model that may be used, a line a reason; empty where it is one."""
+        """Reasons why the chosen fit must not be used, one line each; empty: usable."""
         return why_refused(self.chosen, self.kind == "engine")
 
     @property
     def judgement(self) -> Judgement:
-        """Whether the chosen form explains the response; not told where it does and its numbers are not determined."""
+        """Whether the chosen form explains the response; not told if its numbers are undetermined."""
         misfit, points = self.chosen.misfit, len(self.response.hertz)
         evidence = (
             f"{self.chosen.label}: {100.0 * misfit:.2g} % off the response at {points} points, coherence at least "
@@ -85,7 +85,7 @@ class Identification:
 
     @property
     def model(self) -> RateModel:
-        """The chosen model as a predictor reads it."""
+        """The chosen model in the form that predictors use."""
         model = self.chosen.model.discrete(self.source)
         return model.model_copy(update={"engine_sha256": self.engine_sha256}) if self.kind == "axis" else model
 
@@ -163,7 +163,7 @@ def rate_response(model: RateModel, hertz: Array) -> Complex:
 
 
 def check_band(low: float, high: float, duration: float | None, step: float) -> None:
-    """Refuse a band or a duration that cannot give a response.  Raises InputError."""
+    """Refuse a band or duration that gives no response.  Raises InputError."""
     nyquist = 0.5 / step
     if high >= nyquist:
         raise InputError(f"to_hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
@@ -191,7 +191,7 @@ def suitable_duration(low: float, cycles: float = 20.0) -> float:
 
 
 def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, usable: float = 0.5) -> list[str]:
-    """Say how many points are left out as noise.  Raises NotIdentifiedError where most are.
+    """Describe the points left out as noise.  Raises NotIdentifiedError if most are.
 
     ``usable``: share of the points that must have coherence.
     """
@@ -243,7 +243,7 @@ def all_delay_is_determined(fit: Fit) -> bool:
 
 
 def why_refused(fit: Fit, engine: bool) -> list[str]:
-    """Return why a fit is no model that may be used, a line a reason, with what to do; empty where it may.
+    """Return the reasons why a fit must not be used, each with a remedy; empty: usable.
 
     Refused are a misfit above ``MAX_MISFIT``, and a gain, lag, delay or time constant of an engine whose bound exceeds
     its value.  The slow pole of an axis may be anything near 0, and a lag shorter than ``NO_LAG`` steps is none.
@@ -275,7 +275,7 @@ def agrees_with_ledger(fit: Fit, ledger_samples: float) -> bool:
 
 
 def note_off_ledger(fit: Fit, ledger_samples: float | None, from_hz: float) -> list[str]:
-    """Return a note where the sum of delays of a fit that may be used is not the ledger's, none where it is."""
+    """Return a note if a usable fit's total delay differs from the delay ledger's."""
     if ledger_samples is None or why_refused(fit, engine=False) or agrees_with_ledger(fit, ledger_samples):
         return []
     worth = fit.misfit / (2.0 * np.pi * from_hz * fit.model.step)
@@ -363,7 +363,7 @@ def _factor(root: float) -> str:
 
 
 def equations(identification: Identification) -> list[str]:
-    """Format the chosen discrete form, for an engine also in kgf, the unit in which the paper gives its engines."""
+    """Format the chosen discrete model, for an engine also in kgf, as the paper does."""
     lines = [f"{equation(identification.model)}  [{identification.output_unit} per {identification.command_unit}]"]
     if identification.output_unit == "N":
         lines.append(f"{equation(identification.model, GRAVITY)}  [kgf per {identification.command_unit}]")

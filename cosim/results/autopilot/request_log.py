@@ -21,7 +21,7 @@ _ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of an entry 
 
 
 class Entry(NamedTuple):
-    """One request, its sender and its answer."""
+    """One request with sender and answer."""
 
     step: int
     sender: str
@@ -55,7 +55,7 @@ class RequestLog:
 
 
 def read_requests(path: Path) -> list[Entry]:
-    """Return every line of the file; a last one that is torn was never flown and is left out.
+    """Return all lines of the file, without a torn last one, which was never flown.
 
     Raises InputError, naming the line, for anything that :class:`RequestLog` does not write.
     """
@@ -84,7 +84,7 @@ def _entry(line: str, where: str) -> Entry:
 
 
 class Replay:
-    """Repeats recorded requests to an autopilot: call it before every step."""
+    """Repeats recorded requests to an autopilot; called before each step."""
 
     def __init__(self, pilot: Autopilot, entries: Sequence[Entry]) -> None:
         self.pilot = pilot

@@ -40,7 +40,7 @@ _END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # of the Arrow IPC streami
 
 
 class StreamSink:
-    """Appends the blocks to a new Arrow IPC stream, and holds a lock on it for as long as it is open.
+    """Appends blocks to a new Arrow IPC stream, and locks it while open.
 
     What the columns mean travels in the stream's metadata, and ``note``.  Raises InputError if the file exists or
     cannot be made.
@@ -54,7 +54,7 @@ class StreamSink:
         self._file.append(_schema(columns, note).serialize().to_pybytes())
 
     def write(self, table: Array) -> None:
-        """Append a record batch.  Raises FlightError if it cannot be written; nothing of it is in the file then."""
+        """Append a record batch.  Raises FlightError if it cannot be written; then nothing is."""
         numbers = np.asarray(table, "<f8").ravel()
         self._file.append(_batch_head(*table.shape), numbers.view(np.uint8).data)
 
@@ -63,13 +63,13 @@ class StreamSink:
         self._file.append(_END_OF_STREAM)
 
     def close(self) -> None:
-        """Close the file and give up the lock."""
+        """Close the file and release the lock."""
         self._file.close()
 
 
 @cache
 def _batch_head(columns: int, rows: int) -> bytes:
-    """Return what comes before the columns in a record batch of so many columns and rows.
+    """Return the bytes before the columns of a record batch of this size.
 
     Behind it a batch of float64 without nulls is its columns, one after the other: whole multiples of 8 bytes, as Arrow
     aligns them.
@@ -83,7 +83,7 @@ def _batch_head(columns: int, rows: int) -> bytes:
 
 
 class ParquetLog(Columnar):
-    """A log in a Parquet file; every column is read when it is asked for.  Raises InputError if it cannot be read."""
+    """A log in a Parquet file, with columns read on demand.  Raises InputError if it cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -113,7 +113,7 @@ class ParquetLog(Columnar):
 
     @contextmanager
     def keep_open(self) -> Iterator[None]:
-        """Keep the file open, for whoever reads many columns one by one: each reading opens it otherwise."""
+        """Keep the file open while columns are read one by one."""
         if self._file is not None:
             yield
             return
@@ -189,7 +189,7 @@ def _log_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
 
 
 def _return_memory() -> None:
-    """Give the system back what Arrow and the C library keep for later: of an hour's log some 60 MB."""
+    """Return unused memory of Arrow and the C library to the system, some 60 MB after an hour's log."""
     import pyarrow as pa
 
     pa.default_memory_pool().release_unused()
@@ -202,7 +202,7 @@ def _return_memory() -> None:
 def write_log(
     path: Path, columns: Sequence[Column], blocks: Iterator[dict[str, Array]], note: Mapping[str, str]
 ) -> None:
-    """Write a log's blocks as Parquet, with what the columns mean, and ``note`` in the file's metadata.
+    """Write a log's blocks as Parquet, with the columns' meanings and ``note`` as metadata.
 
     Raises FlightError if the file cannot be written.
     """
@@ -247,7 +247,7 @@ def _columns_of_schema(schema: pa.Schema) -> tuple[Column, ...]:
 
 
 def _open(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
-    """Open a stream; return one of no rows if it is torn before its first, where its columns are described."""
+    """Open a stream; a stream torn before its schema counts as empty."""
     import pyarrow as pa
 
     try:
@@ -257,7 +257,7 @@ def _open(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
 
 
 def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.RecordBatch]:
-    """Yield the batches of a stream up to its end or to the point where it is torn."""
+    """Yield the batches of a stream to its end or to where it is torn."""
     import pyarrow as pa
 
     while True:
@@ -269,7 +269,7 @@ def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.Rec
 
 
 def _regroup(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Yield the same rows in tables of ROWS_PER_GROUP rows, the last one shorter."""
+    """Yield the same rows in tables of ROWS_PER_GROUP rows."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
@@ -293,7 +293,7 @@ def write_table(
     note: Mapping[str, str] | None = None,
     kinds: Mapping[str, type[Value]] | None = None,
 ) -> None:
-    """Write columns of one length to a Parquet file, whole or not at all; ``note`` travels in its metadata.
+    """Write columns of equal length to a Parquet file atomically, with ``note`` as metadata.
 
     A column is of float (64 bits), int (64 bits), bool or str: what ``kinds`` says or else what its values are.  Whole
     numbers among others are floats then, and so is nothing but None.  None and NaN stay apart.
@@ -315,7 +315,7 @@ def write_table(
 def read_table(
     paths: Path | Sequence[Path], names: Sequence[str] | None = None, lacking: bool = False
 ) -> dict[str, list[Value]]:
-    """Return the columns of one file, or of several one after the other; only the ``names``, if they are given.
+    """Return the columns of one or several files, only ``names`` if given.
 
     Where a file lacks a column, its rows have None; with ``lacking`` also where every file does.  Raises InputError if
     a file cannot be read, or none has a name.
@@ -340,7 +340,7 @@ def read_table(
 
 
 class Sorted(NamedTuple):
-    """A table's columns: numbers, missing ones NaN; those of them that were times, in seconds now; and texts."""
+    """Columns of a table: numbers with NaN if missing, among them former times in seconds; and texts."""
 
     numbers: dict[str, Array]
     times: set[str]
@@ -446,7 +446,7 @@ def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> 
 
 
 def _buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
-    """Return the buffers of an Arrow array of these values, behind the one that says which are there."""
+    """Return the buffers of an Arrow array of these values, after the validity buffer."""
     if kind is str:
         texts = [value.encode() for value in values]
         ends = np.cumsum([0, *map(len, texts)])
@@ -470,7 +470,7 @@ def _open_parquet(path: Path) -> Any:
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Turn what pyarrow raises about a file into InputError."""
+    """Convert pyarrow's errors about a file to InputError."""
     import pyarrow as pa
 
     try:

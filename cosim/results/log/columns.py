@@ -42,7 +42,7 @@ _ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # describes the u
 def _cols(
     names: Sequence[str], pattern: str, unit: str, frame: str, meaning: str, source: str, first: int = 0
 ) -> list[Column]:
-    """Return one column per name, which stands for ``{}`` in pattern, meaning and source; its index for ``{n}``."""
+    """Return one column per name, which replaces ``{}`` in pattern, meaning and source; ``{n}`` is its index."""
     return [
         Column(pattern.format(name), unit, frame, meaning.format(name), source.format(name, n=n))
         for n, name in enumerate(names, first)
@@ -64,7 +64,7 @@ def _torques(name: str, meaning: str, source: str, accelerations: bool) -> list[
 
 
 class LoggedVehicle(NamedTuple):
-    """What of a vehicle its log has columns of.
+    """Parts of a vehicle that have log columns.
 
     ``servos``: of banks and hinges, and behind them the surfaces; ``accelerations``: its rate controller asks for
     rad/s^2 about every axis, and not for throttle and tilt.
@@ -365,7 +365,7 @@ def custom_columns(columns: Iterable[Column]) -> list[Column]:
 
 
 def require(name: str, columns: Iterable[str], where: str = "log") -> str:
-    """Return ``name``, if it is one of the columns.  Raises InputError with the nearest ones."""
+    """Return ``name`` if it is a column.  Raises InputError with similar names."""
     columns = tuple(columns)
     if name not in columns:
         raise InputError(f"the {where} has no column {name!r}; {nearest(name, columns)}")

@@ -15,7 +15,7 @@ from cosim.results.log.recorder import Log, MemoryLog
 
 
 class Digest:
-    """The SHA-256 of a log that comes in blocks, wherever it is cut into them.
+    """SHA-256 of a log, however it is divided into blocks.
 
     Every column has a hash of its own, over its numbers as little-endian float64, every NaN as 7ff8000000000000
     (processors differ in the sign that they give it) and 0 and -0 apart.  The digest is the hash of all names, each
@@ -41,7 +41,7 @@ class Digest:
 
 
 def log_digest(log: Log, block: int = 2048) -> str:
-    """Return the :class:`Digest` of a finished log, of which few rows are held at a time.
+    """Return the :class:`Digest` of a finished log, read in blocks.
 
     ``block``: of a log, read at once: 2 MB.
     """
@@ -52,7 +52,7 @@ def log_digest(log: Log, block: int = 2048) -> str:
 
 
 class DigestSink:
-    """For a flight of which little is wanted: keeps the columns of some ``names``, and the :class:`Digest` of all.
+    """Sink of campaign flights: keeps the columns ``names`` and the :class:`Digest` of all.
 
     The 73 columns that metrics and limits need (:func:`cosim.results.metrics.columns`) come to 0.53 GB an hour at
     250 Hz, all to 0.9 GB, which are kept if ``whole``.

@@ -17,14 +17,14 @@ GROUP = "hexjet.logs"  # entry points of readers of other logs
 
 
 class LogReader(Protocol):
-    """Reads logs of flight controllers and tables of other tools."""
+    """Reader of logs of flight controllers and of other tools' tables."""
 
     def is_flight_log(self, path: Path) -> bool:
         """Return whether a file is the log of a flight controller that this reader knows by its first bytes."""
         ...
 
     def read_flight_columns(self, path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-        """Return a log, or a table that ends in ``.csv`` or ``.parquet``, under our column names, and remarks on it.
+        """Return a log, or a ``.csv`` or ``.parquet`` table, under our column names, and remarks.
 
         Raises InputError.
         """
@@ -37,7 +37,7 @@ def is_flight_log(path: Path) -> bool:
 
 
 def read_flight_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-    """Return a log that is not ours under our column names, and remarks on it.
+    """Return a foreign log under our column names, and remarks.
 
     The reader that knows the file reads it, or the first one.  Raises InputError where none is installed.
     """

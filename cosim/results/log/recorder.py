@@ -29,7 +29,7 @@ MAX_FLUSH_INTERVAL_S = 1.0
 
 
 class Sink(Protocol):
-    """Takes blocks of the log, shape (columns, rows), each good until it returns: who keeps one copies it."""
+    """Receives blocks of the log, shape (columns, rows), valid only during the call."""
 
     def write(self, table: Array) -> None: ...
 
@@ -38,21 +38,21 @@ class KeepingSink(Sink, Protocol):
     """A sink that keeps all or some columns in memory."""
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """Take the log's columns, before the first block; COLUMNS where nobody says so.  Raises InputError."""
+        """Receive the columns before the first block, by default COLUMNS.  Raises InputError."""
 
     def log(self) -> Log:
         """Return the rows that were kept."""
 
 
 class Log(Protocol):
-    """The columns of a finished flight, each read when asked for."""
+    """Columns of a finished flight, read on demand."""
 
     @property
     def columns(self) -> tuple[str, ...]: ...
 
     @property
     def described(self) -> tuple[Column, ...]:
-        """What the columns are and mean, as far as that is known."""
+        """Columns with their meanings, if known."""
 
     def keys(self) -> tuple[str, ...]: ...
 
@@ -70,7 +70,7 @@ class Log(Protocol):
 
 
 class Observe(Protocol):
-    """Records one row.  Raises FlightError if a full block cannot be written, TypeError for what is no sample."""
+    """Records one row.  Raises FlightError if a block cannot be written, TypeError for a wrong sample."""
 
     def __call__(self, sample: Sample, /) -> None: ...
 
@@ -95,12 +95,12 @@ class Recorder:
         return self._blocks.handed_on + len(self._rows)
 
     def flush(self) -> None:
-        """Hand on what is not handed on yet.  Raises FlightError if it cannot be written."""
+        """Pass the remaining rows on.  Raises FlightError if they cannot be written."""
         self._blocks.hand_on(self._rows)
 
 
 class _Blocks:
-    """Hands the rows' columns to a sink, with the angles that are made of others."""
+    """Passes the rows' columns to a sink, including angles computed from others."""
 
     def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
@@ -133,19 +133,19 @@ class MemorySink:
         self.tables.append(table.copy())
 
     def log(self) -> Log:
-        """Return what was recorded so far; what is recorded later is not in it."""
+        """Return the log so far; later rows are not in it."""
         return MemoryLog(list(self.tables), tuple(column.name for column in self._columns), self._columns)
 
 
 class OneRow:
-    """The row of the log for one sample, for programs that step a flight; ``columns``: as a :class:`Recorder`'s."""
+    """Row of the log for one sample, for programs that step a flight."""
 
     def __init__(self, columns: Sequence[Column] = COLUMNS) -> None:
         self._recorder = Recorder(1.0, self, columns)  # blocks of one row: one row per second
         self.names = tuple(column.name for column in columns)
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """Do nothing: the columns are known."""
+        """Do nothing, as the columns are known."""
 
     def write(self, table: Array) -> None:
         self._table = table.copy()
@@ -158,7 +158,7 @@ class OneRow:
 
 
 class BackgroundSink:
-    """Hands blocks on in a thread of its own, so that a flight that keeps step with the clock does not wait for a disk.
+    """Writes blocks in another thread, so that a paced flight does not wait for a disk.
 
     What went wrong there is raised by the next :meth:`write`, or by :meth:`settle`.  ``max_blocks``: blocks, of 0.3 MB
     at 250 Hz, that may wait for a disk.
@@ -173,7 +173,7 @@ class BackgroundSink:
         self._thread.start()
 
     def write(self, table: Array) -> None:
-        """Queue a block of rows.  Raises FlightError if one before could not be written, or too many wait."""
+        """Queue a block.  Raises FlightError if an earlier one failed, or too many wait."""
         self._complain()
         try:
             self._blocks.put_nowait(table.copy())
@@ -181,7 +181,7 @@ class BackgroundSink:
             raise FlightError(f"the log is {self.max_blocks} blocks behind: the disk is too slow") from None
 
     def settle(self) -> None:
-        """Wait until everything is written; nothing may be written afterwards.  Raises FlightError."""
+        """Wait until all is written; then nothing more may be.  Raises FlightError."""
         if self._thread.is_alive():
             self._blocks.put(None)
             self._thread.join()
@@ -202,7 +202,7 @@ class BackgroundSink:
 
 
 class MemoryLog(Columnar):
-    """A log whose blocks are in memory, each of shape (columns, rows)."""
+    """A log with its blocks in memory, each of shape (columns, rows)."""
 
     def __init__(
         self, tables: list[Array], columns: tuple[str, ...] = NAMES, described: tuple[Column, ...] = COLUMNS
@@ -224,7 +224,7 @@ class MemoryLog(Columnar):
         return self._indices[name]
 
     def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]:
-        """Yield the named columns, block by block; ``rows`` does not matter here."""
+        """Yield the named columns block by block; ``rows`` is ignored."""
         indices = [self._index(name) for name in names]
         for table in self._tables:
             yield {name: table[index] for name, index in zip(names, indices, strict=True)}

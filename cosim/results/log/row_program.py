@@ -53,7 +53,7 @@ ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _rol
 
 
 class Angle(NamedTuple):
-    """A column that is made of four others, block by block."""
+    """A column computed from four others, by blocks."""
 
     column: int
     of: int  # index of the first of the four
@@ -61,7 +61,7 @@ class Angle(NamedTuple):
 
 
 class Program(NamedTuple):
-    """How a sample becomes a row of ``width`` numbers: the log's columns, and behind them what angles are made of.
+    """Converts a sample to a row of ``width`` numbers: log columns, then the inputs of angles.
 
     ``nodes``: the tuples to open, each by its name, the node it is in (-1: it is the sample) and its place there, how
     many elements it has (negative: at least), and whether it may be None.  ``reads``: from a node, from an element on,
@@ -76,7 +76,7 @@ class Program(NamedTuple):
 
 
 def program(columns: Sequence[Column]) -> Program:
-    """Return the sources of the columns, each looked up once.  Raises InputError for one that a sample has not."""
+    """Return the sources of the columns.  Raises InputError for one that a sample lacks."""
     return _compile(tuple(columns))
 
 
@@ -135,7 +135,7 @@ class _Compiler:
         return nodes, self._reads
 
     def _find(self, source: str) -> tuple[int, int]:
-        """Return the node that holds a source, opened if need be, and the element there."""
+        """Return the node that holds a source, and its index there."""
         parent, _, element = source.rpartition(".")
         node = self._open(parent)
         if parent in _RECORDS:

@@ -22,7 +22,7 @@ V = TypeVar("V")  # type of a looked-up value
 
 
 class NamedColumns(dict[str, V]):
-    """Columns by their names, each read when it is asked for; a subclass has ``__getitem__`` and ``__iter__``.
+    """Columns by name, read on demand; subclasses define ``__getitem__`` and ``__iter__``.
 
     A dict, because pandas makes a table of nothing else (``pandas.DataFrame(columns)``), which holds nothing itself.
     """
@@ -34,7 +34,7 @@ class NamedColumns(dict[str, V]):
         return name in tuple(self)
 
     def get(self, name: str, default: Any = None) -> Any:
-        """Return a column, or the default where there is none of this name."""
+        """Return a column, or the default if there is none."""
         is_there = name in self
         return self[name] if is_there else default
 
@@ -57,7 +57,7 @@ def make_table(columns: Mapping[str, Any]) -> Any:
 
 
 class Columnar(NamedColumns[Array]):
-    """A log of named columns: ``log["roll_rad"]`` is one, and ``dict(log)`` has all of them."""
+    """A log of named columns: ``log["roll_rad"]``; ``dict(log)`` has all."""
 
     columns: tuple[str, ...]
     described: tuple[Column, ...]  # columns with unit and frame, if known
@@ -72,7 +72,7 @@ class Columnar(NamedColumns[Array]):
         raise NotImplementedError
 
     def keep_open(self) -> AbstractContextManager[None]:
-        """Keep the log's file open, where it is in one, while its columns are read one by one."""
+        """Keep the log's file open, if any, while columns are read one by one."""
         return nullcontext()
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
@@ -126,7 +126,7 @@ class Columnar(NamedColumns[Array]):
         return frame
 
     def _repr_html_(self) -> str:
-        """Return a table for notebooks: every column, what it means, and from where to where it goes."""
+        """Return a table for notebooks: each column with meaning and range."""
         described = {column.name: column for column in self.described}
         rows = []
         for name, values in self._read(self.columns).items():

@@ -28,7 +28,7 @@ Times = dict[str, list[float]]  # s, of events known before the flight
 
 
 class Signals(Protocol):
-    """What a formula is evaluated over: ``rows`` rows, ``step_s`` apart; ``margins`` keeps what was evaluated."""
+    """Signals that a formula is evaluated on: ``rows`` rows, ``step_s`` apart; ``margins`` is a cache."""
 
     @property
     def rows(self) -> int: ...
@@ -40,14 +40,14 @@ class Signals(Protocol):
     def margins(self) -> dict[Formula, Array]: ...
 
     def signal(self, name: str) -> Array:
-        """Return a signal as the log has it, one number a row."""
+        """Return a signal of the log, one number per row."""
 
     def event_rows(self, name: str) -> Sequence[int]:
         """Return the rows at which an event happens, the earliest first."""
 
 
 class Deciding(NamedTuple):
-    """The comparison and the row that a margin comes from; ``sign`` is -1 behind an odd number of *not*."""
+    """The comparison and row that determine a margin; ``sign`` is -1 inside an odd number of *not*."""
 
     comparison: Comparison
     row: int
@@ -55,20 +55,20 @@ class Deciding(NamedTuple):
 
 
 class Quantity:
-    """A number a row, in ``unit``; None: a bare number, in the unit of what it is compared with."""
+    """One number per row in ``unit``; None: a bare number, in the unit that it is compared with."""
 
     unit: str | None
     parts: tuple[Quantity, ...] = ()
 
     @property
     def names(self) -> Iterator[str]:
-        """The signals in it."""
+        """Names of its signals."""
         for part in self.parts:
             yield from part.names
 
     @property
     def constant(self) -> float:
-        """The number that is added to its signals: 0 of a signal, all of it where it has none."""
+        """Constant part: 0 for a signal, the number itself without signals."""
         return 0.0
 
     def values(self, signals: Signals) -> Array:
@@ -158,22 +158,22 @@ class Sum(Quantity):
 
 
 class Formula:
-    """What is true or not in every row, and by how much."""
+    """A formula, true or false in each row, with a margin."""
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """The formulas that it is made of."""
+        """Formulas inside it."""
         return tuple([value for value in vars(self).values() if isinstance(value, Formula)])
 
     @property
     def comparisons(self) -> Iterator[Comparison]:
-        """The comparisons in it."""
+        """Comparisons inside it."""
         for part in self.parts:
             yield from part.comparisons
 
     @property
     def events(self) -> Iterator[str]:
-        """The events in it."""
+        """Events inside it."""
         for part in self.parts:
             yield from part.events
 
@@ -188,11 +188,11 @@ class Formula:
         raise NotImplementedError
 
     def deciding(self, signals: Signals, row: int) -> Deciding:
-        """Return where the margin in a row comes from; it must be a number there."""
+        """Return what determines the margin in a row, which must be a number."""
         raise NotImplementedError
 
     def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
-        """Return the time [s] up to which it asks for rows, begun at ``starts_s``; beyond none for *always*."""
+        """Return the time [s] up to which rows matter, from ``starts_s``; unlimited for *always*."""
         return max((part.latest_s(starts_s, times_s) for part in self.parts), default=max(starts_s, default=0.0))
 
 
@@ -212,19 +212,19 @@ class Comparison(Formula):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The signals in it."""
+        """Names of its signals."""
         return (*self.less.names, *self.greater.names)
 
     @property
     def bound(self) -> tuple[Quantity, float, bool] | None:
-        """What is compared with a number, the number, and whether it is an upper limit; None where signals are."""
+        """Quantity, number and direction of a comparison with a number; None if both sides have signals."""
         if not any(self.greater.names):
             return self.less, self.greater.constant, True
         return None if any(self.less.names) else (self.greater, self.less.constant, False)
 
     @property
     def limit(self) -> float:
-        """The size of the number that it compares with, without constants that are added to signals beside it.
+        """Magnitude of the number compared with, without constants added to signals.
 
         Of two quantities with signals it is the number between them; 0 where there is none.
         """
@@ -240,7 +240,7 @@ class Comparison(Formula):
 
 @dataclass(frozen=True)
 class Happens(Formula):
-    """An event: kept without limit in the rows at which it happens, broken without limit in all others."""
+    """An event: true with infinite margin in its rows, false with infinite margin in all others."""
 
     event: str
 
@@ -270,7 +270,7 @@ class Not(Formula):
 
 @dataclass(frozen=True)
 class Both(Formula):
-    """All of its parts; with ``either``, one of them."""
+    """All parts are true; with ``either``, one of them."""
 
     of: tuple[Formula, ...]
     either: bool = False
@@ -291,7 +291,7 @@ class Both(Formula):
 
 @dataclass(frozen=True)
 class Throughout(Formula):
-    """In every row from this one on; with ``once``, in one of them.  ``seconds``: in those up to so long after it."""
+    """True in each row from here on; with ``once``, in one of them.  ``seconds``: only up to so much later."""
 
     of: Formula
     once: bool = False
@@ -314,7 +314,7 @@ class Throughout(Formula):
 
 @dataclass(frozen=True)
 class Until(Formula):
-    """``of`` in every row before one, at most ``seconds`` away, in which ``then`` is true; there must be one."""
+    """``of`` is true until a row, at most ``seconds`` later, where ``then`` is true, which must exist."""
 
     of: Formula
     then: Formula
@@ -329,7 +329,7 @@ class Until(Formula):
         return np.minimum(margins, -_least_ahead(-then, rows)) if rows < signals.rows else margins
 
     def _known(self, signals: Signals) -> tuple[Array, Array]:
-        """Return the margins of ``then``, unknown ones as broken, and of ``of``, unknown ones as kept."""
+        """Return the margins of ``then``, unknown as false, and of ``of``, unknown as true."""
         then, kept = self.then.margins(signals), self.of.margins(signals)
         return np.where(np.isnan(then), -inf, then), np.where(np.isnan(kept), inf, kept)
 
@@ -348,7 +348,7 @@ class Until(Formula):
 
 @dataclass(frozen=True)
 class After(Formula):
-    """What is true ``seconds`` later, in the first row that is not earlier."""
+    """True ``seconds`` later, in the first row at or after that."""
 
     seconds: float
     of: Formula
@@ -370,7 +370,7 @@ class After(Formula):
 
 @dataclass(frozen=True)
 class AfterEvent(Formula):
-    """What is true whenever an event happens from this row on; unknown where it does not."""
+    """True whenever an event happens from here on; unknown if it does not."""
 
     event: str
     of: Formula
@@ -396,7 +396,7 @@ class AfterEvent(Formula):
 
 
 def _least(margins: Sequence[Array]) -> Array:
-    """Return the least of several in each row; unknown where one is, unless another is broken."""
+    """Return the smallest margin in each row; unknown if one is, unless another is negative."""
     known = margins[0]
     is_unknown = np.isnan(known)
     for other in margins[1:]:
@@ -406,7 +406,7 @@ def _least(margins: Sequence[Array]) -> Array:
 
 
 def _least_ahead(margins: Array, rows: int) -> Array:
-    """Return the least from each row to ``rows`` after it, unknown ones left out; NaN where all are unknown."""
+    """Return the smallest margin from each row to ``rows`` later, ignoring unknown ones."""
     if rows >= margins.size - 1:
         return np.fmin.accumulate(margins[::-1])[::-1]
     from scipy.ndimage import minimum_filter1d  # van Herk: cost is independent of window
@@ -421,5 +421,5 @@ def _least_ahead(margins: Array, rows: int) -> Array:
 
 
 def _rows_in(seconds: float, signals: Signals) -> int:
-    """Return how many rows after one are not later than ``seconds`` after it."""
+    """Return the number of rows within ``seconds`` after a row."""
     return signals.rows if seconds == inf else floor(seconds / signals.step_s + _ROW_TOLERANCE)

@@ -78,7 +78,7 @@ class _Token(NamedTuple):
 
 @lru_cache(1024)
 def parse_formula(text: str) -> ParsedFormula:
-    """Return a formula.  Raises InputError: one line with the place and what is allowed there."""
+    """Parse a formula.  Raises InputError with the position and what is allowed there."""
     parser = _Parser(text)
     formula = parser.read()
     comparisons = list(formula.comparisons)
@@ -148,7 +148,7 @@ class _Parser:
         return _Token(kind, match[kind], match.start(kind))
 
     def _take(self, *texts: str) -> str | None:
-        """Return the token's text and go on, if it is one of these."""
+        """Return the next token's text and advance, if it is one of these."""
         if self._token.kind in ("number", "event", "end") or self._token.text not in texts:
             return None
         text = self._token.text
@@ -169,7 +169,7 @@ class _Parser:
 
     def _implication(self) -> Formula | Quantity:
         start = self._token.start
-        left = self._joined("or", lambda: self._joined("and", self._negation, either=False), either=True)
+        left = self._chain("or", lambda: self._chain("and", self._negation, either=False), either=True)
         if self._take("implies") is None:
             return left
         begin = self._token.start
@@ -178,7 +178,7 @@ class _Parser:
         self._depth -= 1
         return Both((Not(self._formula(left, start)), right), either=True)
 
-    def _joined(self, word: str, read: Callable[[], Formula | Quantity], either: bool) -> Formula | Quantity:
+    def _chain(self, word: str, read: Callable[[], Formula | Quantity], either: bool) -> Formula | Quantity:
         start = self._token.start
         first = read()
         if self._token.text != word or self._token.kind != "name":
@@ -226,13 +226,13 @@ class _Parser:
 
     def _sum(self) -> Formula | Quantity:
         start = self._token.start
-        first = self._product()
+        first = self._parse_product()
         terms: list[tuple[float, Quantity]] = []
         while sign := self._take("+", "-"):
             begin = self._token.start
             if not terms:
                 terms = [(1.0, self._quantity(first, start))]
-            terms.append((1.0 if sign == "+" else -1.0, self._quantity(self._product(), begin)))
+            terms.append((1.0 if sign == "+" else -1.0, self._quantity(self._parse_product(), begin)))
         return self._added(terms, start) if terms else first
 
     def _added(self, terms: list[tuple[float, Quantity]], start: int) -> Quantity:
@@ -243,24 +243,24 @@ class _Parser:
             self._refuse_at(start, str(error))
         return Sum(tuple(scaled), unit)
 
-    def _product(self) -> Formula | Quantity:
+    def _parse_product(self) -> Formula | Quantity:
         if self._take("-"):
             start = self._token.start
             self._enter()
-            of = self._quantity(self._product(), start)
+            of = self._quantity(self._parse_product(), start)
             self._depth -= 1
             return Number(-of.value, of.unit) if isinstance(of, Number) else Sum(((-1.0, of),), of.unit)
         start = self._token.start
-        first = self._primary()
+        first = self._parse_primary()
         if self._take("*") is None:
             return first
         if not isinstance(first, Number) or first.unit is not None:
             self._refuse_at(start, "only a number without a unit multiplies, such as 2 * roll_deg")
         begin = self._token.start
-        of = self._quantity(self._product(), begin)
+        of = self._quantity(self._parse_product(), begin)
         return Sum(((first.value, of),), of.unit)
 
-    def _primary(self) -> Formula | Quantity:
+    def _parse_primary(self) -> Formula | Quantity:
         token = self._token
         if token.kind == "number":
             return self._number()
@@ -371,7 +371,7 @@ class _Parser:
 
 
 def _in_unit(of: Quantity, unit: str) -> Quantity:
-    """Return a quantity in a unit.  Raises InputError if it is not one of what it measures."""
+    """Return a quantity in a unit.  Raises InputError for an incompatible one."""
     if of.unit is None or of.unit == unit:
         return of
     factor = factor_between(of.unit, unit)

@@ -33,21 +33,21 @@ _SIGNALS = {
 
 
 class Lost(NamedTuple):
-    """A flight that ended before its time: when [s], and how long it was meant to be [s]."""
+    """A flight that failed: when, and its planned duration [s]."""
 
     end_s: float
     planned_s: float
 
     @property
     def scales(self) -> float:
-        """By how many scales it broke what was required of it: LOST at its planned end, twice that at its start."""
+        """Margin in scales by which it broke requirements: LOST at its planned end, twice that at the start."""
         share = self.end_s / self.planned_s if self.planned_s > 0.0 else 0.0
         return LOST * (2.0 - min(max(share, 0.0), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """What one flight comes to under one requirement.
+    """Result of one requirement on one flight.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Assessment:
 
 
 class Requirement(Record):
-    """What a flight is to keep: a formula over its signals."""
+    """Requirement on a flight: a formula over its signals."""
 
     name: str
     formula: str
@@ -86,17 +86,17 @@ class Requirement(Record):
 
     @property
     def parsed(self) -> ParsedFormula:
-        """The formula as it is evaluated.  Raises InputError."""
+        """Parsed formula.  Raises InputError."""
         return parse_formula(self.formula)
 
     @property
     def names(self) -> list[str]:
-        """The signals that it speaks of, as it writes them."""
+        """Signals in the formula, as written."""
         return list(dict.fromkeys(name for part in self.parsed.formula.comparisons for name in part.names))
 
     @property
     def unit(self) -> str:
-        """The unit of its margin; 1 where the formula mixes several, each comparison divided by its tolerance."""
+        """Unit of its margin; 1 if the formula mixes units, with each comparison divided by its tolerance."""
         return self.parsed.unit
 
     @property
@@ -105,7 +105,7 @@ class Requirement(Record):
         return self.scale or self.parsed.tolerance or 1.0
 
     def assess(self, flight: FlightSignals, lost: Lost | None = None) -> Assessment:
-        """Return what a flight comes to; of a flight that was ``lost`` nothing that the user requires is kept."""
+        """Assess a flight; if it failed, none of the user's requirements is met."""
         formula, whole = self.parsed.formula, self._is_whole(flight)
         flight = flight.one_row() if whole else flight
         value = float(formula.margins(flight)[0]) if flight.rows else nan
@@ -133,7 +133,7 @@ class Requirement(Record):
         return self._of_lost(assessment, lost)
 
     def _is_whole(self, flight: FlightSignals) -> bool:
-        """Return whether it speaks of metrics of the whole flight alone, which are the same in every row."""
+        """Return whether it uses only whole-flight metrics, which are equal in all rows."""
         return flight.metrics.keys() >= set(self.names) and not list(self.parsed.formula.events)
 
     def _of_lost(self, assessment: Assessment, lost: Lost) -> Assessment:
@@ -172,7 +172,7 @@ def _at_most(name: str, most: float) -> str:
 
 
 class RequirementResult(Record):
-    """What a summary says of one requirement of a flight."""
+    """Result of one requirement in a flight's summary."""
 
     name: str
     source: Source
@@ -189,7 +189,7 @@ class RequirementResult(Record):
 
     @classmethod
     def of(cls, assessment: Assessment) -> RequirementResult:
-        """Return what there is to say of an assessment."""
+        """Return the result for an assessment."""
         requirement = assessment.requirement
         return cls(
             **requirement.model_dump(exclude={"scale"}),
@@ -204,18 +204,18 @@ class RequirementResult(Record):
 
     @property
     def requirement(self) -> Requirement:
-        """The requirement, to assess it again."""
+        """The requirement, for another assessment."""
         return Requirement(**{name: getattr(self, name) for name in Requirement.model_fields})
 
     @property
     def scaled(self) -> float | None:
-        """The margin divided by the scale; what is not kept without a margin has -UNKNOWN."""
+        """Margin divided by the scale; -UNKNOWN if missed without a margin."""
         if self.margin is None:
             return None if self.kept else -UNKNOWN
         return self.margin / self.scale
 
     def describe(self) -> str:
-        """Return what came of it: ``holds-roll: kept by 2.1 deg, at 4.51 s: always(abs(roll_deg) < 30)``."""
+        """Describe the result: ``holds-roll: kept by 2.1 deg, at 4.51 s: always(abs(roll_deg) < 30)``."""
         if self.margin is None:
             state = self.note or "nothing to keep"
         else:
@@ -229,13 +229,13 @@ class RequirementResult(Record):
 def flight_requirements(
     limits: Mapping[str, float], expected: Mapping[str, Range], stated: Sequence[Requirement]
 ) -> list[Requirement]:
-    """Return all that a flight is to keep: what is required of it, what is expected of it, and its limits."""
+    """Return all requirements of a flight: stated ones, expectations and limits."""
     never_settled = [name for name in limits if name.endswith(NEVER_SETTLED)]
     return [*stated, *range_requirements(expected, "expect"), *limit_requirements(limits, never_settled)]
 
 
 def smallest_margin(results: Sequence[RequirementResult], lost: Lost | None) -> tuple[float | None, str]:
-    """Return the smallest margin in scales and the name of its requirement; a lost flight breaks one more, ``flown``.
+    """Return the smallest scaled margin and its requirement; a failed flight also breaks ``flown``.
 
     None where nothing has a margin.
     """

@@ -44,7 +44,7 @@ def _rate_error(rate: str) -> DerivedSignal:
     )
 
 
-def _drift(log: Columns) -> Array:
+def _drift_from_start(log: Columns) -> Array:
     return np.hypot(_from_start(log["north_m"]), _from_start(log["east_m"]))
 
 
@@ -68,7 +68,7 @@ DERIVED: dict[str, DerivedSignal] = {  # signals computed from columns
         "distance from the place asked for, level",
         lambda log: np.hypot(log[POSITION_SETPOINT[0]] - log["north_m"], log[POSITION_SETPOINT[1]] - log["east_m"]),
     ),
-    "drift_m": DerivedSignal(("north_m", "east_m"), "distance from the start, level", _drift),
+    "drift_m": DerivedSignal(("north_m", "east_m"), "distance from the start, level", _drift_from_start),
     "speed_m_s": DerivedSignal(
         ("velocity_north_m_s", "velocity_east_m_s"),
         "speed over the ground",
@@ -84,7 +84,7 @@ DERIVED: dict[str, DerivedSignal] = {  # signals computed from columns
 
 
 class FlightSignals:
-    """A finished flight as a formula sees it.
+    """A finished flight as signals for formulas.
 
     ``metrics``: of the whole flight, by name; ``times_s``: when each event happens that its scenario states; ``rows``:
     the first ones that are looked at, all where it is None.
@@ -106,11 +106,11 @@ class FlightSignals:
         self._signals: dict[str, Array] = {}
 
     def one_row(self) -> FlightSignals:
-        """Return the flight as its metrics alone have it: the same in every row, of which one is enough."""
+        """Return a flight of one row with its metrics, which are equal in all rows."""
         return FlightSignals(self._log, self.step_s, self.metrics, self.times_s, min(self.rows, 1))
 
     def forget(self) -> None:
-        """Let go of what was read and evaluated: an hour of one column takes 7 MB."""
+        """Release cached columns and margins: an hour of one column takes 7 MB."""
         self.margins.clear()
         self._signals.clear()
 

@@ -27,7 +27,7 @@ def stated_requirements(scenario: Scenario) -> list[Requirement]:
 
 
 def check_requirements(scenario: Scenario, whole: bool = True) -> None:
-    """Refuse what cannot be read and an unknown event; if ``whole``, what lies beyond the end of the flight too.
+    """Refuse invalid formulas and unknown events; if ``whole``, also times after the end of the flight.
 
     Raises InputError.
     """

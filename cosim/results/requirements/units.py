@@ -48,7 +48,7 @@ _DISPLAYED = {"_deg": "_rad", "_deg_s": "_rad_s", "_deg_s2": "_rad_s2", "_rpm": 
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that a signal's name ends with; 1 where it ends with none, as ``throttle_2`` does."""
+    """Return the unit from the ending of a signal's name; 1 without one, as ``throttle_2``."""
     ending = _ending(name)
     return _ENDINGS[ending] if ending else "1"
 
@@ -60,13 +60,13 @@ def in_si(name: str) -> str:
 
 
 def in_degrees(name: str) -> str:
-    """Return the name of an angle or its rate in degrees: ``roll_deg`` for ``roll_rad``; another name as it is."""
+    """Return the name of an angle or its rate in degrees: ``roll_deg`` for ``roll_rad``; others unchanged."""
     ending = next((shown for shown, logged in _DISPLAYED.items() if "deg" in shown and _ending(name) == logged), "")
     return name.removesuffix(_DISPLAYED[ending]) + ending if ending else name
 
 
 def factor_between(unit: str, other: str) -> float:
-    """Return the number of ``other`` in one ``unit``.  Raises InputError where they measure different things."""
+    """Return the number of ``other`` in one ``unit``.  Raises InputError for different quantities."""
     (si, factor), (other_si, other_factor) = UNITS[unit], UNITS[other]
     if si != other_si:
         raise InputError(f"{unit} is not a unit of what is in {other}")

@@ -98,7 +98,7 @@ def _by_effectiveness(
 
 
 def _catch_lag(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
-    """Return the lag of the engines, where the vehicle is to be caught without one of them.
+    """Return the engines' lag, if the vehicle is to be caught after an engine loss.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
     """
@@ -111,7 +111,7 @@ def _catch_lag(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSp
 
 
 def query_model(what: str, scenario: Scenario, vehicle: Vehicle, query: Callable[[Airframe], T]) -> T:
-    """Return what ``query`` reads from the vehicle's own JSBSim model, built once for a vehicle and a model."""
+    """Return what ``query`` reads from the vehicle's JSBSim model, cached per vehicle and model."""
     _, folder = scenario.resolved_vehicle()
     model = None if vehicle.model is None else read_model(folder / vehicle.model)
 
@@ -135,7 +135,7 @@ def _thrust_at(curve: StaticCurve, throttle: float) -> float:
 
 
 def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
-    """Return how far a throttle may go up in a step to make up for the height that is lost with an engine.
+    """Return the throttle rise per step allowed to make up for height lost with an engine.
 
     From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
     acceleration, all alike, and what roll asks for between them is lost.

@@ -97,7 +97,7 @@ def make_cascade(
 def _engine_loss_laws(
     loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Recovery | None
 ) -> list[FlightLaw]:
-    """Return what flies without an engine, of vehicles whose allocation does not."""
+    """Return the laws for an engine loss, for vehicles whose allocation does not handle it."""
     monitor = vehicle.control.monitor
     opposite = find_opposite_jets(vehicle) if monitor is not None and monitor.shut_opposite else ()
     if reduced is not None:
@@ -131,7 +131,7 @@ def _wing(
     rows: int = 16,
     at_m_s: float = 20.0,
 ) -> WingFlight:
-    """Return flight ahead on the wing of the vehicle's own JSBSim model, asked in so many rows at a speed."""
+    """Return the wing flight law, with its wing measured in the vehicle's JSBSim model."""
     least, most = settings.alpha_rad
     alphas = [least + (most - least) * row / rows for row in range(rows + 1)]
     lift, drag, moment = query_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, at_m_s))
@@ -146,7 +146,7 @@ def _wing(
 def _reduced_attitude(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> ReducedAttitude | None:
-    """Return the reduced attitude law, where rotors do not tilt and a lost one is to be caught."""
+    """Return the reduced attitude law, if rotors do not tilt and a failed one is to be caught."""
     monitor = vehicle.control.monitor
     if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
@@ -180,7 +180,7 @@ def _catch(
 
 
 def find_opposite_jets(vehicle: Vehicle) -> tuple[int, ...]:
-    """Return for every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
+    """Return the opposite jet of each jet, from 0.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
     opposite_jets = []
     for number, (x, y, _) in enumerate(places, 1):
@@ -197,7 +197,7 @@ def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
 
 
 def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
-    """Refuse stations whose engines cannot carry the vehicle together, whatever the scenario's engine could."""
+    """Refuse engines at the stations that cannot lift the vehicle together."""
     weight, most = vehicle.mass_kg * GRAVITY, sum(station.curve.thrust[-1] for station in stations)
     if most <= weight:
         raise InputError(

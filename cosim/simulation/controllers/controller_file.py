@@ -44,7 +44,7 @@ class Requirements(Model):
 
 
 class AxisRecord(Model):
-    """The results of a design for one channel; for people, a flight does not read it."""
+    """Design results of one channel, for people; not read by flights."""
 
     controller: str
     peak_sensitivity: float
@@ -71,7 +71,7 @@ class LevelRecord(Model):
 
 
 class FlownRecord(Model):
-    """One flight of the proof with the gains that ship and with the designed ones, measured; a flight does not read it.
+    """Measures of one proof flight with shipped and designed gains; not read by flights.
 
     By the keys of :data:`hexjet_design.proof.comparison.MEASURES`; what a flight does not tell is left out.
     """
@@ -83,7 +83,7 @@ class FlownRecord(Model):
 
 
 class ProofRecord(Model):
-    """The flights that a design was proven in; a flight does not read it."""
+    """Flights of a design's proof; not read by flights."""
 
     flights: int  # flights that met the requirements
     failed: str | None = None  # why an earlier proof failed
@@ -146,7 +146,7 @@ class ControllerFile(Model):
     design: Purpose
 
     def check_step(self, path: Path, step: float) -> None:
-        """Raise InputError where it was made for another control step than ``step`` [s]."""
+        """Raise InputError if it was made for another control step [s]."""
         if abs(step - self.design.step_s) > 1e-9:
             raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
@@ -157,7 +157,7 @@ def read_purpose(path: Path) -> Purpose:
 
 
 def describe_proof(purpose: Purpose) -> str:
-    """Describe the proof of a design, and what is worse with it than with the shipped gains."""
+    """Describe a design's proof, and measures worse than with shipped gains."""
     proof = purpose.proof
     if proof is None:
         return NO_PROOF
@@ -167,7 +167,7 @@ def describe_proof(purpose: Purpose) -> str:
 
 
 def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path()) -> ControllerFile:
-    """Read a controller file, for ``aircraft`` where one is named; a path is seen from ``folder``.
+    """Read a controller file, for ``aircraft`` if given; paths are relative to ``folder``.
 
     Raises InputError that names the file and what is wrong with it, also for one that was made for another aircraft.
     """
@@ -194,7 +194,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
 
 
 def _check_controller(file: ControllerFile, path: Path) -> None:
-    """Refuse a controller that no design makes, and parameters that it does not have.  Raises InputError."""
+    """Refuse a controller that designs do not make, and unknown parameters.  Raises InputError."""
     from cosim.simulation.controllers.source import find_controller_source
 
     complaint = f"{path}: controller = {file.controller!r}"
@@ -258,7 +258,7 @@ def apply_controller(
 
 
 def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]:
-    """Return in which ways a flight is not what its controller file was designed for.
+    """List how a flight differs from what its controller file was designed for.
 
     Without ``noted`` those are left out that the flight's own record has (:func:`list_design_notes`).
     """
@@ -286,7 +286,7 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
 
 
 def list_design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
-    """Return what the record of a flight says of its design: a proof that failed or is not there, another engine.
+    """List notes on a flight's design from its record: failed or missing proof, or another engine.
 
     Empty where no design is among ``parameters``.  Raises InputError for one that is none.
     """

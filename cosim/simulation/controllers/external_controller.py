@@ -26,7 +26,7 @@ from cosim.spec.vehicle import Vehicle
 
 
 def find_controller(scenario: Scenario) -> Source | None:
-    """Return the scenario's user-supplied controller.  Raises InputError for an unknown one, or another file."""
+    """Return the scenario's user-supplied controller.  Raises InputError if unknown or changed."""
     source = find_controller_source(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
     if source is not None:
         source.check_hash(scenario.controller_sha256, f"scenario {scenario.name}")
@@ -34,7 +34,7 @@ def find_controller(scenario: Scenario) -> Source | None:
 
 
 def resolve_parameters(scenario: Scenario, source: Source | None) -> dict[str, float]:
-    """Return the values of a controller's own parameters.  Raises InputError where the scenario states others."""
+    """Return the values of a controller's parameters.  Raises InputError for unknown ones."""
     where = f"scenario {scenario.name}: controller_parameters"
     if source is not None:
         return source.resolve_values(scenario.controller_parameters, where)
@@ -46,7 +46,7 @@ def resolve_parameters(scenario: Scenario, source: Source | None) -> dict[str, f
 
 
 class ExternalController:
-    """A controller from outside, made and told what it may believe, in the place of its level."""
+    """A user's controller at its level, with the models that it is told."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class ExternalController:
         self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
 
     def make_block(self) -> None:
-        """Make the block, but for predictors.  Raises InputError as ``_make_block``; :meth:`close` frees it."""
+        """Make the block, except predictors.  Raises InputError; :meth:`close` frees it."""
         if self.source.level == "controller":
             self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
         elif self.source.level == "rate":
@@ -87,7 +87,7 @@ class ExternalController:
             self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
 
     def make_predictors(self) -> list[Predictor]:
-        """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
+        """Return the predictors before the rate loop: the user's, or built-in ones."""
         belief = self._belief
         if self.source.level != "predictor":
             return belief.predictors(self.source.predictor)
@@ -113,12 +113,12 @@ class ExternalController:
         return block
 
     def check_repeatable(self) -> bool | None:
-        """Whether processes, asked the same again, answer the same; None: it is code of this process."""
+        """Whether processes repeat their answers; None: code of this process."""
         answers = [block.check_repeatable() for block in self._blocks if isinstance(block, ProcessBlock)]
         return all(answers) if answers else None
 
     def close(self) -> None:
-        """Free what its blocks hold."""
+        """Free the blocks."""
         for block in self._blocks:
             if hasattr(block, "close"):
                 block.close()

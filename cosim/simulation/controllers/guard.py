@@ -50,7 +50,7 @@ class CallGuard:
         return FlightError(f"{self.kind} {self.label}: {text}")
 
     def call(self, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a method of the user's.  Raises FlightError for what it raises.
+        """Call a user's method.  Raises FlightError for any exception.
 
         An InputError that a controller raises is passed on as it is.
         """
@@ -95,7 +95,7 @@ def columns_from(block: Any) -> tuple[Column, ...]:
 
 
 class Guarded:
-    """A ``block`` of the user's, which the export to C reads, whose calls are guarded; its columns go into the log."""
+    """A user's ``block`` with guarded calls and logged columns."""
 
     def __init__(self, block: Any, guard: CallGuard) -> None:
         self.block, self._guard = block, guard
@@ -107,7 +107,7 @@ class Guarded:
 
 
 class GuardedPredictor(Guarded):
-    """A predictor of the user's on one axis."""
+    """A user's predictor on one axis."""
 
     def __init__(self, block: Any, guard: CallGuard, axis: str) -> None:
         super().__init__(block, guard)
@@ -274,14 +274,14 @@ class GuardedController(Guarded):
         return ALL_WELL
 
     def forgive(self) -> None:
-        """Do nothing: engines are not watched here."""
+        """Do nothing, as engines are not monitored."""
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """The failed engines: none, as engines are not watched here."""
+        """Failed engines: none, as engines are not monitored."""
         return ()
 
     @property
     def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
-        """The predictors' signals, all unknown: there are no predictors."""
+        """Predictor signals: unknown, as there are no predictors."""
         return (UNKNOWN3, UNKNOWN3, UNKNOWN3)

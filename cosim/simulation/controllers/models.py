@@ -20,7 +20,7 @@ from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from
 
 
 def make_scenario_belief(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
-    """Return what a controller with these parameters would be told in a scenario.  Raises InputError as a flight."""
+    """Return the models that a controller with these parameters would get in a scenario.  Raises InputError."""
     vehicle, _ = scenario.resolved_vehicle()
     engine, *stations = load_engines(scenario, vehicle)
     return make_belief(scenario, vehicle, engine, stations, parameters)
@@ -33,7 +33,7 @@ def make_belief(
     stations: Sequence[EngineSpec],
     parameters: Mapping[str, float],
 ) -> Belief:
-    """Return what a controller from outside is told, with its own parameters."""
+    """Return the models and parameters that a user's controller gets."""
     thrust_map, hover = make_thrust_map(vehicle, engine, stations)
     built_in = scenario.model_copy(update={"controller": BASELINE.name})
     return Belief(
@@ -89,7 +89,7 @@ def make_thrust_map(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[Eng
 
 
 def make_predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
-    """Return one predictor an axis: the controller's where the vehicle states a model for this engine, else none."""
+    """Return one predictor per axis, the controller's if the vehicle has a model for this engine."""
     spec = PREDICTORS[scenario.controller]
     models = find_models(vehicle, engine) if spec.needs_model else {}
     if spec.needs_model and not models:

@@ -77,7 +77,7 @@ def _description(host: Host, label: str) -> dict[str, Any]:
 
 
 class ProcessBlock:
-    """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s for each answer."""
+    """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s per answer."""
 
     # Frames recorded to check that answers repeat: 200 s at 4 ms.
     max_frames = 50_000
@@ -109,7 +109,7 @@ class ProcessBlock:
         self._limit = seconds
 
     def prepare(self, belief: Belief) -> None:
-        """Start it and tell it what it may believe."""
+        """Start the process and send it the models."""
         vehicle, jets = belief.vehicle, len(belief.vehicle.jets)
         moved = vehicle.actuators if vehicle.ranges else ()
         self._jets, self._servos, self._ahead = jets, len(moved), vehicle.control.wing is not None
@@ -158,7 +158,7 @@ class ProcessBlock:
         self._k = 0
 
     def update(self, *arguments: Any) -> Any:
-        """Send one frame and read one back.  Raises FlightError."""
+        """Exchange one frame.  Raises FlightError."""
         assert self._host is not None
         frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
         answer = self._exchange(self._host, frame, self._k)
@@ -187,7 +187,7 @@ class ProcessBlock:
         return answer
 
     def check_repeatable(self) -> bool:
-        """Whether another process, asked the same, answers the same, bit for bit."""
+        """Whether another process gives the same answers, bit for bit."""
         try:
             host = self._start()
         except (InputError, FlightError):
@@ -210,7 +210,7 @@ class ProcessBlock:
 
 
 def make_program_command(path: Path, arguments: str) -> Command:
-    """Return the command that runs a file: one of Python by this interpreter, any other as a program."""
+    """Return the command that runs a file: Python by this interpreter, others as programs."""
     words = arguments.split()
 
     def command() -> Sequence[str]:

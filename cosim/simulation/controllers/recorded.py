@@ -68,7 +68,7 @@ def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
 
 
 def _numbers(text: str) -> list[float]:
-    """Return the cells as numbers, None of them where one is no number."""
+    """Return the cells as numbers; None if one is not."""
     try:
         values = [float(cell) for cell in text.split(",")]
     except ValueError:
@@ -77,7 +77,7 @@ def _numbers(text: str) -> list[float]:
 
 
 class RecordedController:
-    """Gives what was recorded, step by step, whatever is measured."""
+    """Repeats recorded commands, whatever is measured."""
 
     level = "controller"
 

@@ -63,7 +63,7 @@ def _sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Source:
-    """A user-supplied block before it flies: a controller of a level, or a block of another kind.
+    """A user's block before its flight: a controller of some level, or another kind.
 
     ``files``: what it is made of, the first being the one that its name names, under the names that they have in a
     run's folder.  ``make`` makes a block, at rest.
@@ -95,7 +95,7 @@ class Source:
 
     @property
     def sha256(self) -> str:
-        """One hash for all: that of its file where it is one; empty where nothing can be hashed."""
+        """One hash of all its files, the file's own if there is one; empty if unavailable."""
         if not self.hashes:
             return ""
         if len(self.hashes) == 1:
@@ -103,7 +103,7 @@ class Source:
         return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
 
     def resolve_values(self, specified: Mapping[str, float], where: str) -> dict[str, float]:
-        """Return its parameters' values.  Raises InputError: one line with the key and what is allowed."""
+        """Return its parameters' values.  Raises InputError with the key and allowed values."""
         parameters = {parameter.name: parameter for parameter in self.parameters}
         for name, value in specified.items():
             if name not in parameters:
@@ -117,7 +117,7 @@ class Source:
     def check_hash(
         self, sha256: str | None, where: str, kind: str = "controller", key: str = "controller_sha256"
     ) -> None:
-        """Refuse another file than the one that flew, whose hash ``key`` states.  Raises InputError."""
+        """Refuse a file other than the one with the hash stated in ``key``.  Raises InputError."""
         if sha256 is not None and sha256 != self.sha256:
             raise InputError(
                 f"{where}: {kind} {self.label} is not the one that was flown: its sha256 is {self.sha256[:12]}, "
@@ -170,7 +170,7 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
 
 
 def list_installed() -> Iterator[tuple[str, str]]:
-    """Yield the controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded.
+    """Yield controllers of installed packages with descriptions.  Raises InputError if one fails to load.
 
     One that only says that it is installed is not run for that.
     """
@@ -232,7 +232,7 @@ def _code_objects(cls: type) -> list[CodeType]:
 
 
 def _source_text(cls: type) -> str:
-    """Return the text of a class that no file holds, from the line cache that a notebook fills; empty if not there."""
+    """Return the source of a class defined in a notebook, or an empty string."""
     for code in _code_objects(cls):
         text = "".join(linecache.getlines(code.co_filename))
         try:
@@ -251,7 +251,7 @@ _sources: RecentCache[Source] = RecentCache(32)
 
 
 def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
-    """Return the block of a file, anew where the file has changed, or one that it imports from beside it."""
+    """Return the block of a file, reloaded if it or a neighbour that it imports has changed."""
     where = f"{kind} {name}"
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
@@ -352,7 +352,7 @@ def _from_entry(kind: str, name: str, entry: EntryPoint) -> Source:
 
 @cache
 def find_package_version(module: str) -> str:
-    """Return name and version of the installed package that a module belongs to; empty where it belongs to none."""
+    """Return name and version of a module's package; empty if not installed."""
     top = module.split(".")[0]
     for package in packages_distributions().get(top, []):
         try:
@@ -363,7 +363,7 @@ def find_package_version(module: str) -> str:
 
 
 def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path) -> Any:
-    """Return what a module has by a name: a class of a controller, anything of another kind.  Raises InputError."""
+    """Return a module's attribute: a controller's class, or anything for other kinds.  Raises InputError."""
     member, members = getattr(module, name, None), vars(module).items()
     if kind != "controller":
         if member is None:
@@ -385,7 +385,7 @@ def _from_attributes(
     package: str = "",
     copied: bool = True,
 ) -> Source:
-    """Return the source of a block, with what it states of itself.  Raises InputError for what does not fit."""
+    """Return a block's source with its attributes.  Raises InputError for invalid ones."""
     if kind == "controller":
         where = f"controller {label_of(name)}"
         level, predictor, columns, parameters = _read_attributes(block, where, "Column(name, unit, frame, meaning)")
@@ -407,7 +407,7 @@ def _from_attributes(
 
 
 def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tuple[Column, ...], tuple[Parameter, ...]]:
-    """Return level, predictor, columns and parameters that a block states; ``column``: how it writes one.
+    """Read level, predictor, columns and parameters of a block; ``column`` parses a column.
 
     Raises InputError for what does not fit.
     """
@@ -435,7 +435,7 @@ def _maker(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
 
 
 def check_method(block: Any, method: str, arguments: Sequence[str], where: str) -> None:
-    """Refuse a block without a method, or with one that takes something else.  Raises InputError."""
+    """Refuse a block without a method or with other arguments.  Raises InputError."""
     function = getattr(block, method, None)
     if not callable(function):
         raise InputError(f"{where}: has no {method}({', '.join(arguments)})")

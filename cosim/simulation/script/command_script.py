@@ -164,7 +164,7 @@ def _table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> l
 def _interpolated(
     times: Sequence[float], values: Sequence[float], interpolation: str, step: float, start: int
 ) -> Waveform:
-    """Return the waveform of rows: 0 before the first, the last one's value after it."""
+    """Return the waveform of table rows: 0 before the first, constant after the last."""
     linear = interpolation == "linear"
 
     def wave(k: int) -> float:

@@ -21,7 +21,7 @@ Payload = tuple[float, float, float, float]
 
 
 class DisturbanceScript:
-    """The sum of a scenario's disturbances at every control step; the same object while nothing changes."""
+    """Sum of a scenario's disturbances per control step; the same object while unchanged."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._forces: list[tuple[Waveform, Vector3]] = []

@@ -22,7 +22,7 @@ NEVER = sys.maxsize  # a step after the last one
 
 
 class FaultSchedule:
-    """The faults of a flight and when they begin and end; ``next`` is the step at which something changes.
+    """Faults of a flight by time; ``next`` is the step of the next change.
 
     ``laws[i]``: how engine ``i``, from 0, goes out.  ``flags``: 1 where a fault acts, in the order of the log's
     columns.  ``commanded``: not all of them are the scenario's.
@@ -101,7 +101,7 @@ class FaultSchedule:
         self.next, self.commanded = min(self.next, k), True
 
     def clear(self, k: int) -> None:
-        """End at step ``k`` every fault that acts or is to begin there; those still to come stay."""
+        """End all active faults at step ``k``, and those due then; later ones stay."""
         self._spans = [
             (start, end if start > k else min(end, k), fault) for start, end, fault in self._spans if start != k
         ]
@@ -109,7 +109,7 @@ class FaultSchedule:
 
     @property
     def flown_faults(self) -> list[Fault]:
-        """The faults with the times at which they did act so far, or will."""
+        """The faults with their actual times so far, or planned ones."""
         dt = self._scenario.step_s
         return [
             fault if end == NEVER else fault.model_copy(update={"duration_s": (end - start) * dt})
@@ -117,7 +117,7 @@ class FaultSchedule:
         ]
 
     def update(self, k: int, measured: Measured) -> None:
-        """Begin and end what is due at step ``k``; ``measured`` is what the sensors said last."""
+        """Begin and end the faults due at step ``k``; ``measured`` is the last measurement."""
         if k >= self.next:
             self._change(k, measured)
 
@@ -147,7 +147,7 @@ class FaultSchedule:
             self._engines.end_fault(fault)
 
     def _update_jams(self) -> None:
-        """Jam the servos that are to be, by the first fault that acts, and free the others where they stand."""
+        """Jam servos by their first active fault, and release others where they are."""
         for i, servo in enumerate(self._servos):
             jams = [
                 fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == self._servo_names[i]

@@ -60,7 +60,7 @@ def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
 
 
 def _check_inertia(vehicle: Vehicle, factor: float) -> None:
-    """Refuse moments of inertia that leave none for what stays when fuel and banks are taken away."""
+    """Refuse inertia that leaves nothing for the structure without fuel and banks."""
     a, b, c = sorted(vehicle.with_fuel(0.0).inertia_kg_m2)
     banks = 2.0 * vehicle.servo.bank_inertia_kg_m2 if vehicle.servo else 0.0
     if a <= 0.0 or a + b < c or banks >= vehicle.inertia_kg_m2[1]:

@@ -11,7 +11,7 @@ Velocity = Callable[[float, float, float, float], Vector3]  # (s, north, east, h
 
 
 class FieldWind:
-    """The wind of a field over a step, held from its beginning: at the vehicle, and the difference at each engine.
+    """Wind of a field over a step: at the vehicle, and the difference at each engine.
 
     The airframe flies in the air at its centre of gravity; an engine's intake, and what its stream does to the
     vehicle, in the air at its station.  ``positions``: the stations [m, body], none if the wind is the same everywhere.

@@ -24,7 +24,7 @@ SIGNALS: tuple[str, ...] = get_args(Signal)  # signals that a command may set
 
 
 class SignalCommand(Model):
-    """A command of one signal from ``start_s`` on."""
+    """Command of one signal from ``start_s`` on."""
 
     kind: str
     signal: Signal
@@ -51,14 +51,14 @@ class DoubletCommand(SignalCommand):
 
 
 class RampCommand(SignalCommand):
-    """From nothing at ``start_s`` to ``amplitude`` after ``duration_s``, held from then on."""
+    """From zero at ``start_s`` to ``amplitude`` after ``duration_s``, then held."""
 
     kind: Literal["ramp"]
     duration_s: Duration
 
 
 class SweepCommand(SignalCommand):
-    """A sine whose frequency grows exponentially from ``from_hz`` to ``to_hz`` over ``duration_s``."""
+    """Sine whose frequency rises exponentially from ``from_hz`` to ``to_hz`` over ``duration_s``."""
 
     kind: Literal["sweep"]
     from_hz: Positive
@@ -67,7 +67,7 @@ class SweepCommand(SignalCommand):
 
 
 class TableCommand(Model):
-    """Columns of a CSV: ``time_s`` and any signals, held between rows or interpolated linearly."""
+    """CSV with ``time_s`` and any signals, held or interpolated linearly between rows."""
 
     kind: Literal["table"]
     file: str
@@ -90,7 +90,7 @@ class SticksCommand(Model):
 
 
 class PlaceCommand(Model):
-    """From ``start_s`` on: fly to a place and hold it, by the autopilot's law; what is not stated is where it is then.
+    """From ``start_s`` on: fly to a place and hold it; omitted values are those at the start.
 
     m, NED, from the place below the start; ``altitude_m`` above the ground there.  Height and heading that no place has
     stated yet are those of other commands.
@@ -121,7 +121,7 @@ class VelocityCommand(Model):
 
 
 class Waypoint(Model):
-    """One of the places of a :class:`WaypointsCommand`; as there where something is not stated."""
+    """One place of a :class:`WaypointsCommand`; omitted values as there."""
 
     north_m: Amplitude
     east_m: Amplitude
@@ -132,7 +132,7 @@ class Waypoint(Model):
 
 
 class WaypointsCommand(Model):
-    """From ``start_s`` on: fly to one place after the other, each once the one before is reached, and hold the last.
+    """From ``start_s`` on: fly to the places in turn and hold the last.
 
     A waypoint is reached where the estimated place is within ``radius_m`` of it, horizontally and, where it states a
     height, vertically; ``hold_s`` later the next one is flown to.  Places as in :class:`PlaceCommand`.
@@ -147,7 +147,7 @@ class WaypointsCommand(Model):
 
 
 class TrackCommand(Model):
-    """A CSV of places over time, flown as it says: ``time_s, north_m, east_m`` and, if wanted, ``altitude_m, yaw_deg``.
+    """CSV of places over time: ``time_s, north_m, east_m``, optionally ``altitude_m, yaw_deg``.
 
     Between its rows runs the cubic spline that begins and ends at rest; the law is given its place, velocity and
     acceleration.  Before its first row the first place holds, after the last the last.

@@ -29,7 +29,7 @@ class MomentDisturbance(Model):
 
 
 class TorqueCommandDisturbance(Model):
-    """An addition to the rate controller's output on one axis, without the controller's knowledge.
+    """Signal added to the rate controller's output on one axis, unknown to the controller.
 
     The unit is that output's: throttle on roll, rad of tilt on pitch and yaw.  It enters at the ``actuators``, or at
     the ``controller``: before the added delay, and if ``seen`` before the place where a predictor reads the command.
@@ -64,7 +64,7 @@ class PayloadDisturbance(Model):
 
 
 class WindDisturbance(Model):
-    """A change of the steady wind (where the air moves to), NED."""
+    """Change of the steady wind (where the air moves to), NED."""
 
     kind: Literal["wind"]
     start_s: Seconds
@@ -73,7 +73,7 @@ class WindDisturbance(Model):
 
 
 class GustDisturbance(Model):
-    """JSBSim's one-minus-cosine gust: rises over ``rise_s``, holds, and falls."""
+    """JSBSim's one-minus-cosine gust: rises over ``rise_s``, holds and falls."""
 
     kind: Literal["gust"]
     start_s: Seconds
@@ -84,7 +84,7 @@ class GustDisturbance(Model):
 
     @property
     def duration_s(self) -> float:
-        """How long it lasts, s."""
+        """Duration, s."""
         return self.rise_s + self.hold_s + self.fall_s
 
 

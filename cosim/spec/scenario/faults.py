@@ -61,7 +61,7 @@ class FlameOut(JetFault):
 
 
 class StuckThrottle(JetFault):
-    """The engine stays at the throttle it has at the start, or at ``throttle``."""
+    """The engine stays at its throttle at the start, or at ``throttle``."""
 
     amount = "throttle"
     kind: Literal["stuck_throttle"]
@@ -105,7 +105,7 @@ class DelayGrowth(JetFault):
 
 
 class ServoJam(TimedFault):
-    """A tilt servo stops at its angle, or moves to ``angle_deg`` and stays there."""
+    """A tilt servo stops, or moves to ``angle_deg`` and stays there."""
 
     amount = "angle_deg"
     kind: Literal["servo_jam"]

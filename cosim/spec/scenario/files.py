@@ -14,7 +14,7 @@ def scenario_names() -> list[str]:
 
 
 def find_scenario(name: str | Path) -> Path:
-    """Return the file of a scenario given by name or path; raise InputError where there is none."""
+    """Return the file of a scenario by name or path.  Raises InputError if there is none."""
     path = Path(name)
     if path.suffix == ".toml" or path.is_file():
         if not path.is_file():

@@ -13,7 +13,7 @@ Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
 class Mismatch(Model):
-    """Differences of the simulated vehicle from its nominal data, which the controller does not know.
+    """Differences of the simulated vehicle from its nominal data, unknown to the controller.
 
     Keys of the aircraft and of the engine change both sides where the controller is made from them too: the hover
     throttle follows the mass, the allocation the places of the jets, height control and tilts the engine's curve.

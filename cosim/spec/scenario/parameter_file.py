@@ -15,7 +15,7 @@ _CONTENTS: dict[tuple[str, str], bytes] = {}  # file contents by path and hash
 
 
 class ParameterFile(Model):
-    """A file whose numbers are in ``vehicle``: a controller of ``hexjet design``, or identified models.
+    """File whose numbers are in ``vehicle``: a designed controller, or identified models.
 
     A flight reads it to see that it is still the file with this hash, and which of its numbers are in effect.
     """
@@ -41,7 +41,7 @@ def parameter_files(known: list[ParameterFile], kind: Literal["design", "models"
 
 
 def read_verified(entry: ParameterFile, folder: Path, where: str) -> bytes:
-    """Return the content of a parameter file, whose hash is the one stated.
+    """Return the content of a parameter file after checking its hash.
 
     Content that this process has read before is returned unchanged, even if the file was overwritten since, so that a
     session goes on with it.  Raises InputError that begins with ``where`` for a file that is missing or another one.
@@ -66,7 +66,7 @@ def read_whole(path: Path, where: str) -> bytes:
 
 
 def parse_table(content: bytes, where: str) -> dict[str, Any]:
-    """Return a parameter file's table.  Raises InputError that begins with ``where`` if it is no TOML."""
+    """Parse a parameter file.  Raises InputError that begins with ``where``."""
     try:
         return tomllib.loads(content.decode())
     except (ValueError, RecursionError) as error:

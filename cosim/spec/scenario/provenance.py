@@ -37,7 +37,7 @@ _NO_EFFECT_ON_FLIGHT = frozenset(
 
 
 class FlownParameters(NamedTuple):
-    """A parameter file as a flight uses it."""
+    """A parameter file as used in a flight."""
 
     kind: Literal["design", "models"]
     file: str  # path relative to the scenario
@@ -48,7 +48,7 @@ class FlownParameters(NamedTuple):
 
 
 def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
-    """Read a scenario's parameter files and compare their numbers with those that fly.
+    """Read a scenario's parameter files and compare their numbers with the flown ones.
 
     Raises InputError for a file that is missing or is another than the one whose hash is stated.
     """
@@ -90,7 +90,7 @@ def copy_parameters(
 
 
 def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[str]:
-    """Return the changes to the scenario's own file as ``key = value``, values of ``parameters`` left out.
+    """List changes from the scenario's file as ``key = value``, without ``parameters``.
 
     Aircraft, engine and controller come first, where they changed.
     """
@@ -105,7 +105,7 @@ def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[
 
 
 def list_differing_keys(scenario: Scenario, other: Scenario) -> list[str]:
-    """Return the keys by which the flights of two scenarios differ, those of the vehicle as it flies.
+    """List the keys by which two scenarios' flights differ, with vehicles as flown.
 
     The number of JSBSim runs and the seed are none of them.
     """
@@ -114,7 +114,7 @@ def list_differing_keys(scenario: Scenario, other: Scenario) -> list[str]:
 
 
 def _as_flown(scenario: Scenario) -> dict[str, Any]:
-    """Return the keys that affect the flight, with the whole vehicle in place of what is stated of it."""
+    """Return the keys that affect the flight, with the complete vehicle."""
     table = _comparable(scenario) | {"vehicle": scenario.resolved_vehicle()[0].model_dump(mode="json")}
     return {key: value for key, value in table.items() if key not in ("substeps", "step_s")} | {
         "step_s": scenario.step_s

@@ -40,7 +40,7 @@ NOT_TOLD: Final = "no controller knows it"
 
 
 class Scenario(Model):
-    """One flight: the keys of a scenario's TOML are its attributes, and units are in their names.
+    """One flight: keys of a scenario's TOML as attributes, with units in their names.
 
     ``vehicle`` and ``engine_parameters`` override values of the aircraft and the engine.
     """
@@ -98,7 +98,7 @@ class Scenario(Model):
     @model_validator(mode="before")
     @classmethod
     def _leave_out_engine_start(cls, data: Any) -> Any:
-        """Leave out the one start of engines that there is, which files of version 0.2.0 state."""
+        """Ignore the engine start key of version 0.2.0, which had a single value."""
         if isinstance(data, dict) and data.get("engine_start") == "before flight":
             return {key: value for key, value in data.items() if key != "engine_start"}
         return data
@@ -106,7 +106,7 @@ class Scenario(Model):
     @model_validator(mode="before")
     @classmethod
     def _fill_expected_aircraft(cls, data: Any) -> Any:
-        """Fill in the file's aircraft in its expectations before overrides apply: they hold for no other aircraft."""
+        """Set the file's aircraft in its expectations before overrides, because they hold only for it."""
         if not isinstance(data, dict) or not isinstance(data.get("expect"), list):
             return data
         own = {"aircraft": data.get("aircraft", "hexjet")}
@@ -144,7 +144,7 @@ class Scenario(Model):
 
     @property
     def origin(self) -> "Scenario | None":
-        """The scenario as in its file, where it was changed since; None where it was not."""
+        """Scenario as in its file, if changed since; else None."""
         return self._origin
 
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
@@ -179,17 +179,17 @@ class Scenario(Model):
 
     @property
     def sensor_plugin(self) -> str | None:
-        """Name of the user-supplied sensors behind the built-in ones, or None."""
+        """Name of the user's sensors, or None."""
         return None if self.sensors is None or self.sensors in profile_names() else self.sensors
 
     @property
     def aircraft_name(self) -> str:
-        """Name of the aircraft, also where the scenario gives a path."""
+        """Name of the aircraft, also if given by path."""
         return self.resolved_vehicle()[0].name if is_aircraft_path(self.aircraft) else self.aircraft
 
     @property
     def step_error(self) -> str | None:
-        """The error that ``substeps`` keeps to, as stated; None where a number is."""
+        """Error that ``substeps`` states, or None for a number."""
         return self._step_error
 
     @property
@@ -267,7 +267,7 @@ class Scenario(Model):
 
     @classmethod
     def read(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
-        """Read a scenario without its vehicle: one of an older version, or one that will get another aircraft.
+        """Read a scenario without its vehicle: of an older version, or for another aircraft.
 
         Parameters
         ----------
@@ -357,7 +357,7 @@ class Scenario(Model):
         return scenario
 
     def _with_aircraft_step(self) -> Self:
-        """Return the scenario with its aircraft's control step; an unreadable aircraft is reported where it is used."""
+        """Return the scenario with its aircraft's control step; errors are reported where the aircraft is used."""
         try:
             step = self.resolved_vehicle()[0].control_step
         except InputError:
@@ -437,7 +437,7 @@ class Scenario(Model):
         return copy
 
     def seen_from(self, folder: Path) -> Self:
-        """Return a copy whose relative file names start from another folder, where the files have been copied to.
+        """Return a copy with file names relative to another folder, where the files were copied.
 
         Parameters
         ----------

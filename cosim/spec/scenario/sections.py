@@ -102,7 +102,7 @@ def unique_names(entries: list[RequireEntry]) -> list[RequireEntry]:
 
 
 class Station(Model):
-    """Replacement of the scenario's engine, or of its parameters, at one engine station."""
+    """Engine of one station that replaces the scenario's, or its parameters."""
 
     engine: str | None = None  # None: that of the scenario
     # Override the scenario's engine_parameters, if the engine is the scenario's.

@@ -24,7 +24,7 @@ _POSITIVE = Annotated[float, Field(gt=0.0)]  # type of a positive number
 
 
 class StepErrors(Model):
-    """Largest measured errors of one vehicle's shipped flights, by JSBSim ``runs`` in a control step.
+    """Largest measured errors of one vehicle's shipped flights, by JSBSim ``runs`` per step.
 
     ``scenarios``: these flights by name; ``settings``: what was set over them, where they are another vehicle's.
     ``engines`` and ``controllers`` are those that flew.
@@ -76,7 +76,7 @@ class StepErrors(Model):
 
 @cache
 def measured_errors(aircraft: str) -> StepErrors | None:
-    """Return what was measured of a shipped vehicle; None where nothing was."""
+    """Return the measured errors of a shipped vehicle, or None."""
     path = data_folder("aircraft") / "substeps.toml"
     table = read_toml(path).get(aircraft)
     return None if table is None else validate(StepErrors, table, f"{path}: {aircraft}")
@@ -114,7 +114,7 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
 
 
 def check_measured_step(error: str, aircraft: str, step: float, where: str) -> None:
-    """Raise InputError where a scenario states an error and a control step [s] at which none was measured."""
+    """Raise InputError for a stated error at a control step [s] without measurements."""
     usual = load_vehicle(aircraft)[0].control_step
     if step != usual:
         raise InputError(

@@ -9,7 +9,7 @@ from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive, Vector
 
 
 class Panel(Model):
-    """A flat panel of a wing, tail or surface, for drawing only: it has no aerodynamic effect.
+    """Flat panel of a wing, tail or surface, for drawing only.
 
     A panel with a ``surface`` turns with it, right-handed about the edge from the first corner to the second.
     """
@@ -25,7 +25,7 @@ class Panel(Model):
 
 
 class Fuel(Model):
-    """Fuel in the full tank: a part of ``Vehicle.mass_kg``, concentrated at one point."""
+    """Fuel in the full tank: part of ``Vehicle.mass_kg``, at one point."""
 
     mass_kg: Positive
     position_m: Vector  # body
@@ -60,7 +60,7 @@ class GroundEffect(Model):
 
 
 class Aero(Model):
-    """Body drag, one drag area per axis, and linear damping of the rates."""
+    """Body drag, one area per axis, and linear damping of rates."""
 
     # Wing span for JSBSim's turbulence model: gusts of this size turn the vehicle.
     span_m: Positive

@@ -21,7 +21,7 @@ VEHICLE = "vehicle.toml"  # file in an aircraft's folder
 
 
 class ScaledFrom(Model):
-    """The table ``scaled``: keys that the file does not have are taken from ``base``, scaled to this mass."""
+    """The table ``scaled``: missing keys are those of ``base``, scaled to this mass."""
 
     base: str
     mass_kg: Positive
@@ -43,7 +43,7 @@ def aircraft_seen_from(aircraft: str, folder: Path) -> str:
 
 
 def aircraft_name(aircraft: str, folder: Path = Path()) -> str:
-    """Return an aircraft's name, read from its file where a path is given; raise InputError as :func:`load_vehicle`."""
+    """Return an aircraft's name, from its file if given by path.  Raises InputError."""
     return load_vehicle(aircraft, folder=folder)[0].name if is_aircraft_path(aircraft) else aircraft
 
 
@@ -62,7 +62,7 @@ def file_seen_from(engine: str, folder: Path) -> str:
 
 
 def is_file(engine: str) -> bool:
-    """Return whether an engine is given by a file: an FMU, a mapping file that names one, or what left (.ssp)."""
+    """Return whether an engine is given by a file: FMU, mapping file, or the removed .ssp."""
     return engine.lower().endswith((".fmu", ".ssp", ".toml")) or "/" in engine
 
 
@@ -96,7 +96,7 @@ _bases: RecentCache[str | None] = RecentCache(32)
 def load_vehicle(
     name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle", folder: Path = Path()
 ) -> tuple[Vehicle, Path]:
-    """Read an aircraft's ``vehicle.toml`` with ``overrides`` merged over it.
+    """Read an aircraft's ``vehicle.toml`` with ``overrides`` applied.
 
     Parameters
     ----------
@@ -144,14 +144,14 @@ def _without_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
 
 
 def _source_texts(path: Path) -> list[bytes]:
-    """Return the contents of an aircraft's file and of the file that it is scaled from, where there is one."""
+    """Return the contents of an aircraft's file and of its scaling base, if any."""
     text = read_file(path)
     base = _bases.get((path, text), lambda: _find_base(path))
     return [text] if base is None else [text, read_file(data_folder("aircraft") / base / VEHICLE)]
 
 
 def _find_base(path: Path) -> str | None:
-    """Return the shipped aircraft that a ``vehicle.toml`` is scaled from; None where it is not."""
+    """Return the shipped aircraft that a ``vehicle.toml`` is scaled from, or None."""
     law = read_toml(path).get("scaled")
     base = law.get("base") if isinstance(law, dict) else None
     return base if base in aircraft_names() else None
@@ -191,7 +191,7 @@ def _find_implausible(
     legs: Mapping[str, Vector3],
     farthest: float = 100.0,
 ) -> str:
-    """Return the first implausible value as one line (key, value, allowed range), or an empty string if there is none.
+    """Return the first implausible value as one line (key, value, allowed range), or an empty string.
 
     ``mass`` [kg], ``inertia`` [kg m^2], positions of all parts and of the ``legs`` [m, body frame] by their keys.
     ``farthest``: m from the centre of gravity, chosen by us: no vehicle here has a part beyond it.
@@ -251,7 +251,7 @@ def _surround_origin(points: list[tuple[float, float]]) -> bool:
 
 
 def _read_tables(path: Path) -> dict[str, Any]:
-    """Return the tables of a ``vehicle.toml``, merged over those of the aircraft that it scales, if any."""
+    """Read a ``vehicle.toml``, merged over the tables of its scaled base, if any."""
     tables = read_toml(path)
     check_kind(tables, path, AIRCRAFT)
     if "scaled" not in tables:

@@ -17,7 +17,7 @@ class AttitudeGains(Model):
 
 
 class RateGains(Model):
-    """One axis of the rate PID; its output is in throttle (roll) or rad of tilt (pitch, yaw)."""
+    """Rate PID of one axis; output in throttle (roll) or rad of tilt (pitch, yaw)."""
 
     p: NotNegative
     i: NotNegative
@@ -33,7 +33,7 @@ class RateControl(Model):
 
 
 class EngineLead(Model):
-    """Poles of an engine, and where a lead on its command moves them; see :mod:`cosim.control.lead`."""
+    """Poles of an engine, and where a lead moves them; see :mod:`cosim.control.lead`."""
 
     natural_rad_s: Positive  # two poles; with damping 0 a single lag
     damping: Positive | None = None
@@ -50,7 +50,7 @@ class Leads(Model):
 
 
 class ScheduledGains(Model):
-    """Factors on one command's nominal gains at a thrust level, and its lead there."""
+    """Factors on one command's nominal gains at a thrust level, and its lead."""
 
     angle: Positive = 1.0  # factor on attitude or position_1_s
     p: Positive = 1.0  # height: factor on velocity_1_s
@@ -62,7 +62,7 @@ class ScheduledGains(Model):
 
     @property
     def lead(self) -> EngineLead | None:
-        """The lead at this level, where it states one."""
+        """Lead at this level, if stated."""
         if self.natural_rad_s is None or self.pole_rad_s is None:
             return None
         return EngineLead(natural_rad_s=self.natural_rad_s, damping=self.damping, pole_rad_s=self.pole_rad_s)
@@ -77,7 +77,7 @@ class ThrustLevel(Model):
 
 
 class Schedule(Model):
-    """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
+    """Gains and leads by thrust level, interpolated linearly, constant outside."""
 
     filter_s: Positive  # lag of the collective in the schedule
     level: Annotated[list[ThrustLevel], Field(min_length=2)]  # smallest share first
@@ -118,7 +118,7 @@ class AllocationLimits(Model):
 
 
 class PredictorTuning(Model):
-    """Tuning of the predictors besides the identified model; each reads its own keys."""
+    """Tuning of predictors besides the identified model; each reads its own keys."""
 
     filter_s: NotNegative  # filtered Smith: lag of the filter
     observer_rad_s: Positive  # state: both observer poles at minus this
@@ -142,7 +142,7 @@ class PositionGains(Model):
 
 
 class PilotSettings(Model):
-    """Initial settings of the autopilot, which its parameters change."""
+    """Initial autopilot settings, which its parameters change."""
 
     speed_m_s: Positive
     acceleration_m_s2: Positive
@@ -159,7 +159,7 @@ class PilotSettings(Model):
 
 
 class MonitorSettings(Model):
-    """Thresholds at which the engine monitor reports an engine as faulty."""
+    """Thresholds of the engine monitor."""
 
     threshold: Positive  # of hover thrust, off the healthy range
     confirm_s: Positive  # for this long without a break
@@ -213,7 +213,7 @@ class Control(Model):
 
     @model_validator(mode="after")
     def _leads_at_every_level(self) -> Self:
-        """Require each lead's parameters at every level, in the lead's own form; those of absent leads are unused."""
+        """Require each lead's parameters at all levels, in one form; parameters of absent leads are ignored."""
         for number, level in enumerate(self.schedule.level if self.schedule else ()):
             for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
                 lead = getattr(self.lead, name, None)

@@ -44,17 +44,17 @@ class RateModel(Model):
 
     @property
     def all_poles(self) -> list[float] | list[complex]:
-        """All poles: the real ones, then both of each conjugate pair."""
+        """All poles: real ones, then conjugate pairs."""
         return _with_pairs(self.poles, self.pole_pairs)
 
     @property
     def all_zeros(self) -> list[float] | list[complex]:
-        """All zeros: the real ones, then both of each conjugate pair."""
+        """All zeros: real ones, then conjugate pairs."""
         return _with_pairs(self.zeros, self.zero_pairs)
 
 
 class ModelFile(Model):
-    """Identified models in a file of their own, to be written over a vehicle's."""
+    """Identified models in a separate file, to be merged into a vehicle."""
 
     identified: Annotated[dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]], Field(min_length=1)]
 

@@ -20,7 +20,7 @@ _LATENCY = ("latency_s", "latency_samples")  # latency in a profile, in a vehicl
 
 
 def profile_names() -> list[str]:
-    """Return the names of all sensor profiles, the one that changes nothing first."""
+    """Return the names of all sensor profiles, the neutral one first."""
     return [STATED, *read_toml(_file())]
 
 
@@ -34,7 +34,7 @@ def describe_profile(profile: str) -> str:
 def load_with_profile(
     aircraft: str, overrides: dict[str, Any], where: str, folder: Path, profile: str, step: float
 ) -> tuple[Vehicle, Path]:
-    """Read an aircraft with a profile written over its sensors, and what a scenario states over that.
+    """Read an aircraft with a sensor profile, and a scenario's overrides on top.
 
     As :func:`cosim.spec.vehicle.load_vehicle`; a profile's latency is rounded to a whole number of control steps [s].
     """
@@ -50,7 +50,7 @@ def load_with_profile(
 
 
 def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str) -> None:
-    """Refuse another profile over a file whose own sensors would hide it, as the scenario of a run does.
+    """Refuse a profile for a file that states its own sensors, such as a run's scenario.
 
     ``stated``: the file's ``vehicle.sensors``.  Raises InputError if it has a value that one of the profiles states.
     """

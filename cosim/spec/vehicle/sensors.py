@@ -38,7 +38,7 @@ class AttitudeSensor(Model):
 
 
 class PositionSensor(Model):
-    """GNSS position and velocity, sampled and held at a rate of their own."""
+    """GNSS position and velocity, sampled and held at its own rate."""
 
     position_noise_m: NotNegative
     velocity_noise_m_s: NotNegative

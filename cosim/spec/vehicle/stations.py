@@ -26,7 +26,7 @@ Direction = Annotated[Vector, AfterValidator(_unit)]
 
 
 class Airflow(Model):
-    """Air mass flow of one engine: ``kg_s (thrust / at_thrust_n)^exponent``, and its intake and exhaust."""
+    """Air mass flow of one engine: ``kg_s (thrust / at_thrust_n)^exponent``, with intake and exhaust."""
 
     kg_s: Positive
     at_thrust_n: Positive
@@ -65,7 +65,7 @@ class Servo(Model):
 
 
 class Hinge(Model):
-    """A bank, gimbal or vane that turns about an axis by its own servo and moves jets or their thrust.
+    """Bank, gimbal or vane with its own servo, which moves jets or deflects their thrust.
 
     The servo is a first-order lag with rate and range limits.  The turning part has ``mass_kg`` with its centre at
     ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
@@ -119,7 +119,7 @@ class Hinge(Model):
 
 
 class Surface(Model):
-    """A surface of the JSBSim model that is commanded: a property of it, set by a servo of its own."""
+    """Commanded surface of the JSBSim model: a property of it, driven by its own servo."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
     # Property of the JSBSim model, for example fcs/elevator-cmd-norm.

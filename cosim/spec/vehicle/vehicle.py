@@ -26,7 +26,7 @@ Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, control step
 
 
 class Limits(Model):
-    """Limits whose violation ends a flight."""
+    """Limits that end a flight."""
 
     tilt_deg: Annotated[float, Field(gt=0.0, le=180.0)]  # from upright, in the air: diverged
     rate_deg_s: Positive  # about any axis: diverged
@@ -163,19 +163,19 @@ class Vehicle(Model):
 
     @property
     def actuators(self) -> tuple[str, ...]:
-        """Names of the servo-driven actuators: hinges, then surfaces; the two banks where there is neither."""
+        """Names of servo-driven actuators: hinges, then surfaces; the two banks if there are neither."""
         return (*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)) or SERVOS
 
     @property
     def turns(self) -> tuple[tuple[float, float], ...]:
-        """Least and greatest value of each angle of :meth:`layout` [rad]; empty where no thrust turns."""
+        """Range of each angle of :meth:`layout` [rad]; empty if no thrust turns."""
         if self.servo is not None:
             return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
         return tuple(hinge.angle_limits for hinge in self.hinges)
 
     @property
     def ranges(self) -> tuple[tuple[float, float], ...]:
-        """Least and greatest position of each of :attr:`actuators`; empty where nothing moves."""
+        """Range of each of :attr:`actuators`; empty if nothing moves."""
         return (*self.turns, *(surface.range for surface in self.surfaces))
 
     @property
@@ -192,7 +192,7 @@ class Vehicle(Model):
         return ((a, -xy, -xz), (-xy, b, -yz), (-xz, -yz, c))
 
     def with_point_mass(self, mass_kg: float, position_m: Vector) -> Self:
-        """Return the vehicle with a point mass [kg] more, or less where it is negative, fixed at a place [m, body].
+        """Return the vehicle with a point mass [kg] added, or removed if negative, at a place [m, body].
 
         Inertia is about its own centre of gravity then; places stay stated from the old one, as those of a small part.
         """

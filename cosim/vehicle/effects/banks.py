@@ -29,7 +29,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class Banks(Effect):
-    """The left and the right bank of a vehicle.
+    """Left and right tilting bank of a vehicle.
 
     ``step``: control step, s.
     """

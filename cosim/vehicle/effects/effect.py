@@ -20,7 +20,7 @@ def add_vectors(a: Vector3, b: Vector3) -> Vector3:
 
 
 class Load:
-    """What acts on the airframe over one step, and what it is computed from.
+    """Loads on the airframe over one step, and their inputs.
 
     ``forces`` [N, body] act at the jets' stations with the hinges at zero, together with ``moment`` [N m, body];
     effects add to both.  ``engine_forces`` [N, body] are those of the engines alone.
@@ -67,7 +67,7 @@ class Load:
 
 
 class Effect:
-    """Something that acts on the airframe beside thrust; see :class:`Load`.
+    """An effect on the airframe other than thrust; see :class:`Load`.
 
     Effects share the list in ``forces``: one that changes it puts a new list there.
     """
@@ -75,7 +75,7 @@ class Effect:
     acts_at_rest = False  # True: acts on a vehicle at rest as well
 
     def start(self, load: Load) -> None:
-        """Begin a flight: at rest, the engines as ``load.output`` says."""
+        """Begin a flight at rest, with engines at ``load.output``."""
 
     def act(self, load: Load) -> None:
         """Add its forces and moment over a step."""

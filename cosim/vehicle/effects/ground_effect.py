@@ -25,7 +25,7 @@ def lift_loss(height: float, planform: float, jet: float, least_height: float = 
 
 
 class LiftLoss(Effect):
-    """Lift loss of one vehicle near the ground.
+    """Lift loss near the ground.
 
     The loss pulls along body z, through the centre of gravity; all jets count as one of their joint area.
     """
@@ -37,7 +37,7 @@ class LiftLoss(Effect):
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 
     def act(self, load: Load) -> None:
-        """Subtract the loss from the forces so far, with a moment that makes it act at the centre."""
+        """Subtract the loss, with a moment that makes it act at the centre."""
         forces, state = load.forces, load.state
         lift = -sum([z for _, _, z in forces])
         if lift <= 0.0:
@@ -49,7 +49,7 @@ class LiftLoss(Effect):
 
 
 class HotGas:
-    """Exhaust gas that the ground turns back into the intakes of one vehicle."""
+    """Exhaust gas that the ground reflects into the intakes."""
 
     def __init__(self, effect: GroundEffect) -> None:
         self._heights = list(effect.hot_gas_height_m)

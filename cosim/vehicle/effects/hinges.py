@@ -29,7 +29,7 @@ from cosim.vehicle.effects.effect import Effect, Load, add_vectors
 
 
 class _Part:
-    """A hinge and what turns with it, ``angle``, ``speed`` and ``acceleration`` at the end of a step."""
+    """A hinge with the mass that it turns; ``angle``, ``speed`` and ``acceleration`` at the end of a step."""
 
     def __init__(self, hinge: Hinge, number: int) -> None:
         self.number = number
@@ -45,7 +45,7 @@ class _Part:
         self.reset()
 
     def reset(self) -> None:
-        """Stand at rest."""
+        """Reset to rest."""
         self.angle = self.rest
         self.speed = self.acceleration = 0.0
         self.cosine = self.sine = 0.0
@@ -63,7 +63,7 @@ class _Part:
 
 
 class HingeReactions(Effect):
-    """The hinges of a vehicle whose parts have mass or inertia.
+    """Reactions of hinges whose parts have mass or inertia.
 
     ``step``: control step, s.
     """
@@ -95,7 +95,7 @@ class HingeReactions(Effect):
         load.add_moment(moment)
 
     def reaction(self, tilt: PerServo, rate: Vector3) -> tuple[Vector3, Vector3]:
-        """Return the force [N, body, handed over at the first jet's station] and the moment beside it [N m, body].
+        """Return the force [N, body, applied at the first station] and additional moment [N m, body].
 
         ``tilt``: where the servos stand at the end of the step, rad; ``rate``: the body's, rad/s.
         """

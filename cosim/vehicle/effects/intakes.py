@@ -12,7 +12,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class _Stream:
-    """The air stream of one jet: ``kg_s`` at a thrust [N], the exponent, intake and exhaust [m], its station."""
+    """Air stream of one jet: ``kg_s`` at a thrust [N], exponent, intake and exhaust [m], station."""
 
     def __init__(self, flow: Airflow, station: Vector3) -> None:
         self.kg_s, self.at_thrust, self.exponent = flow.kg_s, flow.at_thrust_n, flow.exponent
@@ -21,7 +21,7 @@ class _Stream:
 
 
 class IntakeDrag(Effect):
-    """Forces of the air streams on the airframe beside their thrust, by the momentum theorem.
+    """Momentum forces of the intake streams on the airframe.
 
     ``m`` is one engine's mass flow, ``v`` the velocity of the centre of gravity through the air, ``e`` the jet's tilted
     axis, ``r`` its station: air enters at ``r_i = r + a e`` and leaves at ``r_o = r + b e``,
@@ -42,7 +42,7 @@ class IntakeDrag(Effect):
         self._layout = layout_of(jets, hinges)
 
     def act(self, load: Load) -> None:
-        """Add the streams' forces at the stations, and what these have in moment beyond r x F."""
+        """Add the streams' forces at the stations, and their moments beyond r x F."""
         state, gusts, forces = load.state, load.gusts, load.forces
         vx, vy, vz = state.velocity
         wx, wy, wz = state.wind

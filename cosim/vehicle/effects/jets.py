@@ -16,7 +16,7 @@ from cosim.vehicle.effects.effect import Effect, Load, add_forces, add_vectors
 
 
 class JetReactions(Effect):
-    """The rotors' drag torques on the frame, about the jets' own axes: ``reactions`` [m] times thrust."""
+    """Drag torques of the rotors on the frame, about the jets' axes: ``reactions`` [m] times thrust."""
 
     acts_at_rest = True
 
@@ -39,7 +39,7 @@ class JetReactions(Effect):
 
 
 class EngineTorques(Effect):
-    """The torques that engines report, about the jets' own axes, right-handed along thrust.
+    """Torques reported by the engines, about the jets' axes, right-handed along thrust.
 
     ``outputs``: of each engine, of ``SIDE_LOADS`` in :mod:`cosim.engine.fmu.port_kinds`.
     """

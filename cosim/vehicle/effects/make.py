@@ -17,7 +17,7 @@ from cosim.vehicle.effects.rotors import RotorDynamics
 
 
 def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec], step: float) -> list[Effect]:
-    """Return what acts beside thrust on a vehicle, and nothing that it does not have, in the order in which it acts.
+    """Return the effects of a vehicle besides thrust, in order of evaluation.
 
     ``flown``: the vehicle whose stations fly; ``engines``: the one at each station.  An engine that gives a torque has
     no other reaction: ``reaction_m`` of its jet does not act.  The ground's suction is of the thrust alone, and sums

@@ -114,7 +114,7 @@ class Estimator:
         self.reset(None)
 
     def reset(self, measured: Measured | None) -> None:
-        """Start as if the vehicle had been at rest as ``measured``; None: as the first measurement says."""
+        """Start as if at rest in the measured state; None: at the first measurement."""
         # Measurement that the loops fly with.
         self.measured = measured
         self.euler: Vector3 = ZERO3 if measured is None else to_euler(measured.attitude)
@@ -155,7 +155,7 @@ class Estimator:
         is_pushed: bool = False,
         has_contact: bool = False,
     ) -> Measured:
-        """Return what step ``k`` is flown with; ``still``: the vehicle stands; ``is_grounded``: or has not lifted off.
+        """Return the estimate for step ``k``; ``still``: it stands; ``is_grounded``: it has not lifted off.
 
         ``is_pushed``: see :meth:`PositionEstimator.update`.  ``has_contact``: its legs touch the ground.
         """
@@ -231,7 +231,7 @@ class Estimator:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """What has failed, in words, the GNSS receiver aside."""
+        """Failed sensors in words, except the GNSS receiver."""
         failures = (
             ("attitude lost", not self.has_attitude),
             ("gyro lost", not self.has_rate),
@@ -280,7 +280,7 @@ class Estimator:
         return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
 
     def _turn(self, rate: Vector3, bias_walk: float = 2e-5) -> None:
-        """Predict one step by the gyro; without one the bias is minus the rate, and may change quickly.
+        """Predict one step with the gyro; without one the bias is minus the rate and may change quickly.
 
         ``bias_walk``: rad/s per root s, a MEMS gyro's zero (5 mdeg/s per K) that warms by some K in a minute.
         """
@@ -330,7 +330,7 @@ class Estimator:
         self.gyro_bias = _sum(self.gyro_bias, error, bias_gain.real)
 
     def _detect_new_bias(self, error: Vector3, total: float) -> None:
-        """Open the covariance of the bias where the mean error says that the bias is not what it was."""
+        """Widen the bias's covariance if the mean error shows that the bias has changed."""
         gain = self._dt / _MEAN_S
         self._mean = _sum(self._mean, _sum(error, self._mean, -1.0), gain)
         self._quiet_s = max(0.0, self._quiet_s - self._dt)
@@ -344,12 +344,12 @@ class Estimator:
         self._predict_height(attitude, measured.specific_force, has_contact and not still)
         if still:
             self._correct_height(1, -self.vertical.v, STANDING_NOISE**2)
-        self._take_barometer(measured.altitude, is_new or still)
+        self._correct_by_barometer(measured.altitude, is_new or still)
         if k > self._latency and (k - self._latency) % self._period == 0:
             self._take_fix(-measured.position[2], -measured.velocity[2], still)
 
     def _check_repeats(self, measured: Measured, still: bool) -> bool:
-        """Note which sensors repeat themselves while another moves; return whether the barometer's reading is new."""
+        """Detect sensors that repeat while others change; return whether the barometer's reading is new."""
         dt, force = self._dt, measured.specific_force
         felt = force == force and force[2] == force[2]
         new_force = felt and force != self._last_force
@@ -370,7 +370,7 @@ class Estimator:
     def _predict_height(
         self, attitude: Quaternion, force: Vector3, has_contact: bool, unsensed: float = 3.0, contact_noise: float = 2.0
     ) -> None:
-        """Predict one step, without an accelerometer for any acceleration of a flight, ``unsensed`` m/s^2.
+        """Predict one step; without accelerometer the acceleration has the deviation ``unsensed`` m/s^2.
 
         ``contact_noise``: m/s^2, by which the forces of stiff legs change within a step.
         """
@@ -390,7 +390,7 @@ class Estimator:
         self.vertical.correct(which, error, noise, latency)
         self.vertical.u = max(-_MAX_BIAS, min(_MAX_BIAS, self.vertical.u.real))
 
-    def _take_barometer(self, altitude: float, is_new: bool) -> None:
+    def _correct_by_barometer(self, altitude: float, is_new: bool) -> None:
         error = altitude - self.vertical.p.real
         if not is_new or self._height_age >= _FAILED_S:
             self._agreement_s = 0.0
@@ -407,7 +407,7 @@ class Estimator:
             self._correct_height(0, error, self._height_noise)
 
     def _take_fix(self, height: float, rate: float, still: bool, offset_epochs: int = 300) -> None:
-        """Correct by a GNSS epoch: velocity always, height where there is no barometer.
+        """Correct by a GNSS fix: always velocity, and height without a barometer.
 
         ``offset_epochs``: over so many, half a minute, the receiver's height is compared with the barometer's.
         """

@@ -45,11 +45,11 @@ class Kalman:
 
     @property
     def delayed(self) -> tuple[complex, complex]:
-        """Position and velocity at the instant to which a reading that arrives now belongs."""
+        """Position and velocity at the instant of a measurement that arrives now."""
         return self._past[0]
 
     def move(self, acceleration: complex, rests: bool = False) -> None:
-        """Predict one step with an acceleration, bias and all; ``rests``: at its end it stands and nothing pushes."""
+        """Predict one step with an acceleration; ``rests``: the vehicle stands and nothing pushes it."""
         dt = self._dt
         self.p += dt * (self.v + 0.5 * dt * acceleration)
         self.v += dt * acceleration

@@ -41,7 +41,7 @@ def trusted_noise(
 
 
 class PositionEstimator:
-    """Position, velocity and the acceleration that the attitude does not explain: one Kalman filter, dead-reckoned.
+    """Kalman filter of position, velocity and unexplained acceleration, which dead-reckons between fixes.
 
     The acceleration is ``g tan(lean)`` of the measured attitude (thrust along the body's z axis that holds the weight),
     its bias the disturbance; so neither a limit of the lean nor a slow attitude loop winds anything up.  The gains are
@@ -72,7 +72,7 @@ class PositionEstimator:
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
-        """Start at rest at ``position``, with the deviation of one epoch of the receiver."""
+        """Start at rest at ``position``, with the uncertainty of one fix."""
         self._epoch = 0
         self._last: tuple[float, ...] = ()
         # s since the last new fix
@@ -84,7 +84,7 @@ class PositionEstimator:
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Standard deviations of position [m] and velocity [m/s], per axis; infinite where nothing predicts them."""
+        """Standard deviations of position [m] and velocity [m/s] per axis; infinite without prediction."""
         fix_deviation = self._deviations[min(self._epoch, len(self._deviations) - 1)]
         if self.silent == 0.0:
             return fix_deviation
@@ -102,7 +102,7 @@ class PositionEstimator:
     def update(
         self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, is_pushed: bool = False
     ) -> Fix:
-        """Return the estimate at ``t_k``; ``still``: the vehicle stands, so it has no velocity and nothing pushes it.
+        """Return the estimate at ``t_k``; ``still``: the vehicle stands, without velocity or push.
 
         ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``is_pushed``: by its own thrust, so that
         the estimated disturbance stays as it is.
@@ -139,7 +139,7 @@ class PositionEstimator:
         self._lean.shift(dp, dv, du, self._latency * self._step)
 
     def _reckon(self, measured: Measured, by_lean: complex) -> None:
-        """Predict one step by the accelerometer, without one by the lean."""
+        """Predict one step by the accelerometer, or by the lean without one."""
         force, reckoning = measured.specific_force, self.reckoning
         self._has_force = force[0] == force[0] and force[1] == force[1] and force[2] == force[2]
         if self._has_force:

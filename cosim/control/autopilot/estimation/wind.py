@@ -39,7 +39,7 @@ def estimate_wind(
 
 
 def drag_limited_speed(vehicle: Vehicle, acceleration: float, thrust: Sequence[float], density: float) -> float | None:
-    """Return the air speed [m/s] at which drag takes an acceleration [m/s^2], on the side that has more drag.
+    """Return the air speed [m/s] at which drag equals an acceleration [m/s^2], on the side with more drag.
 
     ``thrust`` and ``density`` are as of :func:`estimate_wind`.  None for a vehicle with a wing and one without drag.
     """

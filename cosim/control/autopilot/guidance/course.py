@@ -23,7 +23,7 @@ MAX_ENTRY_M_S = 0.5  # faster vehicles do not begin a descent
 
 
 class Landmarks:
-    """Home, rally points, and the ground where the vehicle last took off."""
+    """Home, rally points, and the ground at the last take-off."""
 
     def __init__(self) -> None:
         self.rally: tuple[RallyPoint, ...] = ()  # rally points, kept across flights
@@ -42,7 +42,7 @@ class Landmarks:
 
     @property
     def high_ground(self) -> float:
-        """The highest that the ground may be, m: there is no sensor for the height above it."""
+        """Highest possible ground, m, because height above ground is not measured."""
         return max(self.home_altitude, self.ground)
 
     @property
@@ -58,7 +58,7 @@ class Landmarks:
 
 
 class Course:
-    """The position, height and heading to fly to or hold, and the :class:`Guide` that does it."""
+    """Target position, height and heading, and the :class:`Guide` that flies there."""
 
     def __init__(self, parameters: Parameters, estimates: Estimator, landmarks: Landmarks, guide: Guide) -> None:
         self.parameters = parameters
@@ -68,14 +68,14 @@ class Course:
         self.reset()
 
     def reset(self) -> None:
-        """Stop where the vehicle is."""
+        """Stop at the present position."""
         self.cruise: float | None = None  # m/s; None: as the parameter says
         self.descending = self.landing = self._is_pushed = False
         self.aim(None, None, None)
         self.guide.reset()
 
     def aim(self, position: Pair | None, height: float | None, heading: float | None) -> None:
-        """Set the target; None: the position where it comes to rest, no height yet, the present heading."""
+        """Set the target; None: where it comes to rest, no height yet, the present heading."""
         self.position, self.height, self.heading = position, height, heading
 
     def begin(self, k: int, is_spinning: bool = False, is_pushed: bool = False) -> None:
@@ -94,7 +94,7 @@ class Course:
 
     @property
     def stop_height(self) -> float:
-        """The height [m] at which climbing or sinking would end now, not nearer to the ground than it must."""
+        """Height [m] at which vertical motion would end now, not below the minimum."""
         measured = self.estimates.measured
         if measured is None:
             return 0.0
@@ -109,7 +109,7 @@ class Course:
         return hypot(position[0] - n, position[1] - e)
 
     def plan_return(self, position: Pair, altitude: float) -> tuple[Pair, float, bool]:
-        """Return where a return from this position and altitude lands, the height to fly at, and whether it is near."""
+        """Return the landing place, flight height and whether it is near, for a return from here."""
         landmarks = self.landmarks
         home = landmarks.home or Home(*position, landmarks.home_altitude)
         target = landmarks.nearest(home, position)

@@ -55,7 +55,7 @@ def descent_rate(height: float, braking: float, response_time: float, end: float
 
 
 class CollectiveFloor:
-    """The least collective, where the height is not controlled.
+    """Smallest collective while height is not controlled.
 
     With ``v`` from :func:`descent_rate` at the present height (a = half of the thrust beyond the weight, t = four times
     the longest time in which engines and sensed climb rate answer), the vehicle sinking at ``s``, and ``k = 1/(2 T)``
@@ -115,7 +115,7 @@ class CollectiveFloor:
         return descent_rate(height, self._braking, self._late, end)
 
     def apply(self, collective: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
-        """Return ``collective``, or what the floor needs where that is more, without steps.
+        """Return ``collective``, or the larger one of the floor, without jumps.
 
         ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
         """
@@ -132,7 +132,7 @@ class CollectiveFloor:
         return self.limit_rate(max(collective, least))
 
     def collective_for(self, up: float, upright: float, weight: float) -> float:
-        """Return the collective for an acceleration upwards [m/s^2]; downwards half of what least thrust gives."""
+        """Return the collective for an upward acceleration [m/s^2]; downwards half of what idle thrust gives."""
         return self._collective(max(up, -self._slowing), upright, weight)
 
     def _collective(self, up: float, upright: float, weight: float) -> float:

@@ -77,7 +77,7 @@ class Envelope:
         return height_limits(p["HJ_ALT_P"], p["HJ_CLIMB_P"], speed, *margins)
 
     def update_limits(self, name: str, guide: Guide) -> None:
-        """Compute anew the limits that depend on a parameter that has changed."""
+        """Recompute the limits that depend on a changed parameter."""
         if name.startswith(_SHAPING):
             self.shaper.limit(self.attitude_limits())
         if name in _CLIMBING:

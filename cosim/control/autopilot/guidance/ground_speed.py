@@ -40,7 +40,7 @@ class GroundSpeed:
         self._north = self._east = self._weight = 0.0
 
     def update_wind(self) -> None:
-        """Take one step in the air into the mean of the wind, where the vehicle follows a steady set-point."""
+        """Update the mean wind by one step in which the vehicle follows a steady set-point."""
         track, estimates = self._course.guide.track, self._course.estimates
         if track is None or not estimates.has_position:
             return
@@ -62,7 +62,7 @@ class GroundSpeed:
 
     @property
     def max_speed(self) -> float:
-        """The most speed over the ground [m/s] that HJ_LEAN_MAX gives against the wind.
+        """Largest ground speed [m/s] against the wind at a lean of HJ_LEAN_MAX.
 
         Where drag is not known, or a wing bears, it is the speed that the vehicle's file states.
         """
@@ -74,7 +74,7 @@ class GroundSpeed:
 
     @property
     def speed(self) -> float:
-        """The speed over the ground [m/s] of a long way: what is asked for, or as much of it as can be flown."""
+        """Ground speed [m/s] on a long leg: the commanded one, or the largest possible."""
         return min(self._course.speed, self.max_speed)
 
     def travel_time(self, distance: float, speed: float) -> float:

@@ -15,7 +15,7 @@ from cosim.control.autopilot.parameters import Parameters
 
 
 class Guide:
-    """Keeps the set-points of position, height and heading; each starts from where the vehicle is.
+    """Keeps the set-points of position, height and heading; each begins at the vehicle's state.
 
     A set-point that was not used in the step before is taken up from the present state, so that changing modes does
     not step the command of anything but the acceleration.
@@ -48,11 +48,11 @@ class Guide:
         self._position.reset()
 
     def restart_height(self) -> None:
-        """Take the set-point of height up anew in the next step, from the vehicle's height and climb rate then."""
+        """Restart the height set-point at the vehicle's height and climb rate in the next step."""
         self._height_step = -2
 
     def limit(self, limits: HeightLimits) -> None:
-        """Set other bounds of the height; its set-point goes on from where it is."""
+        """Change the height limits; the set-point continues."""
         self.limits = limits
         self._height.limit(limits.acceleration, limits.jerk)
         track = self._height.track
@@ -74,22 +74,22 @@ class Guide:
 
     def towards(self, target: Pair, speed: float) -> Pair:
         """Return roll and pitch (rad) that fly to a position."""
-        self._take_up_track()
+        self._start_track()
         return self._lean(self.tracker.towards(target, speed))
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
         """Return roll and pitch (rad) that fly round a centre."""
-        self._take_up_track()
+        self._start_track()
         return self._lean(self.tracker.around(centre, radius, speed, clockwise))
 
     def at_velocity(self, velocity: Pair) -> Pair:
         """Return roll and pitch (rad) that fly at a velocity."""
-        self._take_up_track()
+        self._start_track()
         return self._lean(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
         """Return the height set-point [m] on its way to ``altitude`` [m] at these rates [m/s] at most."""
-        self._take_up_height()
+        self._start_height()
         height_error = altitude - self.altitude
         if self._waits(height_error):
             return self.altitude
@@ -98,7 +98,7 @@ class Guide:
 
     def at_climb(self, rate: float) -> float:
         """Return the height set-point [m], moving at ``rate`` [m/s]."""
-        self._take_up_height()
+        self._start_height()
         rate = max(rate, -self._max_sink)
         if self._waits(rate):
             return self.altitude
@@ -106,7 +106,7 @@ class Guide:
 
     def to_yaw(self, yaw: float | None) -> float:
         """Return the heading set-point [rad] on its way to ``yaw`` the short way round; None stays."""
-        self._take_up_yaw()
+        self._start_yaw()
         if yaw is not None:
             most = self._parameters["HJ_YAW_RATE"] * pi / 180.0 * self._step
             self.yaw = wrap(self.yaw + clamp(wrap(yaw - self.yaw), most))
@@ -114,7 +114,7 @@ class Guide:
 
     def at_yaw_rate(self, rate: float) -> float:
         """Return the heading set-point [rad], turning at ``rate`` [rad/s], at most a radian ahead of the vehicle."""
-        self._take_up_yaw()
+        self._start_yaw()
         ahead = wrap(self.yaw + rate * self._step - self._yaw)
         self.yaw = wrap(self._yaw + clamp(ahead, 1.0))
         return self.yaw
@@ -126,7 +126,7 @@ class Guide:
 
     @property
     def track(self) -> Track | None:
-        """The set-point of position, where one is in use."""
+        """Set-point of position, if one is active."""
         return self.tracker.track if self._track_step == self._k else None
 
     @property
@@ -135,28 +135,28 @@ class Guide:
 
     @property
     def stop_height(self) -> float:
-        """The height at which the set-point would come to rest now."""
+        """Height at which the set-point would come to rest now."""
         return self._height.stop_position[0]
 
     def _lean(self, track: Track) -> Pair:
         return lean_from_acceleration(self._position.update(track, self._fix), self._yaw)
 
-    def _take_up_track(self) -> None:
+    def _start_track(self) -> None:
         if self._track_step not in (self._k, self._k - 1):
             self.tracker.start(self._fix.position, self._fix.velocity)
         self._track_step = self._k
 
-    def _take_up_height(self) -> None:
+    def _start_height(self) -> None:
         if self._height_step not in (self._k, self._k - 1):
             # The loop's own limits are these: they stop a fall, whatever the set-point.
             up, down = self._parameters["HJ_SPEED_UP"], self._parameters["HJ_SPEED_DN"]
             self._climb = min(max(-self._measured.velocity[2], -down), up)
             # At this height set-point the law commands the present climb rate.
-            self.altitude = self._measured.altitude + self._climb / self._gain()
+            self.altitude = self._measured.altitude + self._climb / self._height_gain()
             self._height.start((self.altitude, 0.0), (self._climb, 0.0))
         self._height_step = self._k
 
-    def _take_up_yaw(self) -> None:
+    def _start_yaw(self) -> None:
         if self._yaw_step not in (self._k, self._k - 1):
             self.yaw = self._yaw
         self._yaw_step = self._k
@@ -164,7 +164,7 @@ class Guide:
     def _waits(self, change: float) -> bool:
         """Return whether the vehicle lags so far that the height set-point stops to wait for it."""
         ahead = self.altitude - self._measured.altitude
-        if abs(ahead) < self.max_lead + abs(self._climb) / self._gain() or ahead * change <= 0.0:
+        if abs(ahead) < self.max_lead + abs(self._climb) / self._height_gain() or ahead * change <= 0.0:
             return False
         self._climb = 0.0
         self._height.start((self.altitude, 0.0), (0.0, 0.0))
@@ -174,5 +174,5 @@ class Guide:
         self.altitude, self._climb = track.position[0], track.velocity[0]
         return self.altitude
 
-    def _gain(self) -> float:
+    def _height_gain(self) -> float:
         return max(self._parameters["HJ_ALT_P"], 0.1)

@@ -32,7 +32,7 @@ class PositionController:
         self._fades: tuple[Fade, ...] = ()
 
     def retune(self, position: float, velocity: float, lean: float) -> None:
-        """Set other gains from the next update on, without a bump: the difference in acceleration fades."""
+        """Change the gains at the next update without a jump: the difference in acceleration fades."""
         if self._left is None:
             self._left = self._law
         self._law = (position, velocity, lean)

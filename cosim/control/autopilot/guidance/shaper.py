@@ -102,7 +102,7 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        authority.append(COMMAND_FRACTION * room * lever * per_jet / inertia[axis] / _extra(lead, gain[axis]))
+        authority.append(COMMAND_FRACTION * room * lever * per_jet / inertia[axis] / _lead_effort(lead, gain[axis]))
     return (authority[0], authority[1], authority[2])
 
 
@@ -121,13 +121,13 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
     authority = []
     for axis, name in enumerate(AXES):
-        extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
+        extra = max(1.0 + gain[axis] * slowest, _lead_effort(getattr(vehicle.control.lead, name, None), gain[axis]))
         moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
         authority.append(COMMAND_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], least) / extra)
     return (authority[0], authority[1], authority[2])
 
 
-def _extra(lead: EngineLead | bool | None, gain: float) -> float:
+def _lead_effort(lead: EngineLead | bool | None, gain: float) -> float:
     if not isinstance(lead, EngineLead):
         return 1.0
     x = gain / lead.natural_rad_s
@@ -135,7 +135,7 @@ def _extra(lead: EngineLead | bool | None, gain: float) -> float:
 
 
 class Shaper:
-    """From commanded leans, heading or rates to those that the loops can follow.
+    """Shapes commanded leans, headings or rates to what the loops can follow.
 
     Attitudes are followed by two :class:`Tracker`, of the leans (rad) and of the heading: from rest to rest a change of
     lean D takes ``D/R + R/(2 A) + R/(2 0.75 A) + A/J`` (rate R, acceleration A, jerk J), and nothing overshoots.
@@ -150,11 +150,11 @@ class Shaper:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the set-points; the next one starts from where the vehicle is."""
+        """Discard the set-points; the next ones begin at the vehicle's state."""
         self._used = self._rates = False
 
     def limit(self, limits: AttitudeLimits) -> None:
-        """Set other bounds from the next update on; the set-point goes on from where it is."""
+        """Change the limits at the next update; the set-point continues."""
         self._limits = limits
         self._lean.limit(limits.acceleration, limits.jerk)
         self._yaw.limit(limits.yaw_acceleration, limits.yaw_jerk)

@@ -13,7 +13,7 @@ BRAKE_FRACTION = 0.75
 
 
 class Track(NamedTuple):
-    """One instant of the set-point: m, m/s, m/s^2, horizontal NED."""
+    """Set-point at one instant: m, m/s, m/s^2, horizontal NED."""
 
     position: Pair
     velocity: Pair
@@ -64,7 +64,7 @@ class Tracker:
         self.track = Track(position, velocity, (0.0, 0.0))
 
     def towards(self, target: Pair, speed: float) -> Track:
-        """Move one step towards a position, at most at ``speed`` m/s."""
+        """Move one step towards a position at up to ``speed`` m/s."""
         n, e = target[0] - self._p[0], target[1] - self._p[1]
         distance = hypot(n, e)
         if distance == 0.0:
@@ -85,7 +85,7 @@ class Tracker:
         return (self._p[0], self._p[1])
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Track:
-        """Move one step along a circle, towards it first; ``clockwise`` as seen from above.
+        """Move one step towards and along a circle; ``clockwise`` seen from above.
 
         The speed is at most that at which half of the acceleration holds the point on the circle: v^2 / R = a / 2.
         """
@@ -104,7 +104,7 @@ class Tracker:
 
     @property
     def stop_position(self) -> Pair:
-        """The position at which the set-point would come to rest if it were stopped now."""
+        """Position at which the set-point would come to rest if stopped now."""
         vn, ve = self._v
         speed = hypot(vn, ve)
         # at_velocity stops with full acceleration, hence the scale

@@ -28,7 +28,7 @@ class Circle:
         self._bearing: float | None = None  # rad, in the last step; None: before it
 
     def check_request(self, request: Orbit) -> tuple[Pair, float]:
-        """Return centre and height of an orbit.  Raises InputError where it may not be flown."""
+        """Return centre and height of an orbit.  Raises InputError if it is not allowed."""
         limit = self._parameters.table["MPC_XY_VEL_MAX"]
         if request.speed is not None and not limit.least <= request.speed <= limit.most:
             raise InputError(f"orbit refused: speed {request.speed:g} m/s, from {limit.least:g} to {limit.most:g} m/s")
@@ -42,7 +42,7 @@ class Circle:
         return centre, altitude
 
     def describe_outside(self, centre: Pair, radius: float, altitude: float, points: int = 36) -> str:
-        """Return why one of so many points of a circle leaves the fence; empty: none does."""
+        """Return why one of the points of a circle is outside the fence; empty: none is."""
         for n in range(points):
             angle = 2.0 * pi * n / points
             north, east = centre[0] + radius * cos(angle), centre[1] + radius * sin(angle)

@@ -31,7 +31,7 @@ class TakeOff:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last take-off."""
+        """Discard the last take-off."""
         self.height: float | None = None  # m above home
 
     def check_height(self, height: float | None, watch: FailsafeMonitor) -> float:
@@ -51,7 +51,7 @@ class TakeOff:
         return height
 
     def leave(self, k: int) -> None:
-        """Begin the take-off from the present position, which is the ground's."""
+        """Begin the take-off at the present position."""
         self._landmarks.ground = self._estimates.altitude
         self._landmarks.take_off_position = self._estimates.fix.position
         self._course.guide.reset()
@@ -85,7 +85,7 @@ class TakeOff:
 
 
 class Landing:
-    """Detection of the ground, and the removal of thrust there.
+    """Detects the ground and removes the thrust there.
 
     :class:`Touchdown` evaluates the legs' contact; this class checks it against the height.
     """
@@ -110,12 +110,12 @@ class Landing:
         self.abort()
 
     def abort(self) -> None:
-        """End the landing: another manoeuvre is flown."""
+        """End the landing, because another manoeuvre is flown."""
         self.collective: float | None = None  # collective while reduced on touchdown
         self.disarms = False  # whether to disarm once it stands
 
     def update(self, report: Report, sure: bool) -> None:
-        """Update the contact by one step; ``sure``: it is off the ground, and not about to touch it."""
+        """Update the contact by one step; ``sure``: it is clearly in the air."""
         estimates, descending = self._estimates, self._course.descending
         self.touchdown.update(estimates.now.velocity[2], estimates.lift, report, descending, sure)
 
@@ -127,7 +127,7 @@ class Landing:
         return clear or (self.touchdown.is_off_ground and above > _MIN_LIFT_OFF_M)
 
     def lift_off(self) -> None:
-        """Start the flight with the legs' switch trusted, unless it still reports the ground."""
+        """Start the flight with a trusted leg switch, unless that still reports contact."""
         stuck = not self.touchdown.is_off_ground
         self.touchdown.reset()
         self.touchdown.switch_failed = stuck
@@ -143,7 +143,7 @@ class Landing:
         return self.touchdown.is_touching and self.touchdown.carries_weight
 
     def detect_contact(self) -> bool:
-        """Return whether the legs report the ground where it can be: by the height, or where they carry weight.
+        """Return whether the legs report contact, if height or weight confirm it.
 
         A vehicle that drifts, or comes down fast, hops from leg to leg on nearly its own weight in thrust until it
         trips: the thrust has to go before a contact lasts, so a touch of a moment ago counts as low as this.
@@ -164,7 +164,7 @@ class Landing:
 
     @property
     def _low(self) -> bool:
-        """Whether it may be as low as where it took off, within the deviation of the height."""
+        """Whether it may be as low as its take-off, given the uncertainty of height."""
         estimates = self._estimates
         return estimates.altitude - 3.0 * estimates.altitude_deviation < self._landmarks.ground + _MIN_LIFT_OFF_M
 
@@ -177,6 +177,6 @@ class Landing:
 
     @property
     def has_settled(self) -> bool:
-        """Whether the thrust is gone and the vehicle stands."""
+        """Whether thrust is off and the vehicle stands."""
         stands = self.touchdown.is_standing or self.touchdown.legs_bear_weight
         return self.collective is not None and self.collective <= self._idle and stands

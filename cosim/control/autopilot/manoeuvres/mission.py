@@ -22,7 +22,7 @@ class Mission:
         self.reached = -1
 
     def restart(self, index: int) -> None:
-        """Go on from item ``index`` with every jump still to be made."""
+        """Continue at item ``index`` with all jumps reset."""
         self.current = index
         self.since = -1  # step at which the item began to wait
         self._jumps: dict[int, int] = {}
@@ -42,7 +42,7 @@ class Mission:
         return "" if self.done else f"mission left at item {self.current}: {count - self.current} of {count} not flown"
 
     def advance(self) -> MissionItem | None:
-        """Go on to the next item to be flown and return it; None at the end or in a circle of jumps."""
+        """Advance to the next item to fly and return it; None at the end or in an endless loop."""
         self.reached = self.current
         self.since = -1
         self.current += 1
@@ -75,7 +75,7 @@ _NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)  # items that tak
 
 
 def find_endless_jump(items: Sequence[MissionItem]) -> int | None:
-    """Return the first jump without end that comes back to itself with nothing flown and nothing waited for."""
+    """Return the first endless jump that loops without flying or waiting."""
     for jump, first in enumerate(items):
         index, visited = jump, set[int]()
         while first.kind is ItemKind.JUMP and first.repeat < 0 and index < len(items):

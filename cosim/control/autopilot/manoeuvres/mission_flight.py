@@ -16,7 +16,7 @@ from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUploa
 
 
 class MissionFlight:
-    """Flies :attr:`mission` along the course; circle and return are flown by their own classes."""
+    """Flies :attr:`mission` along the course; circle and return have own classes."""
 
     def __init__(self, course: Course, circle: Circle, return_flight: ReturnFlight, step: float) -> None:
         self.mission = Mission()
@@ -37,7 +37,7 @@ class MissionFlight:
         self._is_in_position = False  # at the place to climb or land
 
     def load(self, request: MissionUpload, watch: FailsafeMonitor) -> str:
-        """Take another mission and return a warning of items at the ground; empty: there are none.
+        """Load another mission and return a warning on items at the ground; empty: none.
 
         Raises InputError where an item is outside the fence or jumps on the spot for ever.
         """
@@ -57,11 +57,11 @@ class MissionFlight:
         return f"mission item {low}: below {MIN_HEIGHT_M:g} m above the ground, flown at that height" if low else ""
 
     def _altitude_of(self, item: MissionItem) -> float | None:
-        """Return the altitude [m] at which an item is flown: its own, or the lowest of automatic flight."""
+        """Return the altitude [m] of an item: its own, or the minimum of automatic flight."""
         return None if item.altitude is None else max(item.altitude, self._landmarks.lowest_altitude)
 
     def find_shortage(self, energy: Energy, max_items: int = 1000) -> tuple[int, str]:
-        """Return the first item for which fuel or battery are short, there and home, and why; empty: none.
+        """Return the first item that fuel or battery do not suffice for, with the reason; empty: none.
 
         Estimated from here for so many items, jumps included.  Speeds that items ask for are left out, and what ends
         only on request ends at once.
@@ -90,17 +90,17 @@ class MissionFlight:
 
     @property
     def waits_on_ground(self) -> bool:
-        """Whether the present item lets a vehicle that has landed stand: a pause, or a landing, which is done."""
+        """Whether the present item keeps a landed vehicle on the ground: a pause, or a finished landing."""
         return self.mission.item is not None and self.mission.item.kind in (ItemKind.DELAY, ItemKind.LAND)
 
     def stay_on_ground(self, k: int) -> None:
-        """Let a vehicle that has landed stand for one step of such an item, and go on to the next where it is done."""
+        """Wait one step on the ground for such an item, and advance when it is done."""
         item = self.mission.item
         if item is not None and (item.kind is ItemKind.LAND or self._is_done(item, k)):
             self.advance(flying=False)
 
     def leave_ground(self, flown: bool) -> None:
-        """Prepare for take-off; ``flown``: for the mission, which climbs first where its item does not say so."""
+        """Prepare for take-off; ``flown``: for the mission, which climbs first unless its item says how."""
         item = self.mission.item
         self._climb_to = None
         if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
@@ -109,7 +109,7 @@ class MissionFlight:
             self._climb_to = height if altitude is None else min(height, altitude)
 
     def advance(self, flying: bool) -> None:
-        """Go on from the present item, which is done."""
+        """Advance from the present item, which is done."""
         self.mission.advance()
         self.begin(flying)
 
@@ -139,7 +139,7 @@ class MissionFlight:
             self._return_flight.reset()
 
     def _set_speeds(self) -> MissionItem | None:
-        """Take the speeds of the items before the next that is flown, and return that; None: there is none."""
+        """Apply the speed items before the next flown item and return that; None: there is none."""
         for _ in range(len(self.mission.items) + 1):
             item = self.mission.skip_jumps()
             if item is None or item.kind is not ItemKind.SPEED:
@@ -181,7 +181,7 @@ class MissionFlight:
             self._is_in_position, course.height = True, self._altitude_of(item)
 
     def _fly_circle(self) -> Command:
-        """Return the command of the next step of the circle, and go on to the next item where it is complete."""
+        """Return the command of the next step of the circle, and advance when it is complete."""
         command = self._circle.fly()
         if self._circle.complete:
             # An item without a position starts from here, not from the circle's centre.

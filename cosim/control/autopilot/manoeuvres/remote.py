@@ -88,10 +88,10 @@ class RemoteControl:
     def fly(self, mode: Mode) -> Command:
         """Return the command of the sticks or of the set-point."""
         if mode in BY_STICK:
-            return self._by_stick(self.sticks or _CENTRED, mode)
-        return self._course.fly() if self.setpoint is None else self._by_setpoint(self.setpoint)
+            return self._command_by_sticks(self.sticks or _CENTRED, mode)
+        return self._course.fly() if self.setpoint is None else self._command_by_setpoint(self.setpoint)
 
-    def _by_stick(self, sticks: Sticks, mode: Mode) -> Command:
+    def _command_by_sticks(self, sticks: Sticks, mode: Mode) -> Command:
         course, parameters = self._course, self._parameters
         guide = course.guide
         yaw = guide.at_yaw_rate(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
@@ -116,7 +116,7 @@ class RemoteControl:
             return 2.0 * throttle * (self._hover - low) + low
         return self._hover + (2.0 * throttle - 1.0) * (high - self._hover)
 
-    def _by_setpoint(self, setpoint: Setpoint) -> Command:
+    def _command_by_setpoint(self, setpoint: Setpoint) -> Command:
         course, parameters = self._course, self._parameters
         guide = course.guide
         if isinstance(setpoint, OffboardAttitude):

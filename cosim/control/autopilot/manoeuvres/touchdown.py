@@ -11,7 +11,7 @@ from cosim.base.protocols import Report
 
 
 class Touchdown:
-    """Contact from the leg switch, and from lift and thrust where the switch is silent or has proved wrong.
+    """Contact by the leg switch, or by lift and thrust if the switch is silent or proved wrong.
 
     ``hover``: the collective at which it hovers with full tanks; ``idle``: what the engines give at none, on the same
     scale.  What the collective of level flight really is (fuel burns, engines are lost) is learnt in the air.
@@ -54,7 +54,7 @@ class Touchdown:
         self.switch_failed = False
 
     def update(self, sink: float, lift: float | None, report: Report, descending: bool, flying: bool = False) -> None:
-        """Update the contact by one step; ``sink``: rate downwards [m/s]; ``descending``: a descent is commanded.
+        """Update contact by one step; ``sink``: sink rate [m/s]; ``descending``: a descent is commanded.
 
         ``lift``: specific force upwards over gravity, None where it is not known.  ``flying``: off the ground for
         certain, and not about to touch it.

@@ -44,7 +44,7 @@ _GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)
 
 
 class _FrameError(Exception):
-    """Raised for a frame in which the command has no meaning here."""
+    """Raised for a frame in which the command has no meaning."""
 
 
 Handler = Callable[[MavCommand, Context], Plan]
@@ -63,7 +63,7 @@ def plan_command(command: MavCommand, context: Context) -> Plan:
         return Plan(result=CommandResult.UNSUPPORTED_FRAME)
 
 
-def _do(*requests: rq.Request) -> Plan:
+def _ask(*requests: rq.Request) -> Plan:
     return Plan(requests)
 
 
@@ -72,33 +72,33 @@ def _refuse(text: str, result: CommandResult = CommandResult.DENIED) -> Plan:
 
 
 def _whole(value: float | None) -> int:
-    """Return a parameter as a whole number; -1 where it is none."""
+    """Return a parameter as an integer; -1 if it is not one."""
     return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
 
 
 def _arm(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
     arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
-        return _do(rq.Arm(force))
+        return _ask(rq.Arm(force))
     if arm == 0.0:
-        return _do(rq.Disarm(force))
+        return _ask(rq.Disarm(force))
     return _refuse("arm: parameter 1 must be 0 or 1")
 
 
 def _take_off(command: MavCommand, context: Context) -> Plan:
-    """Plan a take-off to parameter 7, above the sea as in PX4, or above home for ArduPilot or a relative frame."""
+    """Plan a take-off to parameter 7, above sea as in PX4, or above home for ArduPilot or relative frames."""
     altitude = command.params[6]
     if altitude is None:
-        return _do(rq.Takeoff())
+        return _ask(rq.Takeoff())
     if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
-        return _do(rq.Takeoff(altitude))
+        return _ask(rq.Takeoff(altitude))
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return _refuse("", CommandResult.UNSUPPORTED_FRAME)
     state = context.state
     if altitude < state.altitude_above_sea + 1.0:
         here = f"the vehicle is at {state.altitude_above_sea:.0f} m"
         return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _do(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
+    return _ask(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
 
 
 def _land(command: MavCommand, context: Context) -> Plan:
@@ -107,7 +107,7 @@ def _land(command: MavCommand, context: Context) -> Plan:
         here = context.state.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
             return _refuse("land refused: it lands where it is; fly to the place first")
-    return _do(rq.Land())
+    return _ask(rq.Land())
 
 
 def _set_mode(command: MavCommand, context: Context) -> Plan:
@@ -128,25 +128,25 @@ def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
 def _mode(mode: Mode | None, number: str) -> Plan:
     if mode is None:
         return _refuse(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
-    return _do(rq.SetMode(mode.value))
+    return _ask(rq.SetMode(mode.value))
 
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
-    """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
+    """Plan a flight to a position, height and yaw [rad]; without all of them a pause."""
     speed, yaw = command.params[0], command.params[3]
     if command.position is None and command.params[6] is None and yaw is None:
-        return _do(rq.Hold())
+        return _ask(rq.Hold())
     heading = None if yaw is None else remainder(yaw, tau)
-    return _do(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
+    return _ask(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
 
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
-    """Plan DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle [rad], 0 without end."""
+    """Plan DO_ORBIT: negative radius turns left; parameter 4 is an angle [rad], 0 is endless."""
     radius, speed, yaw, angle = command.params[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
     target = _target(command, context)
-    return _do(
+    return _ask(
         rq.Orbit(
             abs(radius),
             radius > 0.0,
@@ -162,7 +162,7 @@ _ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # yaw by ORBIT_YAW
 
 
 def _yaw(command: MavCommand, context: Context) -> Plan:
-    """Plan CONDITION_YAW [deg], relative to the nose where parameter 4 is 1; parameter 3 then gives the sense."""
+    """Plan CONDITION_YAW [deg], relative if parameter 4 is 1; parameter 3 is the direction then."""
     angle = command.params[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
@@ -170,7 +170,7 @@ def _yaw(command: MavCommand, context: Context) -> Plan:
     if command.params[3] == 1.0:
         sense = -1.0 if command.params[2] is not None and command.params[2] < 0.0 else 1.0
         heading = context.state.euler[2] + sense * heading
-    return _do(rq.Goto(yaw=remainder(heading, tau)))
+    return _ask(rq.Goto(yaw=remainder(heading, tau)))
 
 
 def _change_speed(command: MavCommand, context: Context) -> Plan:
@@ -179,42 +179,42 @@ def _change_speed(command: MavCommand, context: Context) -> Plan:
         return _refuse("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
         return _refuse("speed: parameter 2 must be m/s")
-    return _do(rq.SetSpeed(speed))
+    return _ask(rq.SetSpeed(speed))
 
 
 def _set_home(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 1.0:
-        return _do(rq.SetHome())
+        return _ask(rq.SetHome())
     if command.position is None:
         return _refuse("home: latitude and longitude are missing")
-    return _do(rq.SetHome(*_target(command, context)))
+    return _ask(rq.SetHome(*_target(command, context)))
 
 
 def _terminate(command: MavCommand, context: Context) -> Plan:
     if command.params[0] is None or command.params[0] < 0.5:
         return _refuse("terminate: parameter 1 must be 1; there is no way back")
-    return _do(rq.Kill(True))
+    return _ask(rq.Kill(True))
 
 
 def _start_mission(command: MavCommand, context: Context) -> Plan:
-    """Plan a mission's start at the present item, or at that of parameter 1 where it is not 0."""
+    """Plan a mission start at the present item, or at that of parameter 1 if not 0."""
     first = _whole(command.params[0])
-    return _do(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _do(rq.MissionStart())
+    return _ask(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _ask(rq.MissionStart())
 
 
 def _set_item(command: MavCommand, context: Context) -> Plan:
     item = _whole(command.params[0])
-    return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(rq.MissionSetCurrent(item))
+    return _refuse("mission: parameter 1 must be an item") if item < 0 else _ask(rq.MissionSetCurrent(item))
 
 
 def _pause(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 0.0:
-        return _do(rq.Hold())
-    return _do(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+        return _ask(rq.Hold())
+    return _ask(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
 def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
-    """Return a command's north, east and height above the origin [m], None where it has none.
+    """Return north, east and height above the origin [m] of a command, None if missing.
 
     Raises InputError for a position that is none or too far away, _FrameError.
     """
@@ -251,7 +251,7 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     unit, kind = _whole(command.params[0]), _whole(command.params[1])
     which = 0 if command.params[2] is None else _whole(command.params[2])
     if kind == _OK:
-        return _do(rq.ClearFaults())  # MAVLink cannot name a single fault
+        return _ask(rq.ClearFaults())  # MAVLink cannot name a single fault
     faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
@@ -325,7 +325,7 @@ def _get_interval(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_origin(command: MavCommand, context: Context) -> Plan:
-    """Plan DO_SET_GLOBAL_ORIGIN: only the fixed origin, where the flight began, is accepted; answer with it."""
+    """Plan DO_SET_GLOBAL_ORIGIN: only the origin of the flight is accepted; the answer states it."""
     at = context.vehicle.geodesy
     messages = tuple(gps_global_origin(context.state))
     if command.position is None:
@@ -339,7 +339,7 @@ def _set_origin(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_interval(command: MavCommand, context: Context) -> Plan:
-    """Set a message's interval for the station that asks: parameter 2 in us; -1 none, 0 the default."""
+    """Set a message's interval for the requesting station: parameter 2 in us; -1 none, 0 default."""
     number, micro = _whole(command.params[0]), command.params[1]
     if number not in BY_ID:
         return Plan(result=CommandResult.UNSUPPORTED)
@@ -361,18 +361,18 @@ def _prearm(command: MavCommand, context: Context) -> Plan:
 
 
 def _reboot(command: MavCommand, context: Context) -> Plan:
-    """Plan a new flight where parameter 1 is 1, or the session's end where it is 2."""
+    """Plan a new flight if parameter 1 is 1, or the session's end if 2."""
     number = _whole(command.params[0])
     if not 1 <= number <= len(context.shutdown_requests):
         return Plan(result=CommandResult.UNSUPPORTED)
     if context.state.status.armed:
         return _refuse("reboot refused: armed")
-    return _do(context.shutdown_requests[number - 1])
+    return _ask(context.shutdown_requests[number - 1])
 
 
 _HANDLERS: dict[int, Handler] = {  # function for each MAV_CMD
-    17: lambda command, context: _do(rq.Hold()),  # NAV_LOITER_UNLIM
-    20: lambda command, context: _do(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
+    17: lambda command, context: _ask(rq.Hold()),  # NAV_LOITER_UNLIM
+    20: lambda command, context: _ask(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND
     22: _take_off,  # NAV_TAKEOFF
     115: _yaw,  # CONDITION_YAW

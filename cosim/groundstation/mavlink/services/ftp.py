@@ -29,7 +29,7 @@ _HEAD = struct.Struct("<HBBBBBxI")  # header of a payload
 
 
 class File(Protocol):
-    """A readable file: ``size`` in bytes, and any part of it."""
+    """A readable file: ``size`` in bytes, and access to any part."""
 
     size: int
 
@@ -69,7 +69,7 @@ class _Burst:
 
 
 class _State:
-    """State of one client: open files, and a burst under way, of 239 kB/s at most."""
+    """State of one client: open files, and a burst of at most 239 kB/s."""
 
     def __init__(self) -> None:
         self.open: OrderedDict[int, File] = OrderedDict()
@@ -93,7 +93,7 @@ class FileService(Service):
         self._clients: OrderedDict[Client, _State] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """Return the answer to one request; a burst goes out later."""
+        """Return the answer to one request; bursts are sent later."""
         request = _parse(message.payload)
         if request is None:
             return []
@@ -116,12 +116,12 @@ class FileService(Service):
         return any(state.burst for state in self._clients.values())
 
     def forget(self, peer: Peer) -> None:
-        """Close the files of a peer that is gone."""
+        """Close the files of a disconnected peer."""
         for client in [client for client in self._clients if client.peer == peer]:
             del self._clients[client]
 
     def _state(self, client: Client) -> _State:
-        """Return a client's state; if there are too many, that of the one who was quiet for longest is dropped."""
+        """Return a client's state; with too many, drop that of the least active one."""
         if client not in self._clients:
             if len(self._clients) >= MAX_CLIENTS:
                 self._clients.popitem(last=False)
@@ -148,7 +148,7 @@ class FileService(Service):
         return self._read(request, state) if code in (READ, BURST) else self._look_up(request, state)
 
     def _look_up(self, request: _Request, state: _State) -> bytes:
-        """List a folder, or open a file or tell its checksum, by the path in the request."""
+        """List a folder, open a file, or compute a checksum, by the request's path."""
         code, path = request.opcode, _path(request.data)
         if code == LIST:
             return self._list(request, path)
@@ -166,7 +166,7 @@ class FileService(Service):
         return _ack(request, struct.pack("<I", file.size))
 
     def _close(self, request: _Request, state: _State) -> bytes:
-        """Close a file; closing it again succeeds too, as the first answer may have been lost."""
+        """Close a file; repeated closing succeeds, as the first answer may have been lost."""
         state.open.pop(request.session, None)
         if state.burst is not None and state.burst.request.session == request.session:
             state.burst = None

@@ -165,7 +165,7 @@ def parse_item(message: Message) -> Item:
 
 
 def _degrees(value: float) -> int:
-    """Convert degrees to 1e-7 deg; a number that is no angle becomes "not given"."""
+    """Convert degrees to 1e-7 deg; invalid angles mean "not given"."""
     return round(1e7 * value) if abs(value) <= 200.0 else NO_POSITION
 
 
@@ -205,7 +205,7 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
 
 
 def _position_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
-    """Return the position of an item; None, None for none or 0, 0, which is where the vehicle is then."""
+    """Return an item's position; None, None if missing or 0, 0, which means the vehicle's own."""
     is_placed = item.x not in (0, NO_POSITION) or item.y not in (0, NO_POSITION)
     return to_local_position(item, geodesy, altitude) if is_placed else (None, None)
 
@@ -237,7 +237,7 @@ def to_altitude(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
 
 
 def _yaw(angle: float) -> float | None:
-    """Convert a heading in degrees to rad within -pi to pi; NaN keeps the present one.  Raises ItemError."""
+    """Convert a heading in degrees to rad within -pi to pi; NaN keeps the heading.  Raises ItemError."""
     if isnan(angle):
         return None
     if abs(angle) > 360.0:
@@ -292,7 +292,7 @@ _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 
 def check_fence_item(item: Item) -> None:
-    """Refuse an item that is not one of a fence.  Raises ItemError."""
+    """Refuse an item that is not a fence item.  Raises ItemError."""
     if item.command not in (*_POLYGONS, *_CIRCLES, _RETURN_POINT):
         raise ItemError(UNSUPPORTED, f"command {item.command} is not one of a fence")
     first = item.params[0]

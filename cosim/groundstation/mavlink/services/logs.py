@@ -42,14 +42,14 @@ export_log("ulog", *map(pathlib.Path, sys.argv[1:]), rates="px4")
 
 
 class DiskFile:
-    """A file on the disk; what cannot be read of it is missing."""
+    """A file on disk; unreadable parts are empty."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.size = path.stat().st_size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return a part of the file, shorter where it ends."""
+        """Return a part of the file, shorter at its end."""
         try:
             with open(self.path, "rb") as file:
                 file.seek(offset)
@@ -60,7 +60,7 @@ class DiskFile:
 
 @dataclass
 class LogEntry:
-    """One log; ``file`` is None until it is converted, and empty if it could not be converted."""
+    """One log; ``file`` is None before conversion, and empty if that failed."""
 
     number: int
     run: Path
@@ -69,7 +69,7 @@ class LogEntry:
 
 
 class LogStore:
-    """Store of the finished runs' logs, which converts them to ULog one after the other.
+    """Store of finished runs' logs, which converts them to ULog in turn.
 
     ``runs``: returns the folders of every finished run, oldest first.  It reads a file of each, so it is called in a
     thread of its own, and again on a request after ``search_interval_s`` or :meth:`mark_outdated`.  A log
@@ -103,7 +103,7 @@ class LogStore:
         self.logs: list[LogEntry] = []
 
     def search(self, now: float) -> None:
-        """Start a search for new runs, if none is under way and the last one is not recent."""
+        """Start a search for new runs, unless one runs or was made recently."""
         if self._search is None and (self._is_outdated or now - self._last_search >= self.search_interval_s):
             self._is_outdated = False
 
@@ -125,7 +125,7 @@ class LogStore:
         return self._search is not None
 
     def _list_found(self, now: float) -> None:
-        """List the runs that a search found, once it has ended."""
+        """List the runs of a completed search."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._last_search = None, now
@@ -138,7 +138,7 @@ class LogStore:
             self.search(now)
 
     def poll(self, now: float) -> None:
-        """List new runs, take over the log that is converted, and begin with the next one."""
+        """List new runs, store the converted log, and begin the next conversion."""
         self._now = now
         self._list_found(now)
         if self._conversion is not None:
@@ -203,7 +203,7 @@ class LogService(Service):
         self._downloads: OrderedDict[Client, _Download] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """Return the answers to one message; entries and data go out later."""
+        """Return the answers to one message; entries and data are sent later."""
         kind = message.get_type()
         if kind == "LOG_REQUEST_LIST":
             self._store.search(now)
@@ -248,7 +248,7 @@ class LogService(Service):
         return bool(self._downloads or self._lists or self._store.is_converting)
 
     def forget(self, peer: Peer) -> None:
-        """Drop the lists and downloads of a peer that is gone."""
+        """Drop lists and downloads of a disconnected peer."""
         for store in (self._lists, self._downloads):
             for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
@@ -308,7 +308,7 @@ def find_finished_runs(root: Path) -> list[Path]:
 
 
 def _start_time(run: Path) -> int:
-    """Return when a run began [s since 1970]; 0 where its summary does not say."""
+    """Return when a run began [s since 1970]; 0 if unknown."""
     try:
         started = read_json(run / "summary.json")["started"]
         moment = datetime.fromisoformat(started)

@@ -34,7 +34,7 @@ ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT
 
 
 class MavCommand(NamedTuple):
-    """A command of either message, whichever time it is sent; None: missing.  Latitude and longitude are in degrees."""
+    """A command from either message, at any repetition; None: missing.  Latitude and longitude in degrees."""
 
     number: int
     params: tuple[float | None, ...]  # param1 to param7
@@ -42,13 +42,13 @@ class MavCommand(NamedTuple):
 
     @property
     def position(self) -> tuple[float, float] | None:
-        """Latitude and longitude; None where one is missing, or both are 0, which some send for none."""
+        """Latitude and longitude; None if missing or both 0, which some stations send for none."""
         lat, lon = self.params[4], self.params[5]
         return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
 
 
 class Plan(NamedTuple):
-    """How a command is executed: requests one after another until one is refused, or a result at once."""
+    """Execution of a command: requests in turn until one is refused, or an immediate result."""
 
     requests: tuple[Request, ...] = ()
     result: CommandResult = CommandResult.ACCEPTED
@@ -57,7 +57,7 @@ class Plan(NamedTuple):
 
 
 class Context(NamedTuple):
-    """The vehicle and the station for which a command is planned."""
+    """Vehicle and station for which a command is planned."""
 
     vehicle: VehicleConstants
     state: TelemetryState

@@ -22,7 +22,7 @@ GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parame
 
 
 class Metadata:
-    """Metadata files of one vehicle, and the messages that lead to them.
+    """Metadata files of one vehicle, and messages with their addresses.
 
     Both files are of version 1, the only one that QGroundControl reads; so is their type, COMP_METADATA_TYPE_PARAMETER.
     ``on_request``: COMPONENT_METADATA, and COMPONENT_INFORMATION for older ground stations, by their numbers; each is

@@ -72,7 +72,7 @@ class _Upload:
 
 
 class MissionService(Service):
-    """The mission protocol of one vehicle.
+    """Mission protocol of one vehicle.
 
     ``items`` and ``status`` read the pilot: the mission that it has, and its state or None before its first step.
     """
@@ -161,7 +161,7 @@ class MissionService(Service):
         return self._upload is not None
 
     def forget(self, peer: Peer) -> None:
-        """Drop the unfinished upload of a peer that is gone."""
+        """Drop the unfinished upload of a disconnected peer."""
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
@@ -194,7 +194,7 @@ class MissionService(Service):
         )  # fmt: skip
 
     def _list_mission(self) -> list[Item]:
-        """Return the autopilot's mission as items: those that were uploaded, if it is that one."""
+        """Return the autopilot's mission as items, the uploaded ones if unchanged."""
         mission = self._items()
         if mission is self._mission or mission == self._mission:
             return self._sent_items
@@ -217,7 +217,7 @@ class MissionService(Service):
         return [self._next_request(self._upload)]
 
     def _take_item(self, message: Message, client: Client, mission_type: int) -> list[Message]:
-        """Take an item of an upload; another than the requested one is dropped, and that requested again in time."""
+        """Take an item of an upload; an unexpected one is dropped and the right one requested again."""
         upload = self._upload
         if upload is None or upload.client != client or upload.mission_type != mission_type:
             if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
@@ -283,13 +283,13 @@ class MissionService(Service):
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.mission_type)
 
     def _end_upload(self, message: Message, client: Client) -> None:
-        """End an upload that its sender gave up; of a download, which ends so too, no state is kept."""
+        """End an upload cancelled by its sender; downloads have no state."""
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
 
     def _clear(self, client: Client, mission_type: int) -> list[Message]:
-        """Request to clear one type or all, with one acknowledgement when every request is answered."""
+        """Request to clear one type or all, acknowledged once after all answers."""
         requests = list(_CLEARING.values()) if mission_type == ALL else [_CLEARING[mission_type]]
         refused: list[str] = []
         remaining = len(requests)
@@ -355,7 +355,7 @@ def _warn(text: str) -> list[Message]:
 
 
 def _describe_left_out(items: list[Item]) -> str:
-    """Return in words which items need a payload that no vehicle here has; empty where none does."""
+    """Describe the items that need a payload no vehicle here has; empty: none."""
     names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
     count = sum(item.command in LEFT_OUT for item in items)
     if not count:

@@ -55,7 +55,7 @@ class ParameterService(Service):
         self.replace(parameters)
 
     def replace(self, parameters: Parameters) -> None:
-        """Take the parameters of another flight of the same vehicle."""
+        """Use the parameters of another flight of the same vehicle."""
         self._parameters = parameters
         # PX4 sorts parameters by name and hashes them in this order.
         self._lines = sorted(parameters, key=lambda line: line.name)
@@ -98,7 +98,7 @@ class ParameterService(Service):
         return bool(self._lists)
 
     def forget(self, peer: Peer) -> None:
-        """Drop the lists of a peer that is gone."""
+        """Drop the lists of a disconnected peer."""
         self._lists = {client: state for client, state in self._lists.items() if client.peer != peer}
 
     def hash(self) -> int:

@@ -25,7 +25,7 @@ _text_id = 0
 
 
 class Client(NamedTuple):
-    """Sender of a request; several systems may be behind one address."""
+    """Sender of a request; several systems may share one address."""
 
     peer: Peer
     system: int
@@ -38,7 +38,7 @@ class Client(NamedTuple):
 
 
 class Service:
-    """Base of a service, with defaults for all that it need not do.
+    """Base class of services, with default methods.
 
     ``handles``: names of the messages that it takes.  ``busy``: it wants to be polled every 10 ms, not every 50.
     """
@@ -50,7 +50,7 @@ class Service:
         return False
 
     def handle(self, message: Message, client: Client, now: float) -> Sequence[Message]:
-        """Return the answers to a message for this vehicle, which go to the client's peer."""
+        """Return the answers to a message, to be sent to the client's peer."""
         return ()
 
     def poll(self, now: float) -> Outgoing:
@@ -58,7 +58,7 @@ class Service:
         return []
 
     def forget(self, peer: Peer) -> None:
-        """Forget a peer that is gone."""
+        """Drop the state of a disconnected peer."""
 
 
 class RateLimit:
@@ -112,7 +112,7 @@ class AnswerQueue:
 
 
 def make_service_text(text: str, severity: int, first_id: int = 0x8000) -> list[Message]:
-    """Return STATUSTEXT in as many pieces as it needs, with numbers that the vehicle's own texts do not use."""
+    """Return STATUSTEXT in as many parts as needed, with ids that the vehicle's texts do not use."""
     global _text_id
     _text_id = (_text_id + 1) % first_id
     return statustext(severity, text, first_id + _text_id)

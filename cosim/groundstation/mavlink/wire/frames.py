@@ -17,7 +17,7 @@ SIGNED_FLAG = mav.MAVLINK_IFLAG_SIGNED  # the only supported incompatibility fla
 
 
 class Frame(NamedTuple):
-    """One frame that was accepted."""
+    """One accepted frame."""
 
     raw: bytes
     system: int
@@ -28,7 +28,7 @@ class Frame(NamedTuple):
 
 
 class Parser:
-    """Parser of one sender's bytes into frames.
+    """Parses one sender's bytes into frames.
 
     ``is_datagram``: what is fed ends with the end of a frame; a rest is refused instead of being kept.
     With ``signing`` every frame has to carry a signature that is right and new.
@@ -93,7 +93,7 @@ class Parser:
 
 
 class FramePacker:
-    """Packer of frames to one receiver, with its own sequence and link id."""
+    """Packs frames for one receiver, with its own sequence and link id."""
 
     def __init__(self, system: int, link: int = 0, signing: Signing | None = None) -> None:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=COMPONENT_ID)
@@ -118,7 +118,7 @@ def _next_magic(buffer: bytes, at: int) -> int:
 
 
 def _length(buffer: bytes, at: int) -> int | None:
-    """Return the bytes of the frame that begins at ``at``; None while too few of them are there."""
+    """Return the length of the frame at ``at``; None if it is incomplete."""
     if len(buffer) < at + 3:
         return None
     size = buffer[at + 1]

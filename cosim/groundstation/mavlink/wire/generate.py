@@ -53,7 +53,7 @@ def generate(folder: Path) -> Path:
 
 
 def _strip_descriptions(source: Path, target: Path) -> None:
-    """Copy a definition without its descriptions, which would be three quarters of the module and its loading time."""
+    """Copy a definition without descriptions, which would be three quarters of module and loading time."""
     tree = ET.parse(source)
     for element in tree.iter():
         if element.tag in ("description", "param", "field", "deprecated", "superseded"):

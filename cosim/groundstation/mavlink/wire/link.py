@@ -31,7 +31,7 @@ _REPORTED = {
 
 
 class Link(Hub):
-    """All links of a vehicle, opened at once so that a wrong one is refused before the flight, until ``start`` silent.
+    """All links of a vehicle, opened at once to detect errors before the flight; silent until ``start``.
 
     ``handler`` is called in the link's thread only.  Raises InputError where a port cannot be opened.
     """
@@ -68,7 +68,7 @@ class Link(Hub):
 
     @property
     def ports(self) -> list[int]:
-        """The local port of each endpoint; 0 where it has none."""
+        """Local port of each endpoint, or 0."""
         return [getattr(channel, "port", 0) for channel in self._channels]
 
     def start(self, handler: FrameHandler) -> None:
@@ -77,7 +77,7 @@ class Link(Hub):
         self._thread.start()
 
     def wake(self) -> None:
-        """Wake the thread; may be called from any other, and never waits."""
+        """Wake the thread; may be called from any thread and never blocks."""
         with contextlib.suppress(OSError):
             self._wake_writer.send(b"!")
 
@@ -104,7 +104,7 @@ class Link(Hub):
         self.log_sent(packed)
 
     def send(self, peer: Peer, packed: Message, priority: Priority = Priority.ANSWER) -> None:
-        """Send a message to one ground station."""
+        """Send a message to one station."""
         peer.send(packed, priority)
         self.log_sent(packed)
 
@@ -136,7 +136,7 @@ class Link(Hub):
         return until
 
     def _run_isolated(self, callback: Callable[[Any], Any], argument: Any) -> Any:
-        """Run a link's callback; count an exception instead of letting it stop the other links."""
+        """Run a link's callback, and count an exception instead of letting it stop other links."""
         try:
             return callback(argument)
         except Exception as error:

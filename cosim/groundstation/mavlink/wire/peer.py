@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
 
 class PeerLimits(NamedTuple):
-    """Limits of what waits for a station and of what is read from it, chosen by us."""
+    """Limits of queues and reading per station, chosen by us for hundreds of times a usual load."""
 
     max_bytes: int = 512_000  # of queued answers and lists
     pause_bytes: int = 2000  # queue size that pauses lists and files
@@ -95,11 +95,11 @@ class Peer:
         return self._credit
 
     def silent_seconds(self, now: float) -> float:
-        """Return the seconds since it was last heard, or was first there."""
+        """Return the seconds since it was last heard, or connected."""
         return now - max(self.last_heard, self.created)
 
     def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
-        """Queue a message that must arrive, and return whether there was room for it."""
+        """Queue a message that must arrive; return whether there was room."""
         if self._waiting > LIMITS.max_bytes:
             self.stuck = True
             self.dropped += 1
@@ -110,7 +110,7 @@ class Peer:
         return True
 
     def send_telemetry(self, packed: Message, index: int = 0) -> None:
-        """Queue telemetry in place of a waiting older one; ``index``: that among several of the same message."""
+        """Queue telemetry, replacing an older one; ``index``: among several of the same message."""
         key = (packed.get_msgId(), index)
         if key in self._telemetry:
             self.dropped += 1
@@ -118,7 +118,7 @@ class Peer:
         self.flush()
 
     def flush(self) -> None:
-        """Give the operating system what it takes."""
+        """Send as much as the operating system takes."""
         while self._frame or self._answers or self._bulk or self._telemetry:
             now = self._clock()
             frame = self._frame = self._frame or self._packer.pack_frame(self._next())
@@ -133,7 +133,7 @@ class Peer:
             self.sent += 1
 
     def _next(self) -> Message:
-        """Take what goes next out of its queue."""
+        """Take the next message from its queue."""
         answers, bulk, telemetry = self._answers, self._bulk, self._telemetry
         if answers:
             packed = answers.popleft()
@@ -165,5 +165,5 @@ class Peer:
         return frame_size(packed) + self.signature
 
     def blocked_seconds(self, now: float) -> float:
-        """Return the seconds for which nothing has been taken though something waits."""
+        """Return the seconds for which the peer took nothing while something waits."""
         return 0.0 if self._blocked is None else now - self._blocked

@@ -23,7 +23,7 @@ _HEX = "hex:"  # prefix of a key in hexadecimal
 
 
 def read_key(path: Path, min_length: int = 8) -> bytes:
-    """Read a key from a file, which has a pass phrase, or ``hex:`` and 64 digits.
+    """Read a key from a file: a pass phrase, or ``hex:`` and 64 digits.
 
     The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
     """
@@ -42,7 +42,7 @@ def read_key(path: Path, min_length: int = 8) -> bytes:
 
 
 class Signing:
-    """Signing with one key on every link; each link signs with its own id.
+    """Signing with one key on all links; each link uses its own id.
 
     A time stamp is used once: the vehicle's rise from frame to frame and never fall behind the clock or behind what
     was accepted from others; another's must rise within its stream (link, system, component), and a new stream may be
@@ -56,7 +56,7 @@ class Signing:
         self._streams: dict[tuple[int, int, int], int] = {}
 
     def enable_signing(self, packer: Any, link: int) -> None:
-        """Let a MAVLink object of pymavlink sign what it packs, as the link of this number."""
+        """Make a MAVLink object of pymavlink sign its messages with this link number."""
         packer.signing.secret_key, packer.signing.link_id, packer.signing.sign_outgoing = self._key, link, True
 
     def make_time_stamp(self) -> int:

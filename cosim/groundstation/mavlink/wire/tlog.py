@@ -20,7 +20,7 @@ _STAMP = struct.Struct(">Q")  # time stamp before each frame, us
 
 
 class TelemetryLog:
-    """Telemetry log that grows frame by frame.  Raises InputError where its file cannot be opened."""
+    """Telemetry log, written frame by frame.  Raises InputError if its file cannot be opened."""
 
     def __init__(self, path: Path, system: int = 1, clock: Callable[[], float] = time.time) -> None:
         try:

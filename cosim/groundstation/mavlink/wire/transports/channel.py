@@ -38,7 +38,7 @@ Address = Any
 
 
 class Channel(Protocol):
-    """One endpoint while it is open."""
+    """An open endpoint."""
 
     @property
     def peers(self) -> list[Peer]: ...
@@ -59,7 +59,7 @@ class FrameHandler(Protocol):
 
 
 class Hub:
-    """Registry of a link's sockets and stations.  ``clock`` [s] gives all times here."""
+    """Registry of a link's sockets and stations; times are by ``clock`` [s]."""
 
     def __init__(
         self, system: int, signing: Signing | None, log: TelemetryLog | None, clock: Callable[[], float]
@@ -98,7 +98,7 @@ class Hub:
         return Parser(self.refused, self._signing, is_datagram)
 
     def new_peer(self, name: str, transmit: Callable[[bytes], int], is_datagram: bool) -> Peer:
-        """Return a new station with its own sequence and, for signatures, its own link id; see :class:`.Peer`."""
+        """Return a new station with its own sequence and signature link id; see :class:`.Peer`."""
         packer = FramePacker(self._system, self._peer_count & 0xFF, self._signing)
         self._peer_count += 1
         return Peer(name, transmit, self.new_parser(is_datagram), packer, is_datagram, self.now, self.refused)
@@ -129,14 +129,14 @@ class ReadGate:
             self._link.unwatch(self._item)
 
     def poll(self, peer: Peer, now: float) -> None:
-        """Read again when it has credit."""
+        """Resume reading once there is budget."""
         if not self._open and peer.update_credit(now) > LIMITS.resume_frames:
             self._open = True
             self._link.watch(self._item, self._ready)
 
 
 class Connection:
-    """A station over one connection.
+    """Station on its own connection.
 
     ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.
     A connection that has taken nothing for ``LIMITS.stall_s`` is closed; ``why`` then says so.
@@ -189,7 +189,7 @@ class Connection:
         self._link.dispatch_frames(self.peer.feed(data, now), self.peer, now)
 
     def poll(self, now: float) -> None:
-        """Send what waits; close it when it has been stuck for too long."""
+        """Send what waits; close the connection if it is stuck for too long."""
         peer = self.peer
         peer.flush()
         if not self.open:
@@ -230,5 +230,5 @@ def name_station(kind: str, address: Address) -> str:
 
 
 def is_replaceable(peer: Peer, now: float) -> bool:
-    """Return whether a new station may replace this one, which has been silent for too long."""
+    """Return whether a new station may replace this one, which was silent for too long."""
     return peer.silent_seconds(now) > (LIMITS.evict_s if peer.last_heard >= 0.0 else LIMITS.unheard_s)

@@ -60,7 +60,7 @@ class TcpServer:
         self._streams.append(_connection(self._link, name_station("tcpin", address), connection))
 
     def _room(self) -> bool:
-        """Return whether there is room for one more station, which may replace a silent one."""
+        """Return whether one more station fits, possibly replacing a silent one."""
         streams = self._streams = [stream for stream in self._streams if stream.open]
         if len(streams) < LIMITS.max_stations:
             return True
@@ -89,7 +89,7 @@ class TcpServer:
 
 
 class TcpClient:
-    """A connection to a server, which is made again when it is lost."""
+    """Connection to a server, reopened when lost."""
 
     port = 0
 

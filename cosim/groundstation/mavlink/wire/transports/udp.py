@@ -19,7 +19,7 @@ from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 
 def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
-    """Return ``send`` so that it takes nothing where it would wait, and a datagram that reaches nobody as sent."""
+    """Return a ``send`` that takes nothing instead of blocking, and counts undeliverable datagrams as sent."""
 
     def transmit(data: bytes) -> int:
         try:
@@ -33,7 +33,7 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
 
 
 def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """Iterate over datagrams and their senders, as many as one socket may be read in its turn."""
+    """Yield datagrams and senders, up to the limit of one turn."""
     for _ in range(LIMITS.reads):
         try:
             yield source.recvfrom(LIMITS.datagram_bytes)
@@ -44,7 +44,7 @@ def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
 
 
 class UdpClient:
-    """A client that sends datagrams to one address and takes those from there alone."""
+    """Client that exchanges datagrams with one address only."""
 
     port = 0
 
@@ -77,7 +77,7 @@ class UdpClient:
 
 
 class ConnectedStation:
-    """One station behind a UDP server, on a socket of its own at the server's port: nobody fills its buffer but itself.
+    """Station of a UDP server with a socket of its own at the server's port, so that only it fills the buffer.
 
     What another sent while the socket was being made is handed to ``stray``.  Raises OSError where the system has no
     such sockets.
@@ -133,7 +133,7 @@ class ConnectedStation:
 
 
 class SharedSocketStation:
-    """One station behind a UDP server where the system has no socket of its own for it."""
+    """Station of a UDP server on systems that allow no socket of its own."""
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
         transmit = _without_waiting(lambda data: server.sendto(data, address))
@@ -147,7 +147,7 @@ class SharedSocketStation:
 
 
 class UdpServer:
-    """A UDP server, whose stations are the addresses from which a valid frame has come.
+    """UDP server, whose stations are the addresses that sent a valid frame.
 
     ``forget_s``: after which a silent station is gone.
     """
