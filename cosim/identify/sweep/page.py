@@ -64,8 +64,8 @@ def make_page(identification: Identification) -> Page:
     equation = "" if identification.refused else "G(z) = " + "\n       ".join(equations(identification))
     unit = f"{identification.output_unit} per {identification.command_unit}"
     cards = [
-        Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
         Card("Frequency response", text=f"{identification.channel}, in {unit}.", figure="response"),
+        Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
     ]
     swept = (
         f"Swept from {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in {sweep.duration_s:g} s, amplitude "

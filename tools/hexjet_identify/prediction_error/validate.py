@@ -298,7 +298,7 @@ def page(validation: Validation) -> Page:
     shown = Page(
         "validation",
         f"{model.what}: the model beside {validation.log.name}",
-        [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
+        [Card(MODELLED, figure="signals"), Card("How well it fits", ("measure", "value"), rows(validation), ERROR)],
         {"signals": draw_signals(signals, units)},
         summary=[compared],
         notes=validation.notes,
