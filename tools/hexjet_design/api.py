@@ -38,17 +38,17 @@ class DesignResult(FolderResult):
 
     @property
     def ok(self) -> bool:
-        """Whether there is a design that keeps the requirements, and its proof held."""
+        """Whether a design meets the requirements and its proof succeeded."""
         return self.designed.ok
 
     @property
     def controller(self) -> Path | None:
-        """The controller file, for :func:`cosim.fly`, of a design not proved too; None where none was written."""
+        """The controller file, for :func:`cosim.fly`, also of an unproved design; None if not written."""
         return self.files.get("controller")
 
     @property
     def fly_command(self) -> str:
-        """The command that flies it, with the aircraft, engine and settings that it was made for; of an autopilot none.
+        """Command that flies the design with its aircraft, engine and settings; empty for an autopilot.
 
         Empty where no controller file was written.
         """
@@ -58,7 +58,7 @@ class DesignResult(FolderResult):
         return f"hexjet fly SCENARIO{chosen} --controller {quote(str(self.controller))}"
 
     def _write(self, folder: Path) -> dict[str, Path]:
-        """Write the controller file, where there is a design, and the page beside it."""
+        """Write the controller file, if there is a design, and the page."""
         from hexjet_design.result import write
 
         file = prepare(folder)
@@ -75,13 +75,13 @@ class DesignResult(FolderResult):
         return to_dict(self.designed, self.files)
 
     def lines(self) -> list[str]:
-        """Return the answer, and what it rests on."""
+        """Return the result and the evidence for it."""
         from hexjet_design.result import summary_lines
 
         return [f"{self.designed.vehicle.name} with engine {self.designed.engine.name}", *summary_lines(self.designed)]
 
     def tables(self) -> list[Table]:
-        """Return the margins of the linear loops, and the proof's flights beside those with the gains that ship."""
+        """Return the linear margins, and proof flights compared with shipped gains."""
         from hexjet_design.proof.comparison import comparison_columns, comparison_rows
         from hexjet_design.result import COLUMNS, rows
 
@@ -259,7 +259,7 @@ def _loops_of(
 
 
 def _ask_autopilots(hook: str, autopilot: str) -> Any:
-    """Return a function of the tool that knows the autopilots.  Raises InputError where it is not installed."""
+    """Return a function of the tool for autopilots.  Raises InputError if it is not installed."""
     if (function := load_hook(hook)) is None:
         raise InputError(f"autopilot {autopilot}: hexjet_sitl is not installed, which knows its loops and parameters")
     return function

@@ -19,7 +19,7 @@ from hexjet_design.loop.tuning import Tuning
 
 @dataclass(frozen=True)
 class LeastMargins:
-    """The smaller of each pair of :class:`hexjet_design.loop.frequency.LoopMargins`, as a design reports it.
+    """Smaller one of each pair of margins in :class:`hexjet_design.loop.frequency.LoopMargins`.
 
     Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
@@ -50,7 +50,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class AxisDesign:
-    """The design of one channel: its loop before, the candidates' objectives, and the chosen loop."""
+    """Design of one channel: shipped loop, candidates' objectives, and chosen loop."""
 
     channel: Channel
     before: Assessment
@@ -63,7 +63,7 @@ class AxisDesign:
 
 
 def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """Return the aircraft's own gains on a channel, with Smith's predictor where it has a model of the engine."""
+    """Return the aircraft's own gains, with Smith's predictor if it has a model of the engine."""
     control = vehicle.control
     lead = getattr(control.lead, channel.name, None) or None
     if channel.name == "altitude":
@@ -81,13 +81,13 @@ def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuni
 
 
 def predictor_model(channel: Channel, source: str) -> RateModel:
-    """Return a channel's model as its predictor has it in flight, with the delay that the controller adds itself."""
+    """Return the model in a channel's predictor in flight, with the controller's added delay."""
     model = channel.model(source)
     return model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})
 
 
 def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
-    """Compute everything that is reported of a tuning, at more frequencies than the search takes."""
+    """Compute all reported quantities of a tuning, at more frequencies than the search uses."""
     closed = fine_loop(channel, tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)

@@ -47,7 +47,7 @@ def names_for_servos(
 def design_axis_at_limit(
     axis: AxisDesign, fixed: Tuning, model: RateModel, need: Requirements, roll: Tuning | None, say: Say
 ) -> AxisDesign:
-    """Return an axis with the law at the limit, found on roll; other axes have roll's with their own models."""
+    """Return an axis with the law at the limit, found on roll; other axes use roll's with their own models."""
     channel = axis.channel
     say(f"{channel.name}: {LAW}")
     if roll is None or roll.law is None:
@@ -65,7 +65,7 @@ def design_axis_at_limit(
 
 
 def find_simplest(objectives: Mapping[str, float], complexity_cost: float = 0.06, lead_cost: float = 0.19) -> str:
-    """Return the name of the first candidate, in the order of what they take, that is as good as the best.
+    """Return the simplest candidate that is about as good as the best.
 
     Those with a lead only where it pays.  ``complexity_cost``: of the objective: a more complex controller must answer
     3 % faster to be chosen.  ``lead_cost``: the same of a lead, 10 % faster: it works the throttle, and believes in the

@@ -18,7 +18,7 @@ AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
 
 
 def print_design(result: DesignResult, verbose: bool = False) -> None:
-    """Print the answer and the files; ``verbose``: the linear margins, what they rest on, and the flights compared."""
+    """Print result and files; ``verbose``: linear margins, evidence, and compared flights too."""
     from hexjet_design.result import answer_lines
 
     design = result.designed
@@ -33,7 +33,7 @@ def print_design(result: DesignResult, verbose: bool = False) -> None:
 
 
 def _print_details(design: Design) -> None:
-    """Print the margins of the linear loops, what they rest on, and the flights compared."""
+    """Print the linear margins, the evidence, and the compared flights."""
     from hexjet_design.proof.comparison import WORSE_WORDS, comparison_columns, comparison_rows
     from hexjet_design.result import COLUMNS, channel_rows, detail_lines, level_rows, row_lines
 

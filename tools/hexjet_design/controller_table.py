@@ -112,7 +112,7 @@ def _path_of(file: str, folder: Path | None) -> str:
 
 
 def make_proof_record(proof: Proof) -> ProofRecord:
-    """Return what a controller file says of its proof."""
+    """Return the record of a proof for a controller file."""
     return ProofRecord(
         flights=len(proof.flights),
         failed=proof.reason or None,
@@ -139,7 +139,7 @@ def _round_all(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
-    """Return the predictor's model without the delay that the controller adds, which the flight adds to it."""
+    """Return the predictor's model without the controller's added delay, which the flight adds again."""
     model = chosen.tuning.model
     origin = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
     return model.model_copy(update={"delay_samples": model.delay_samples - channel.added_delay, **origin})

@@ -64,7 +64,7 @@ CHANNELS = (*AXES, "altitude")  # what a design has gains for
 
 @dataclass(frozen=True)
 class LevelDesign:
-    """One amount of fuel: the channels that engines answer, with the gains of a full tank and with the schedule's."""
+    """One fuel level: the channels driven by engines, with full-tank gains and with scheduled ones."""
 
     level: Level
     designed: bool  # False: between two designed levels
@@ -101,7 +101,7 @@ class Design:
 
     @property
     def is_written(self) -> bool:
-        """Whether there is a controller file: also, as not proved, where only flights off the design fail its proof."""
+        """Whether a controller file is written, also as not proved if only off-design flights failed."""
         if self.ok or self.proof is None or self.reason != self.proof.reason:
             return self.ok
         as_designed = [flight.fault for flight in self.proof.flights if flight.is_as_designed]
@@ -109,12 +109,12 @@ class Design:
 
     @property
     def engine_dynamics(self) -> Dynamics:
-        """The identified dynamics of the engine, which are the height's actuator on every vehicle."""
+        """Identified engine dynamics, which act on height in every vehicle."""
         return self.axes["altitude"].channel.actuator.dynamics
 
     @property
     def controller(self) -> str:
-        """Name of the chosen controller; of the best candidate where none is acceptable."""
+        """Name of the chosen controller, or of the best candidate if none is acceptable."""
         chosen = self.axes["roll"].after
         return chosen.controller if chosen else BASELINE.name
 
@@ -203,7 +203,7 @@ def design(
 
 
 def add_limits(design: Design, say: Say = lambda text: None) -> Design:
-    """Return the design with each attitude axis beside the limit of performance, or with the reason why it has none.
+    """Return the design with the limit of performance of each attitude axis, or why there is none.
 
     Raises InputError where the solver is not installed.
     """
@@ -223,7 +223,7 @@ def add_limits(design: Design, say: Say = lambda text: None) -> Design:
 
 
 def axis_requirements(axis: str, need: Requirements) -> Requirements:
-    """Return the requirements of one channel: those of the design, with a least bandwidth for roll and pitch alone."""
+    """Return the requirements of one channel; a bandwidth is required of roll and pitch only."""
     return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
 
 
@@ -253,7 +253,7 @@ def _design_levels(
     scheduled: bool,
     say: Say,
 ) -> tuple[Schedule | None, list[LevelDesign], str]:
-    """Return the gain schedule (None where none is needed), the design at each fuel level, and why it fails (or "")."""
+    """Return gain schedule or None, design per fuel level, and the reason of failure or ""."""
     full = {
         axis: axis_design.after.tuning
         for axis, axis_design in axes.items()
@@ -301,7 +301,7 @@ def _design_levels(
 def _read_start(
     start: Path, plants: Mapping[str, Channel], aircraft: str, vehicle: Vehicle, spec: EngineSpec
 ) -> dict[str, dict[float, Tuning]]:
-    """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
+    """Return the tunings of a controller file as starts of a search: by axis, then by fuel."""
     file = read_controller(start, aircraft)
     if file.controller == LAW:
         raise InputError(f"{start}: is of controller {LAW!r}, whose search begins at the limit: leave start out")
@@ -405,7 +405,7 @@ def _follows_roll(axis: str, vehicle: Vehicle) -> bool:
 
 
 def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None) -> Firmware | None:
-    """Return the autopilot's loop on another axis, with what roll has chosen for all; None for the height."""
+    """Return the autopilot's loop on another axis, with what roll chose for all; None for height."""
     if firmware is None or axis == "altitude":
         return None
     smooth = roll.gains.d_filter_s if roll is not None and firmware.common_filter else None
@@ -416,7 +416,7 @@ def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None)
 def _design_axes(
     plants: Mapping[str, Channel], inputs: _AxisInputs, begin: Mapping[str, Mapping[float, Tuning]] | None
 ) -> tuple[dict[str, AxisDesign], _AxisInputs]:
-    """Return the design of each channel, and what it was made from.
+    """Return the design of each channel, and its inputs.
 
     ``begin``: tunings that a search begins at, instead of everywhere.
     """
@@ -453,7 +453,7 @@ def _share_angle_gain(
 
 
 def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:
-    """Tune all candidates on an axis and take the best; ``roll`` is the tuning of roll, None for roll itself."""
+    """Tune all candidates of an axis and choose the best; ``roll`` is roll's tuning, None for roll."""
     axis, vehicle, say, need = channel.name, inputs.vehicle, inputs.say, axis_requirements(channel.name, inputs.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
     names = inputs.names if axis == "roll" else (roll.controller if predicted and roll else BASELINE.name,)

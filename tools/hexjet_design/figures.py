@@ -50,7 +50,7 @@ def _hertz(loop: ClosedLoop) -> Array:
 
 
 class Curve(NamedTuple):
-    """An open loop as figures draw it: its name and colour, ``L`` at rising frequencies [Hz], and the style."""
+    """Open loop as drawn: name, colour, ``L`` at rising frequencies [Hz], style."""
 
     label: str
     colour: str
@@ -123,7 +123,7 @@ def _margin_mark(name: str, colour: str, point: MarginPoint, limit: float, panel
 
 
 def nyquist(curves: Sequence[Curve], peak: float, height: int = 460, far: float = 3.0) -> Figure:
-    """Draw open loops in the complex plane, with the circle on which ``|S|`` is ``peak``."""
+    """Draw open loops in the complex plane, with the circle of ``|S|`` = ``peak``."""
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     data = [trace(f"|S| = {peak:.3g}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)]
     for curve in curves:

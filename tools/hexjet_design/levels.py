@@ -30,7 +30,7 @@ THRUST_AXES = ("roll", "altitude")
 
 @dataclass(frozen=True)
 class Level:
-    """One amount of fuel: the fraction of the engines' range that hovers with it, and the channels."""
+    """One fuel level: hover thrust in the engines' range, and channels."""
 
     fuel: float
     mass_kg: float
@@ -41,7 +41,7 @@ class Level:
 def make_levels(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
 ) -> list[Level]:
-    """Return the fuel levels at which a design is proved, a full tank first; ``dynamics`` gives a vehicle's engine.
+    """Return the fuel levels of a proof, full tank first; ``dynamics`` gives the engine of a vehicle.
 
     With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
     Of an axis that hinges give they are those of a full tank: allocation turns more where there is less to turn.
@@ -76,7 +76,7 @@ def follow(
     axis: str, levels: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
     designed: Collection[float] = DESIGN_FUELS,
 ) -> dict[float, Tuning] | None:  # fmt: skip
-    """Tune each level that is ``designed`` for, by its fuel; return None where one cannot keep the requirements.
+    """Tune each level in ``designed`` by its fuel; return None if one cannot meet the requirements.
 
     ``begin``: where the search begins, for levels at which that is known.
     """

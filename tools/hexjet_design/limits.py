@@ -93,7 +93,7 @@ def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
 
 
 def describe_nearest(channel: Channel, tried: Mapping[str, TuningResult], need: Requirements) -> str:
-    """Return which candidate comes nearest to requirements that none keeps, what it misses and by how much, or ""."""
+    """Return the nearest candidate to infeasible requirements and by how much it misses which, or ""."""
     found = []
     for name, result in tried.items():
         with suppress(InputError, ValueError, ArithmeticError):

@@ -22,7 +22,7 @@ TOLERATED = (  # note on tolerances
 
 
 def make_page(design: Design) -> Page:
-    """Return the page of a design: shipped and designed beside each other, and what the design rests on."""
+    """Return the page of a design: shipped and designed loops, and evidence."""
     answers, lines = answer_lines(design), detail_lines(design)
     wrong = [line for line in (*answers, *lines) if "NOT" in line or "no acceptable" in line or line.startswith(WORSE)]
     compared, need = design.proof.compared if design.proof else (), design.need

@@ -27,7 +27,7 @@ OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # options that
 
 
 def write(design: Design, file: Path) -> dict[str, Path]:
-    """Write the controller file, where there is a design, and the page beside it; say which files there are.
+    """Write the controller file, if there is a design, and the page; return which files exist.
 
     Raises FlightError if a file cannot be written.
     """
@@ -141,7 +141,7 @@ def summary_lines(design: Design) -> list[str]:
 
 
 def answer_lines(design: Design) -> list[str]:
-    """Return the answer: the controller, its proof, what is worse with it, what limits it; or why there is none."""
+    """Return the result: controller, proof, worse measures and limits; or why there is none."""
     if not design.is_written:
         return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
     roll = design.axes["roll"]
@@ -181,7 +181,7 @@ def detail_lines(design: Design) -> list[str]:
 
 
 def _merge_same_values(entries: Iterable[tuple[str, str]]) -> list[str]:
-    """Return a line for each text, with the axes that it is said of before it."""
+    """Return one line per text, preceded by its axes."""
     axes: dict[str, list[str]] = {}
     for axis, text in entries:
         axes.setdefault(text, []).append(axis)
@@ -189,7 +189,7 @@ def _merge_same_values(entries: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
-    """Describe whose loops these are, what they have in common, and their margins before any flight."""
+    """Describe the firmware's loops, what they share, and their margins before flight."""
     lines = [
         f"the loops of roll, pitch and yaw are {firmware.name}'s, with its filters and delays; the height's is ours. "
         "The design has no proof in flight: hexjet sitl flies it"
@@ -212,7 +212,7 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
 
 
 def _delay_words(channel: Channel) -> str:
-    """Return how late a channel is; where its delay at low frequency tells nothing of a loop, its pace too."""
+    """Return a channel's delay, and its pace if low-frequency delay is meaningless."""
     delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
     if channel.pace_s == channel.slowness_s:
         return delay
@@ -276,7 +276,7 @@ def _compare_candidates(roll: AxisDesign) -> str:
 
 
 def _lead_words(lead: EngineLead) -> str:
-    """Describe what a lead does to the engine's poles, and what it commands at first."""
+    """Describe a lead's effect on the engine's poles and its first command."""
     w, a = lead.natural_rad_s, lead.pole_rad_s
     if lead.damping is None:
         moved, times = f"lag of {1e3 / w:.4g} ms to {1e3 / a:.4g} ms", a / w
@@ -303,7 +303,7 @@ def _limit_lines(roll: AxisDesign, negligible_percent: float = 3.0) -> list[str]
 
 
 def _level_lines(design: Design) -> list[str]:
-    """Describe what burning the fuel does to the loops, and how the schedule answers it."""
+    """Describe the effect of burnt fuel on the loops, and of the schedule."""
     if not design.levels:
         return []
     least = design.levels[-1]
@@ -378,7 +378,7 @@ COLUMNS = (  # heads of the table of channels
 
 
 def rows(design: Design) -> list[list[str]]:
-    """Return before and after of every channel, and what differs from it while fuel burns, as :data:`COLUMNS`."""
+    """Return each channel before and after, with changes by fuel, as :data:`COLUMNS`."""
     return [*channel_rows(design), *level_rows(design)]
 
 
@@ -393,7 +393,7 @@ def channel_rows(design: Design) -> list[list[str]]:
 
 
 def level_rows(design: Design) -> list[list[str]]:
-    """Return what differs from the channels of a full tank while fuel burns, as :data:`COLUMNS`; equal rows are one."""
+    """Return the changes of channels by fuel, as :data:`COLUMNS`; equal rows are merged."""
     full = {row[0].removesuffix(", designed"): row[1:] for row in channel_rows(design)}
     different: dict[tuple[str, ...], list[str]] = {}
     for axis, when, fuel, cells in _level_cells(design):
@@ -405,7 +405,7 @@ def level_rows(design: Design) -> list[list[str]]:
 
 
 def row_lines(design: Design) -> list[str]:
-    """Return what :func:`rows` leaves out, and why a cell has no number, a sentence each."""
+    """Return notes on what :func:`rows` omits and why cells are empty."""
     states = [
         state for axis_design in design.axes.values() for state in (axis_design.before, axis_design.after) if state
     ]
@@ -427,7 +427,7 @@ def row_lines(design: Design) -> list[str]:
 
 
 def _level_cells(design: Design) -> Iterator[tuple[str, str, float, list[str]]]:
-    """Yield every fuel level by axis: with the gains of a full tank, and as scheduled where there is a schedule."""
+    """Yield each fuel level by axis: with full-tank gains, and as scheduled."""
     for level in design.levels:
         for axis, state in level.unscheduled.items():
             channel = level.level.channels[axis]

@@ -37,7 +37,7 @@ Digits = tuple[int, int]  # digits 100 to 999, power of ten
 
 @dataclass(frozen=True)
 class TuningResult:
-    """The best tuning of a search; ``objective`` is infinite where nothing keeps the requirements."""
+    """Best tuning of a search; ``objective`` is infinite if infeasible."""
 
     tuning: Tuning
     objective: float
@@ -45,7 +45,7 @@ class TuningResult:
 
 
 class TuningBounds:
-    """The searched logarithms of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)``, and the predictor's own.
+    """Logarithmic search ranges of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)`` and the predictor.
 
     ``tau`` is the channel's pace (its delay at low frequency, mostly) and ``k`` its gain there, so the same box fits
     every vehicle.  With a lead its poles come last, over the engine's, and ``tau`` is what they leave.
@@ -184,7 +184,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 
 
 def _cost(closed: ClosedLoop, need: Requirements) -> float:
-    """Return the objective of a loop with a penalty for what it misses of the requirements."""
+    """Return a loop's objective with a penalty for missed requirements."""
     return objective(closed) + PENALTY * excess(closed, need, MARGIN) if not closed.unstable_poles else UNSTABLE
 
 
@@ -221,7 +221,7 @@ def settle(
 
 
 def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
-    """Settle in an autopilot's whole numbers, as :func:`settle`: by one more or less of one, or of two of them.
+    """Improve an autopilot's integers as :func:`settle`, by steps of one in one or two of them.
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
@@ -259,7 +259,7 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
 def tune_near(
     channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
 ) -> Tuning | None:
-    """Find the tuning in three digits by a simplex from ``start``, or ``start`` in three digits where that is no worse.
+    """Find the three-digit tuning by a simplex from ``start``, or rounded ``start`` if not worse.
 
     So a second call finds what the first one did.  None where nothing near ``start`` keeps the requirements.
     """
@@ -289,7 +289,7 @@ def tune_near(
 
 
 def digits(value: float) -> Digits:
-    """Round a number above 0 to three digits: 100 to 999, and the power of ten by which they are multiplied."""
+    """Round a positive number to three digits: 100 to 999 and a power of ten."""
     mantissa, _, power = f"{value:.2e}".partition("e")
     return int(mantissa.replace(".", "")), int(power) - 2
 
@@ -321,7 +321,7 @@ def _search_values(tuning: Tuning, predictor: bool) -> dict[str, float]:
 
 
 def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
-    """Return ``start`` with numbers of three digits in place of those that were searched."""
+    """Return ``start`` with searched numbers replaced by three-digit ones."""
     tuning = _with(start, {name: _to_float(number) for name, number in values.items()}, step, level)
     smooth = _to_float(digits(tuning.gains.d_filter_s))
     if tuning.firmware is not None:
@@ -330,7 +330,7 @@ def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bo
 
 
 def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
-    """Return ``start`` with other numbers in place of those that were searched."""
+    """Return ``start`` with searched numbers replaced."""
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
         gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)

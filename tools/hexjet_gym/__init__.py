@@ -40,7 +40,7 @@ ANGLE_SCALE, HEIGHT = radians(5.0), 0.5
 
 
 class Signal(NamedTuple):
-    """One number of an observation or an action."""
+    """One number of an observation or action."""
 
     name: str
     unit: str
@@ -55,7 +55,7 @@ Vary = Callable[[Scenario, np.random.Generator], Scenario]
 
 
 def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
-    """Return the default reward: the control step [s], less the further the vehicle is from what is asked for.
+    """Return the default reward: the control step [s], reduced with distance from the command.
 
     ``dt exp(-(angle / ANGLE)^2 - (height / HEIGHT)^2)``, of the true state at the end of the step, and 0 where the
     flight is lost: the sum over a flight is at most its seconds, and a flight that is lost gets no more.
@@ -82,7 +82,7 @@ def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
 
 
 class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types where it is not installed
-    """One flight an episode: the scenario says what is asked for, the agent flies.
+    """One flight per episode: the scenario commands, the agent flies.
 
     An observation is what the sensors say, what is asked for, and what the actuators were told in the last steps: with
     engines that answer late the present alone does not say what comes.  ``observed`` and ``acted`` name every number of
@@ -186,7 +186,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return tuple(signals)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start a new flight, of other noise; ``options`` has nothing to choose."""
+        """Start a new flight with other noise; there are no ``options``."""
         super().reset(seed=seed)
         noise = int(self.np_random.integers(2**31))
         scenario = self._scenario if self._vary is None else self._vary(self._scenario, self.np_random)
@@ -205,7 +205,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return self._last_observation.copy(), {"time_s": 0.0}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Hold an action; of what is beyond its bounds the bound.
+        """Hold an action, clipped to its bounds.
 
         Raises InputError for one that is not finite, FlightError where the episode is over.
         """
@@ -289,7 +289,7 @@ def _servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
 
 
 def _need_attitude_commands(flight: Stepper) -> None:
-    """Refuse a scenario that asks for something else than attitude and height (InputError); it is closed then."""
+    """Refuse a scenario that commands other than attitude and height (InputError), after closing it."""
     simulation = flight.simulation
     others = [name for name in simulation.command_script.signals if name == "collective" or name.startswith("rate_")]
     if simulation.pilot is not None or others:

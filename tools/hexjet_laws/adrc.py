@@ -22,7 +22,7 @@ from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_paramete
 
 
 class AdrcAxis:
-    """One axis: ``gain`` rad/s^2 per command, bandwidths of loop and observer in rad/s."""
+    """One axis: ``gain`` rad/s^2 per command, loop and observer bandwidths in rad/s."""
 
     def __init__(self, gain: float, actuators: Actuators, speed: float, observer: float, step: float) -> None:
         self._gain, self._actuators, self._speed, self._step = gain, actuators, speed, step

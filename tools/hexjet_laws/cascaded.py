@@ -24,13 +24,13 @@ def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
 
 
 class Cascaded(RateLaw):
-    """PID without a predictor, tuned to a peak sensitivity of 1.7 as the other laws."""
+    """PID without predictor, tuned to a peak sensitivity of 1.7 like the other laws."""
 
     predictor: ClassVar[str] = "baseline"
     parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the PID, its derivative filtered at a tenth of what it leads by and no faster than a step."""
+        """Return the PID, its derivative filtered at a tenth of its lead but no faster than a step."""
         vehicle, theta = axis.belief.vehicle, axis.delay
         p = values["p"] / (axis.gain * theta)
         d = values["d"] * theta

@@ -26,7 +26,7 @@ DAMPING = 0.55  # of the reference model
 
 
 class SecondOrder:
-    """``H`` held and sampled, exactly: value and slope of a continuous filter whose input is held over a step."""
+    """Exact discretisation of ``H`` with hold: value and slope of a continuous filter."""
 
     def __init__(self, natural: float, step: float) -> None:
         decay, turn = DAMPING * natural, natural * sqrt(1.0 - DAMPING * DAMPING)

@@ -85,7 +85,7 @@ def kalman_filter(axis: Axis, observer: float) -> KalmanFilter:
 
 
 class LqgAxis:
-    """One axis."""
+    """LQG control of one axis."""
 
     def __init__(self, axis: Axis, speed: float, observer: float) -> None:
         A, B, C, samples = discrete_model(axis)

@@ -29,7 +29,7 @@ BLOCK_STEPS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is
 
 
 def osqp() -> Any:
-    """Return the solver's module.  Raises InputError where it is not installed."""
+    """Return the solver's module.  Raises InputError if not installed."""
     try:
         import osqp
     except ImportError:
@@ -38,7 +38,7 @@ def osqp() -> Any:
 
 
 class MpcAxis:
-    """One axis; ``room`` is how far the command may go either way."""
+    """MPC of one axis; ``room`` is the command's range either way."""
 
     def __init__(self, axis: Axis, speed: float, observer: float, room: float) -> None:
         A, B, C, samples = discrete_model(axis)
@@ -122,7 +122,7 @@ class Mpc(RateLaw):
     )
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis; its room is what hover leaves of the throttles, either way."""
+        """Return the law of one axis; its range is what hover leaves of the throttles."""
         theta, limits, hover = axis.delay, axis.belief.vehicle.control.allocation, axis.belief.hover
         room = min(hover - limits.throttle_min, limits.throttle_max - hover)
         return MpcAxis(axis, values["speed"] / theta, values["observer"] / theta, room)

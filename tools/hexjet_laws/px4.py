@@ -43,7 +43,7 @@ class LowPass:
 
 
 class Px4Axis:
-    """One axis; gains per step where they meet a step.  ``reference`` rad/s; ``attitude`` 1/s, the loop above."""
+    """One axis with gains per step; ``reference`` rad/s; ``attitude`` 1/s, of the loop above."""
 
     def __init__(
         self, p: float, i: float, d: float, forward: float, reference: float, attitude: float, limit: float, step: float

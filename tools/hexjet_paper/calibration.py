@@ -49,7 +49,7 @@ def _margins(trial: Calibration) -> dict[str, float]:
 
 
 def _quadrotor(trial: Calibration) -> dict[str, float]:
-    """Return the time constant, the mean of baseline and Smith as the paper gives one, and disturbance with 5 samples.
+    """Compute the time constant, mean of baseline and Smith, and disturbance errors with 5 samples.
 
     The state predictor runs with the matrices as printed: they are what the paper says it used.
     """
@@ -86,7 +86,7 @@ def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
 
 
 class Stage(NamedTuple):
-    """Unknowns with their bounds, and the printed numbers that hold them with the scale of each residual."""
+    """Unknowns with bounds, and the printed numbers to fit with the scale of each residual."""
 
     name: str
     unknowns: dict[str, tuple[float, float]]
@@ -168,7 +168,7 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
 
 
 def _fit(stage: Stage, base: Calibration) -> Calibration:
-    """Fit by points spread over the bounds, then by Nelder and Mead from the three best of them (scipy.optimize)."""
+    """Fit by points spread over the bounds, then by Nelder and Mead from the best three (scipy.optimize)."""
     from scipy.optimize import minimize
 
     keys = list(stage.unknowns)

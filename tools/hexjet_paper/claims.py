@@ -60,7 +60,7 @@ HEXJET_FIT = "two gains are fitted to these two numbers on the linear plant; the
 
 @dataclass(frozen=True)
 class Evidence:
-    """The results of one fidelity: metrics by an experiment's name, margins and gains [dB] of C G* by controller."""
+    """Results of one fidelity: metrics by experiment, margins and gains [dB] of C G* by controller."""
 
     metrics: Mapping[str, Metrics]
     margins: Mapping[str, Margins]
@@ -79,7 +79,7 @@ class Evidence:
 
 
 class Judgement(Record):
-    """One answer: does it follow, and the numbers that say so."""
+    """Answer to a claim: whether it holds, with the numbers."""
 
     verdict: Verdict
     evidence: str
@@ -105,7 +105,7 @@ Test = Callable[[Evidence, str], Answer]  # with the name of the state predictor
 
 @dataclass(frozen=True)
 class Claim:
-    """``test`` answers for a state predictor; ``condition_test``, where there is one, under ``condition``.
+    """Claim of the paper; ``condition_test``, if any, is its test under ``condition``.
 
     ``basis``: of the linear plant's answer, and of the flight's where ``flight_basis`` says nothing else; ``rests_on``
     says it in words.
@@ -124,7 +124,7 @@ class Claim:
     rests_on: str = ""
 
     def judge(self, evidence: Evidence, in_flight: bool = False) -> Judgement:
-        """Judge the claim in one fidelity; experiments that it has not flown leave the verdict open."""
+        """Judge the claim in one fidelity; missing experiments leave it open."""
         basis = (self.flight_basis if in_flight else None) or self.basis
         judged = self._judge(evidence)
         if judged.verdict in ("holds", "under a condition") and basis in NO_EVIDENCE:
@@ -235,7 +235,7 @@ def _tracking_is_consistent(e: Evidence, state: str) -> Answer:
 
 
 def _half_amplitude(e: Evidence, state: str) -> Answer:
-    """Test the errors at half the amplitude, 15 deg from peak to peak, which in a linear loop are half as large."""
+    """Test whether halving the amplitude to 15 deg peak to peak halves the errors, as in a linear loop."""
     names = ["step-5.baseline", "step-5.smith", "step-10.smith", "step-25.smith"]
     pairs = [(0.5 * e.rmse(n), numbers.value(n + ".rmse")) for n in names]
     worst = max(abs(growth_percent(computed, paper)) for computed, paper in pairs)

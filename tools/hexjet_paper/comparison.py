@@ -62,7 +62,7 @@ class Row(Record):
 
 
 def _loop(key: object) -> object:
-    """Return the vehicle and the controller that a key of JSON, which is one text, names."""
+    """Return vehicle and controller from a key of JSON."""
     return tuple(key.split(",")) if isinstance(key, str) else key
 
 
@@ -87,7 +87,7 @@ class LinearPart:
 
 
 def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
-    """Run all of it from the frozen calibration; ``say`` hears the name of each part as it begins."""
+    """Compute everything from the frozen calibration; ``say`` is told each part."""
     frozen = load()
     calibration = frozen.parameters
     say("experiments on the linear plant")
@@ -165,7 +165,7 @@ _NOTES = {  # note on a number, by key
 def comparison_rows(
     frozen: Frozen, linear: Evidence, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
 ) -> list[Row]:
-    """Compare every printed number with ours; ``extra`` has values in six degrees of freedom that no evidence has."""
+    """Compare each printed number with ours; ``extra`` has flight values without evidence."""
     used = {used_row.key for used_row in frozen.used}
     rows = []
     for printed in numbers.PRINTED.values():
@@ -233,7 +233,7 @@ def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evi
 
 
 def _computed(key: str, evidence: Evidence) -> float | None:
-    """Return the value of a printed key in one fidelity, None where that fidelity has none."""
+    """Return a printed key's value in one fidelity, or None."""
     metrics = evidence.metrics
     head, _, last = key.rpartition(".")
     if key.startswith("frequency."):
@@ -262,7 +262,7 @@ def _deviation(value: float | None, paper: float) -> float | None:
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
-    """Write ``comparison.csv``: one line a quantity, six significant digits."""
+    """Write ``comparison.csv``: one line per quantity, six significant digits."""
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(

@@ -18,7 +18,7 @@ from hexjet_paper.numbers import Record
 
 
 class Condition(Record):
-    """A condition, found by search, under which printed numbers follow, and their values under it."""
+    """A searched condition under which printed numbers follow, with their values."""
 
     key: str
     question: str
@@ -27,7 +27,7 @@ class Condition(Record):
 
 
 def conditions(calibration: Calibration) -> list[Condition]:
-    """Search for the conditions under which the model gives the printed numbers that it does not give as it is."""
+    """Search for conditions under which the model gives printed numbers that it misses otherwise."""
     return [
         _plant_error(calibration, "smith", "Smith"),
         _plant_error(calibration, "state", "the state predictor, G_n(z) realised"),
@@ -41,7 +41,7 @@ def conditions(calibration: Calibration) -> list[Condition]:
 
 
 def _plant_error(calibration: Calibration, controller: str, called: str) -> Condition:
-    """Search for the model's gain and delay error that gives a predictor's printed margins: 3 numbers, 2 unknowns."""
+    """Search for gain and delay errors that give a predictor's printed margins: 3 numbers, 2 unknowns."""
     from scipy.optimize import minimize
 
     loop = quadrotor_axis(calibration, controller, 5)
@@ -107,7 +107,7 @@ def _observer_range(calibration: Calibration) -> Iterator[Condition]:
 
 
 def _doublet_length(calibration: Calibration) -> Condition:
-    """Search for the Hex-Jet's doublet and record that give Smith's printed errors at the vehicle's gains."""
+    """Search for the doublet and record lengths that give Smith's printed errors at the vehicle's gains."""
     loop = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     amplitude, most = np.radians(numbers.value("hexjet.amplitude")), numbers.value("hexjet-doublet.smith.max")
     rmse = numbers.value("hexjet-doublet.smith.rmse")
@@ -135,7 +135,7 @@ def _rmse_with_and_without(run: Fidelity, controller: str) -> tuple[float, float
 
 
 def _payload_condition(calibration: Calibration) -> Condition:
-    """Search for disturbances and payloads with which the state predictor's error grows more than Smith's."""
+    """Search for disturbances and payloads for which the state predictor's error grows more than Smith's."""
     lengths, gains = np.arange(0.05, 0.201, 0.0125), (0.8, 0.9, 1.1, 1.2, 1.3)
     lines, values = [], {}
     for gain in gains:
@@ -193,7 +193,7 @@ def _payload_sign(calibration: Calibration) -> Condition:
 
 
 def _first_unstable(calibration: Calibration) -> Condition:
-    """Search for the delay at which the quadrotor's baseline is unstable, with and without its attitude loop."""
+    """Search for the delay that destabilises the quadrotor's baseline, with and without attitude loop."""
 
     def first(attitude_gain: float) -> int:
         for delay in range(1, 60):

@@ -35,7 +35,7 @@ PAYLOAD_POSITION = [0.0, 0.0, 0.03]  # m, body: below the frame; chosen by us
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run: ``name`` is the key of its numbers in :data:`hexjet_paper.numbers.PRINTED`."""
+    """One run; ``name`` is the key of its numbers in :data:`hexjet_paper.numbers.PRINTED`."""
 
     kind: Kind
     controller: str
@@ -71,7 +71,7 @@ class Experiment:
 
     @property
     def record(self) -> float:
-        """Length of what is evaluated, s."""
+        """Length of the evaluated record, s."""
         return self.run if self.kind == "hexjet-doublet" else numbers.value("step.record")
 
     @property
@@ -93,7 +93,7 @@ class Experiment:
 
 
 class Metrics(Record):
-    """What is read from a record: of the angle for commanded doublets, of the rate for disturbances."""
+    """Metrics of a record: of the angle for commanded doublets, of the rate for disturbances."""
 
     stable: bool
     rmse: float  # rad or rad/s, over the record
@@ -106,7 +106,7 @@ class Metrics(Record):
 
 @dataclass(frozen=True)
 class Result:
-    """An experiment as flown: its metrics and its series, one value a step over the record."""
+    """An experiment's metrics and time series, one value per step."""
 
     experiment: Experiment
     metrics: Metrics
@@ -121,7 +121,7 @@ Fidelity = Callable[[Experiment], Result]
 
 
 def experiments() -> list[Experiment]:
-    """Return every experiment of the paper on one axis, and those that explain it."""
+    """Return all single-axis experiments of the paper, and those that explain them."""
     quadrotor: list[Experiment] = []
     for controller in CONTROLLERS:
         quadrotor += [Experiment("step", controller, delay) for delay in (5, 10, 25)]
@@ -210,7 +210,7 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
 
 
 def linear(calibration: Calibration, noisy: bool = True, is_whole: bool = True) -> Fidelity:
-    """Return the fidelity of the linear plant; not ``is_whole``: the record alone, which tells nothing stable."""
+    """Return the linear plant's fidelity; not ``is_whole``: the record only, without stability."""
 
     return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, is_whole)
 
@@ -237,7 +237,7 @@ def result(
     rate: Sequence[float] | array[float],
     command: Sequence[float] | array[float],
 ) -> Result:
-    """Compute the metrics of a run of any fidelity, one value a control step from its start, rad and rad/s.
+    """Compute a run's metrics from one value per step since its start, rad and rad/s.
 
     A run that ended before ``experiment.run`` was lost: it is unstable.
     """
@@ -270,7 +270,7 @@ def result(
 
 
 def swings(rate: Array, step: float, last_edge: float, window: float = 1.0) -> bool:
-    """Return whether the rate swings in the last ``window`` seconds as it did in those after the last edge."""
+    """Return whether the rate oscillates at the end as much as right after the last edge."""
     samples = round(window / step)
     after = round(last_edge / step)
     before, end = np.std(rate[after : after + samples]), np.std(rate[-samples:])

@@ -27,7 +27,7 @@ _POINTS = 1200  # frequencies on the unit circle
 
 
 class RobustnessMap(Record):
-    """One controller over delay error (samples) x gain error (factor): a row for every gain.
+    """One controller over delay error (samples) and gain error (factor): one row per gain.
 
     ``sensitivity`` is the peak sensitivity, None where the closed loop has a pole outside the unit circle.
     """
@@ -46,7 +46,7 @@ class RobustnessMap(Record):
         return sum(cell is not None for cell in cells) / len(cells)
 
     def at(self, gain: float, delay_error: int) -> float | None:
-        """Return the peak sensitivity in the cell nearest to a gain and a delay error; None where it is unstable."""
+        """Return the peak sensitivity of the nearest cell; None if unstable."""
         row = min(range(len(self.gains)), key=lambda n: abs(log(self.gains[n] / gain)))
         return self.sensitivity[row][self.delay_errors.index(delay_error)]
 
@@ -86,7 +86,7 @@ def _cell(loop: LoopMap, gain: float, delay: int) -> float | None:
 
 
 class DelayPoint(Record):
-    """A controller that knows a delay, on a plant that has it."""
+    """A controller that knows the delay, on a plant with it."""
 
     delay: int  # samples
     stable: bool
@@ -115,7 +115,7 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
 
 
 class Offset(Record):
-    """What a constant disturbance of the command leaves of the roll angle."""
+    """Roll angle that remains under a constant disturbance of the command."""
 
     controller: str
     peak: float  # rad
@@ -295,7 +295,7 @@ def _tunings(axis: Axis) -> list[PredictorTuning]:
 
 
 def _reach(engine: str, axis: Axis, lag: float) -> Reach:
-    """Search for the largest bandwidth on a coarse grid for each tuning, then on ever finer ones around the best."""
+    """Search for the largest bandwidth on a coarse grid, then on finer ones around the best."""
     z = grid(500, lowest=1e-3)
     # p is scaled by the gain that makes the rate loop as fast as the lag.
     unit = 1.0 / integrating_gain(axis.model) / lag

@@ -70,7 +70,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Axis:
-    """Everything that defines one loop.
+    """All parameters of one loop.
 
     ``model`` is what the predictor believes, its ``delay_samples`` included; ``delay_samples`` is the delay that is
     really added.  ``knows_disturbance`` says on which side of the predictor's tap a disturbance of the command enters.
@@ -102,7 +102,7 @@ class Axis:
 
 @dataclass
 class Record:
-    """A run, one value a step, taken at ``t_k``: rad, rad/s, and the command of the step that begins there."""
+    """A run, one value per step at ``t_k``: rad, rad/s, and the command of the step."""
 
     step: float
     setpoint: array[float] = field(default_factory=lambda: array("d"))
@@ -134,7 +134,7 @@ def predictor(controller: str) -> PredictorSpec:
 
 
 class _WithDisturbance:
-    """A predictor that sees the command with the disturbance in it: the tap lies behind the place where it enters."""
+    """Predictor that is told the command including the disturbance, as its tap lies after it."""
 
     def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor

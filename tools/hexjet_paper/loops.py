@@ -161,7 +161,7 @@ def _wrap(degrees: float) -> float:
 
 
 class LoopMap:
-    """One loop with its predictor's response kept, for many plants: unstable poles and peak sensitivity."""
+    """One loop with cached predictor response, for many plants: unstable poles and peak sensitivity."""
 
     def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
         """Compute the loop's responses; ``known``: points of the upper half circle with ``P_y`` and ``P_u`` there."""
@@ -199,7 +199,7 @@ class LoopMap:
 
 
 def unstable_poles(axis: Axis) -> int:
-    """Count the closed-loop poles outside the unit circle, with the attitude loop where it has a gain.
+    """Count the unstable closed-loop poles, with the attitude loop if it has a gain.
 
     Raises InputError for an unmodelled delay that is not whole.
     """

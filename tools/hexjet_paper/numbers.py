@@ -26,7 +26,7 @@ Basis = Literal["calibrated", "chosen by us", "follows from a choice", "predicte
 
 
 class Record(BaseModel):
-    """A record whose fields cannot be changed."""
+    """A record with constant fields."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -33,7 +33,7 @@ COMPARED = ("baseline", "smith")  # controllers of this comparison
 
 @dataclass(frozen=True)
 class Reading:
-    """What the Hex-Jet's roll axis is under one reading.
+    """Parameters of the Hex-Jet's roll axis under one reading of the paper.
 
     ``gain``: slope of the rate per command over that of the printed G(z).
     """
@@ -119,7 +119,7 @@ class Gains(Record):
 
 
 def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
-    """Yield the gains of ``vehicle.toml``, those fitted to the printed ratios, and raised ones that fail baseline.
+    """Yield the gains of ``vehicle.toml``, those fitted to printed ratios, and raised ones.
 
     On "delay only" the raised ones are those of ``vehicle.toml``.
     """
@@ -186,7 +186,7 @@ def reading_scenario(
 
 
 class Trial(Record):
-    """One doublet of a reading, in both fidelities."""
+    """One doublet of a reading in both fidelities."""
 
     gains: Gains
     controller: str
@@ -197,7 +197,7 @@ class Trial(Record):
 
 
 class ReadingResult(Record):
-    """The flights of a reading and the vehicle that it makes."""
+    """Flights of a reading, and its vehicle."""
 
     key: str
     title: str
@@ -210,7 +210,7 @@ class ReadingResult(Record):
     trials: list[Trial]
 
     def trial(self, gains: str, controller: str) -> Trial:
-        """Return the doublet flown with named gains; on "delay only" the raised ones are those of ``vehicle.toml``."""
+        """Return the doublet with named gains; on "delay only" raised ones are those of ``vehicle.toml``."""
         raised = gains == "raised" and not any(trial.gains.name == "raised" for trial in self.trials)
         name = "shipped" if raised else gains
         return next(t for t in self.trials if (t.gains.name, t.controller) == (name, controller))
@@ -259,7 +259,7 @@ DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; factors o
 
 
 class ModelError(Record):
-    """The roll doublet with a predictor whose model is off the printed G(z), to which the vehicle is fitted."""
+    """Roll doublet with a predictor whose model deviates from the printed G(z) of the vehicle."""
 
     delay_error: int  # samples, of the model's 25
     gain_factor: float  # factor on the model's gain

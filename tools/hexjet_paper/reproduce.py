@@ -117,7 +117,7 @@ def _tasks() -> dict[str, Task]:
 
 
 def flight_experiments() -> list[Experiment]:
-    """Return the experiments of the co-simulation: all but those with the matrices as printed, which do not fly."""
+    """Return the flown experiments: all except those with matrices as printed."""
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
 
 
@@ -149,7 +149,7 @@ def fly_turbojet(reach: Reach) -> TurbojetFlight:
 
 
 def write_scenarios(folder: Path) -> None:
-    """Write every flown experiment as a scenario file, to be flown and changed on its own: ``hexjet fly FILE``."""
+    """Write each flown experiment as a scenario file for ``hexjet fly FILE``."""
     folder.mkdir(parents=True, exist_ok=True)
     frozen = load().parameters
     for experiment in flight_experiments():
@@ -234,7 +234,7 @@ def fly_offset(controller: str) -> Offset:
 
 
 def identify() -> Identified:
-    """Identify the paper's models with this program's own identification, on FMUs and in flight."""
+    """Identify the paper's models with this program, on FMUs and in flight."""
 
     values: dict[str, float] = {}
     responses = {}
@@ -276,7 +276,7 @@ def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dic
     say("parts", len(parts), len(tasks))
     names = [name for name in tasks if name not in parts]
     try:
-        for index, part in as_finished(_do, [tasks[name] for name in names], workers):
+        for index, part in as_finished(_run_task, [tasks[name] for name in names], workers):
             name = names[index]
             parts[name] = part
             write_whole(files[name], json.dumps(kinds[name].dump_python(part, mode="json")))
@@ -289,13 +289,13 @@ def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dic
     return {name: parts[name] for name in tasks}
 
 
-def _do(task: Task) -> Any:
+def _run_task(task: Task) -> Any:
     function, arguments = task
     return function(*arguments)
 
 
 def _check_writable(folder: Path) -> None:
-    """Check, before minutes of work, that ``folder`` can be made and takes a file."""
+    """Check that ``folder`` is writable before minutes of work."""
     try:
         (folder / "parts").mkdir(parents=True, exist_ok=True)
         write_whole(folder / "parts" / "test", b"")
@@ -305,7 +305,7 @@ def _check_writable(folder: Path) -> None:
 
 
 def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:
-    """Return a part of an earlier call, read as data of its kind; None if there is none or it cannot be read.
+    """Return a cached part of an earlier call; None if missing or invalid.
 
     The folder may be somebody else's: nothing in it is more than text and numbers.
     """

@@ -73,7 +73,7 @@ _TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")  #
 
 
 def read_release(program: Path | None) -> tuple[Release, str]:
-    """Return the release of a program, which is among its texts, and a remark on one that was not flown, or "".
+    """Return the release found in a program's texts, and a remark if it was not flown, or "".
 
     The newest for one that states none, or is started by hand.
     """
@@ -89,7 +89,7 @@ def read_release(program: Path | None) -> tuple[Release, str]:
 
 
 class TransmitterChannel(NamedTuple):
-    """One transmitter channel beside the sticks, such as a switch."""
+    """One transmitter channel other than sticks, such as a switch."""
 
     number: int
     pulse: int  # pulse in us
@@ -111,7 +111,7 @@ def parse_channel(text: str, where: str) -> TransmitterChannel:
 
 
 class ArduPilot(Autopilot):
-    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for a step its clock does not follow."""
+    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for an unsuitable step."""
 
     name = "ardupilot"
     timing = START_TIMING
@@ -146,11 +146,11 @@ class ArduPilot(Autopilot):
 
     @property
     def sticks_port(self) -> int:
-        """UDP port at which it listens for the sticks."""
+        """UDP port at which it receives the sticks."""
         return RC_PORT + PORT_SPACING * self.setup.instance
 
     def start(self) -> None:
-        """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
+        """Listen, start the program, and wait for its first packet.  Raises InputError or FlightError."""
         self._socket = self._begin(socket.SOCK_DGRAM, self._port)
         log = self._folder / "ardupilot.log"
         if self.program is not None:
@@ -179,7 +179,7 @@ class ArduPilot(Autopilot):
         return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
 
     def _check_rate(self, rate: int) -> None:
-        """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
+        """Refuse a frame rate that differs from the flight's after it had time to settle."""
         if self.counts.frames == _RATE_SETTLING_FRAMES and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "

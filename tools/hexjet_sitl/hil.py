@@ -21,7 +21,7 @@ _HEAD = Struct("<BBBBBBBHB")  # MAVLink 2 header
 
 
 class MessageFormat(NamedTuple):
-    """One kind of message: its number, its payload, and the byte of its definition that goes into the checksum."""
+    """One kind of message: number, payload, and the CRC_EXTRA byte of its definition."""
 
     number: int
     payload: Struct
@@ -42,7 +42,7 @@ FORMATS = {  # formats by message id
 
 
 class FrameWriter:
-    """Writer of one sender's frames."""
+    """Writes the frames of one sender."""
 
     def __init__(self, system: int = 1, component: int = 200) -> None:
         self._system, self._component, self._sequence = system, component, 0
@@ -66,7 +66,7 @@ class FrameReader:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[MessageFormat, tuple[float, ...]]]:
-        """Return every message that ``data`` completes, without those of other kinds and with a wrong checksum."""
+        """Return all messages completed by ``data``, without unknown kinds and wrong checksums."""
         buffer = self._buffer + data
         messages: list[tuple[MessageFormat, tuple[float, ...]]] = []
         at, end = 0, len(buffer)

@@ -50,7 +50,7 @@ def to_pulse(fraction: float) -> int:
 
 
 class SensorFrame(NamedTuple):
-    """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`hexjet_sitl.instruments`."""
+    """Sensors and sticks of one instant for an autopilot; see :mod:`hexjet_sitl.instruments`."""
 
     time: float  # s, by the autopilot's clock
     rate: Vector3  # rad/s, body
@@ -75,7 +75,7 @@ class ActuatorOutputs(NamedTuple):
 
 @dataclass
 class LockstepCounts:
-    """The counts of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
+    """Counts of a lockstep: with none missing, each step was answered for its own frame."""
 
     frames: int = 0  # frames sent
     answers: int = 0  # answers received
@@ -92,7 +92,7 @@ class LockstepCounts:
 
 @dataclass(frozen=True)
 class StartTiming:
-    """Timing of an autopilot before its flight, and its full stick; each autopilot's module has its own.
+    """Timing of an autopilot before its flight, and its full stick.
 
     The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
     the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for all that it holds back
@@ -109,7 +109,7 @@ class StartTiming:
 
 
 class FirmwareReport(NamedTuple):
-    """What an autopilot's own log says of it, where it keeps one that is read here."""
+    """Data from an autopilot's own log, if that is read."""
 
     version: str = ""  # release and revision; empty: unknown
     parameters: Mapping[str, float] = {}  # all parameters that it flew with
@@ -134,7 +134,7 @@ def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
 
 @dataclass(frozen=True)
 class Setup:
-    """Options of an autopilot, as those of ``hexjet sitl`` and a study's table [autopilot] state them.
+    """Options of an autopilot, from ``hexjet sitl`` or a study's table [autopilot].
 
     Of what belongs to one autopilot the others see nothing.
     """
@@ -169,7 +169,7 @@ _END_WITH_PARENT = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.ex
 
 
 class Program:
-    """A process that is started for a flight, with its output in a file; ended with all that it started."""
+    """A process started for a flight, with its output in a file; ended with its descendants."""
 
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
@@ -190,7 +190,7 @@ class Program:
 
     @property
     def end_description(self) -> str:
-        """How the process ended, in words; empty while it runs."""
+        """Description of how the process ended; empty while it runs."""
         return self.describe_end(0.0)
 
     def describe_end(self, wait: float) -> str:
@@ -198,7 +198,7 @@ class Program:
         return self.process.describe_end(wait)
 
     def close(self, patience: float = 0.0) -> None:
-        """End it; may be called twice.  Where it has ``patience`` s to write down what it has, it is asked to first."""
+        """End the process, after asking it to if it has ``patience`` s; may be called twice."""
         if patience and self.process.poll() is None:
             self.process.terminate()
         self.process.end(patience)
@@ -216,7 +216,7 @@ def find_configured_program(binary: Path | None, variable: str) -> Path | None:
 
 
 def check_program(path: Path, where: str) -> Path:
-    """Return the program itself, behind links: its files stand beside it.  Raises InputError for what is no program."""
+    """Return the program behind links, as its files are beside it.  Raises InputError if invalid."""
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     if not os.access(path, os.X_OK):
@@ -245,7 +245,7 @@ def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket
 
 
 class AnswerTimer:
-    """A time-out for one answer that watches the program meanwhile, and says in one line what did not come."""
+    """Timeout of one answer that also watches the program, and describes what is missing."""
 
     def __init__(self, name: str, limit: float, program: Program | None, failure: str = "did not answer") -> None:
         self._name, self._limit, self._program, self._failure = name, limit, program, failure
@@ -253,7 +253,7 @@ class AnswerTimer:
         self._has_checked = False
 
     def remaining(self) -> float:
-        """Return the seconds until the next check.  Raises FlightError where the autopilot is gone, or hangs."""
+        """Return the seconds to the next check.  Raises FlightError if the autopilot ended or hangs."""
         if self._program is not None and (ended := self._program.end_description):
             raise FlightError(f"{self._name} {ended}")
         remaining = self._started + self._limit - monotonic()
@@ -277,7 +277,7 @@ class AnswerTimer:
 
 
 def set_receive_timeout(sock: socket.socket) -> socket.socket:
-    """Make a socket wait for :data:`CHECK_S` and then raise BlockingIOError, and return it.
+    """Make a socket raise BlockingIOError after :data:`CHECK_S`, and return it.
 
     It is one system call, where a time-out of Python's takes three.
     """
@@ -287,7 +287,7 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
 
 
 class Autopilot:
-    """One autopilot and the connection to it: a program that is started here, or by hand (``program`` is None).
+    """An autopilot and its connection, started here or by hand (``program`` is None).
 
     Each has a class of its own, with :meth:`start` and :meth:`exchange`.
     """
@@ -312,15 +312,15 @@ class Autopilot:
         self._earlier_logs: set[tuple[int, Path]] = set()  # logs of other flights in this folder
 
     def start(self) -> None:
-        """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""
+        """Start it, and wait until it accepts frames.  Raises InputError or FlightError."""
         raise NotImplementedError
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
-        """Send it one frame and wait for its answer to that.  Raises FlightError where none comes."""
+        """Send a frame and wait for its answer.  Raises FlightError if none comes."""
         raise NotImplementedError
 
     def check_parameters(self) -> str:
-        """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
+        """After the flight, check for given parameters that it does not have.
 
         Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
         Raises FlightError with the names.
@@ -328,7 +328,7 @@ class Autopilot:
         return ""
 
     def report(self) -> FirmwareReport:
-        """Return what its own log says, when it has flown and is closed."""
+        """After the flight, return data from its own log."""
         return FirmwareReport()
 
     def close(self) -> None:
@@ -345,19 +345,19 @@ class Autopilot:
         return self._own(listen(kind, port, self.name, self.port_option))
 
     def _describe_start(self, error: FlightError, log: Path, title: str) -> FlightError:
-        """Return why it did not begin: with what it printed last, and whether it is the right program at all."""
+        """Describe why it did not start: its last output, and whether it is the right program."""
         lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
         last = next((line for line in reversed(lines) if line.strip()), "")
         printed = f"; the last that it printed: {COLOUR.sub('', last).strip()} ({log})" if last else ""
         return FlightError(f"{error}; is {self.program} {title}?{printed}" if self.program else f"{error}{printed}")
 
     def _find_logs(self) -> set[tuple[int, Path]]:
-        """Return the logs in its folder, each with the time at which it was last written [ns]."""
+        """Return the logs in its folder with modification times [ns]."""
         paths = self._folder.glob(self.log_pattern) if self.log_pattern else ()
         return {(path.stat().st_mtime_ns, path) for path in paths}
 
     def _new_logs(self) -> list[Path]:
-        """Return the logs that it wrote since it began, the newest last; none of a program that was not started here.
+        """Return the logs written since its start, newest last; none if started by hand.
 
         One of that name may have been there before.
         """

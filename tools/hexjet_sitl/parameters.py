@@ -33,7 +33,7 @@ _MIN_IMU_HZ, _MAX_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 
 
 def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vector3:
-    """Return what a torque of 1 is for PX4: throttle about roll, rad of tilt about the others (throttle without tilts).
+    """Return PX4's unit of torque: throttle for roll, rad of tilt for others (throttle without tilts).
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
     rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
@@ -59,7 +59,7 @@ def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vecto
 
 
 def refuse_effectiveness(autopilot: str, vehicle: Vehicle) -> None:
-    """Raise InputError for a vehicle that is flown by effectiveness, to which an autopilot's torques say nothing."""
+    """Raise InputError for a vehicle with allocation by effectiveness, which autopilots cannot command."""
     if vehicle.allocation == "effectiveness":
         raise InputError(
             f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose gains are not in an autopilot's torques"
@@ -156,7 +156,7 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
 
 
 def find_gyro_cutoff(vehicle: Vehicle) -> float | None:
-    """Return the cutoff [Hz] at which an autopilot's filter of a raw gyro is as late as the vehicle's own gyro filter.
+    """Return the cutoff [Hz] of an autopilot's gyro filter with the delay of the vehicle's own.
 
     Theirs is a Butterworth filter of second order, whose delay well below its cutoff ``f`` is ``sqrt(2) / (2 pi f)``;
     the vehicle's, of first order, is ``filter_s`` late, with which its gains were designed.  None: it has none.
@@ -166,13 +166,13 @@ def find_gyro_cutoff(vehicle: Vehicle) -> float | None:
 
 
 def px4_outputs(vehicle: Vehicle, prefix: str = "PWM_MAIN") -> dict[str, float]:
-    """Return which output is which engine, then which tilt: of its SITL and of most boards, or of ``HIL_ACT``."""
+    """Return outputs for engines, then tilts, of PX4's SITL and most boards, or ``HIL_ACT``."""
     functions = [101 + index for index in range(len(vehicle.jets))] + ([201, 202] if vehicle.servo else [])
     return {f"{prefix}_FUNC{number}": function for number, function in enumerate(functions, 1)}
 
 
 def px4_link(step: float) -> dict[str, float]:
-    """Return what PX4 needs for a flight of ours, of ``step`` [s]: its estimator's pace, and sticks by the link.
+    """Return PX4 parameters for our flights of ``step`` [s]: estimator rate, and sticks by MAVLink.
 
     Its answer to a sample waits for its estimator, which has to run at each.  Sticks are in proportion, without a dead
     zone and, of yaw, a low-pass; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at
@@ -188,7 +188,7 @@ def px4_link(step: float) -> dict[str, float]:
 
 
 def px4_hover(throttle: float) -> dict[str, float]:
-    """Return PX4's own idea of the throttle of hover, from which its control of the height and its landing start."""
+    """Return PX4's hover throttle, where its height control and landing detection start."""
     return {"MPC_THR_HOVER": clip(throttle, *_HOVER_RANGE)}
 
 
@@ -330,7 +330,7 @@ def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
 
 
 def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """Return the frame, and which output is which motor."""
+    """Return the frame, and the motor of each output."""
     if ardupilot_script(vehicle) is None:
         frame, motors = ardupilot_frame(vehicle)
         parameters: dict[str, float] = {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
@@ -385,7 +385,7 @@ def ardupilot_parameters(
 
 
 def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
-    """Return parameters by which ArduPilot holds its place, in Loiter, once the fifth channel is raised.
+    """Return parameters for ArduPilot's position hold, Loiter, on the fifth channel.
 
     ``throttle``: of hover, from which its control of the height starts; ``least``: MOT_SPIN_MIN.
     """

@@ -21,7 +21,7 @@ MAX_CLIMB, LET_GO = 3.0, 0.1
 
 
 def find_hover_throttle(belief: Belief) -> float:
-    """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
+    """Return the mean throttle at hover at the start of the flight."""
     return _mean_throttle(belief, belief.hover)
 
 
@@ -36,7 +36,7 @@ def apply_dead_zone(fraction: float) -> float:
 
 
 class StickPilot:
-    """A pilot who passes lean on to the sticks, and holds height and heading.
+    """Pilot that passes lean to the sticks, and holds height and heading.
 
     The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
@@ -76,7 +76,7 @@ class StickPilot:
         self._target = None
 
     def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
-        """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
+        """Return the sticks for a command.  Raises FlightError for body rates."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
         now, self._steps = self._steps * self._step, self._steps + 1
@@ -117,7 +117,7 @@ class StickPilot:
         return self._turned
 
     def _landed(self, height: float, measured: Measured) -> bool:
-        """Return whether it has stood still near the ground for long, asked for a ``height`` [m] below it."""
+        """Return whether it stood still near the ground, commanded to a ``height`` [m] below."""
         if self._still < self._still_needed:
             is_still = abs(measured.velocity[2]) < STILL_SPEED and measured.altitude < self._span
             self._still = self._still + 1 if height < 0.0 and is_still else 0

@@ -60,7 +60,7 @@ _UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # reason by autopi
 
 @contextmanager
 def reserve_instance() -> Iterator[int]:
-    """Reserve an instance number from 1 to :data:`MAX_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
+    """Reserve an instance number from 1 to :data:`MAX_INSTANCES`; 0 is for ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
     are taken.
@@ -91,12 +91,12 @@ def find_program(name: str, binary: Path | None) -> Path | None:
 
 
 def describe_missing(name: str) -> str:
-    """Return where a program was looked for, and how its makers build it."""
+    """Return where a program was searched, and how to build it."""
     return f"binary, {VARIABLES[name]}, {PROGRAMS[name]} on the path; its makers build it by {BUILDS[name]}"
 
 
 def require_program(name: str, binary: Path | None) -> Path:
-    """Return the program as :func:`find_program`, where nobody can start one by hand and a study states it.
+    """Return the program as :func:`find_program`, required for studies.
 
     Raises InputError for none, and for one that the user does not trust.
     """
@@ -132,7 +132,7 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
 
 
 def check_faults(name: str, scenario: Scenario) -> None:
-    """Raise InputError for the fault of a sensor that would not reach the autopilot as what it is."""
+    """Raise InputError for sensor faults that would not reach the autopilot as such."""
     for index, fault in enumerate(scenario.fault):
         if fault.kind not in ("sensor_bias", "sensor_dropout"):
             continue
@@ -182,7 +182,7 @@ def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Se
 def _ardupilot_parameters(
     scenario: Scenario, program: Path | None, setup: Setup, release: ardupilot.Release
 ) -> dict[str, float]:
-    """Return what an ArduPilot flies with: the file stated over its sticks, or the vehicle's; over both what is stated.
+    """Return ArduPilot's parameters: a file over its sticks, or the vehicle's; stated ones on top.
 
     One that is started by hand has its own; the vehicle's are taken for them where there are any.
     """

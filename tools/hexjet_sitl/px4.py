@@ -64,14 +64,14 @@ _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver
 
 
 def invert_yaw_curve(turn: float) -> float:
-    """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
+    """Return the stick for this fraction of PX4's full yaw rate, inverting ``0.4 x + 0.6 x^3``."""
     # The only real root of x^3 + p x = q with p > 0.
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
 
 def check_unknown_parameters(log: Path, parameters: Collection[str], optional: Collection[str] = ()) -> None:
-    """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
+    """Refuse parameters that PX4 reports as unknown.  Raises InputError that names them.
 
     Its own scripts ask for parameters of modules that it was built without, and print the same of these.  Those that
     are ``optional`` need not be there.
@@ -96,7 +96,7 @@ def describe_version(facts: Mapping[str, str | int]) -> str:
 
 
 class Px4(Autopilot):
-    """One PX4 SITL; its parameters, of which a release need not have the ``optional``, are over its airframe's."""
+    """One PX4 SITL; its parameters, except ``optional`` ones, must exist."""
 
     name = "px4"
     timing = START_TIMING
@@ -127,7 +127,7 @@ class Px4(Autopilot):
         self._link: socket.socket | None = None
 
     def start(self) -> None:
-        """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
+        """Listen, start the program, and wait for its connection.  Raises InputError or FlightError."""
         instance, parameters = self.setup.instance, self.setup.parameters
         port = PORT + instance
         log = self._folder / "px4.log"
@@ -212,7 +212,7 @@ class Px4(Autopilot):
         return ActuatorOutputs(throttle, (left, right), armed)
 
     def _controls(self, left: float | None) -> list[tuple[float, ...]]:
-        """Return the HIL_ACTUATOR_CONTROLS that come within ``left`` s (None: the socket's own time-out).
+        """Return the HIL_ACTUATOR_CONTROLS within ``left`` s (None: the socket's timeout).
 
         Raises FlightError for a link that is none.
         """
@@ -238,7 +238,7 @@ class Px4(Autopilot):
             raise self._closed() from None
 
     def _messages(self, frame: SensorFrame, now: int) -> bytes:
-        """Return the messages of one step, HIL_SENSOR last, because it moves PX4's clock."""
+        """Return the messages of one step, HIL_SENSOR last because it advances PX4's clock."""
         k = self.counts.frames
         parts = []
         if frame.sticks != self._last_sticks or k % self._sticks_every == 0:

@@ -45,7 +45,7 @@ class AutopilotRun:
 
 
 class _AnswerWriter:
-    """Writer of the autopilot's answers beside the log, so that what was flown is there after a kill too."""
+    """Writes the autopilot's answers beside the log, so that they survive a kill."""
 
     def __init__(self, path: Path, block: AutopilotBlock, jets: int, servo: bool) -> None:
         self._block, self._servo, self._written = block, servo, 0
@@ -57,12 +57,12 @@ class _AnswerWriter:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
     def observe(self, sample: Sample, flush_rows: int = 250) -> None:
-        """Write the new answers once there is about a second of them.  ``flush_rows``: rows, a second of flight."""
+        """Write new answers about once a second.  ``flush_rows``: rows per second of flight."""
         if len(self._block.rows) - self._written >= flush_rows:
             self.write()
 
     def write(self) -> None:
-        """Write all new answers.  Raises FlightError where the disk is full."""
+        """Write all new answers.  Raises FlightError if the disk is full."""
         rows = self._block.rows
         try:
             for row in rows[self._written :]:
@@ -78,7 +78,7 @@ class _AnswerWriter:
 
 
 def _close_and_check_names(outcome: Outcome, reason: str, autopilot: Autopilot) -> tuple[Outcome, str]:
-    """Close the autopilot, and return how the flight ended: failed if a parameter's name is none that it has."""
+    """Close the autopilot and return the ending: failed if a parameter's name is unknown."""
     autopilot.close()
     try:
         unchecked_reason = autopilot.check_parameters()
@@ -88,7 +88,7 @@ def _close_and_check_names(outcome: Outcome, reason: str, autopilot: Autopilot) 
 
 
 def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the hash of the parameters that flew: all of the autopilot's by its log, else those that it was given."""
+    """Return the hash of the flown parameters: from the autopilot's log, else the given ones."""
     flown = firmware.parameters or details.get("parameters") or {}
     if not flown:
         return {}
@@ -97,7 +97,7 @@ def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -
 
 
 def _write_messages(folder: Path, firmware: FirmwareReport, start: float, step: float) -> None:
-    """Write what the autopilot said into the run's record, from which its page has it; ``start`` [s] of the flight.
+    """Write the autopilot's messages to the run's record; ``start`` [s] of the flight.
 
     What it said before is at the first step.
     """
@@ -188,7 +188,7 @@ def fly_autopilot(
 
 
 class AutopilotResult(FlightResult):
-    """What a flight by an autopilot came to, with the counts of its lockstep, and whose gains it had."""
+    """Result of a flight by an autopilot, with lockstep counts and the origin of gains."""
 
     def __init__(self, flown: AutopilotRun, gains: str) -> None:
         super().__init__(flown.run)
@@ -350,7 +350,7 @@ def fly(
 
 
 def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, progress: Progress) -> Path:
-    """Search gains for Betaflight's own loops with a scenario's aircraft and engine; return the controller file.
+    """Search gains for Betaflight's loops for a scenario; return the controller file.
 
     As ``hexjet design --for betaflight`` does, with its defaults; the file is ``out``, its page beside it.  Raises
     InputError where no gains keep the requirements.
@@ -366,7 +366,7 @@ def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, progres
 
 
 def _let_it_go(scenario: Scenario, setup: Setup) -> Scenario:
-    """Return the scenario without what does not fit an autopilot, or a station, that goes where it likes.
+    """Return the scenario without parts that do not fit an autopilot or station that flies freely.
 
     An autopilot that holds the place leans as it likes to hold that; a station does nothing that the scenario says.
     """

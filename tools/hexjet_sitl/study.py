@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class AutopilotTable(Model):
-    """The autopilot that flies in place of the controller; see ``hexjet sitl`` for the options that each takes.
+    """Autopilot that replaces the controller; see ``hexjet sitl`` for options.
 
     The gains of the scenario's controller go into it: those of the vehicle, or of a file of ``hexjet design``.
     The methods are those of ``StudyAutopilot`` in ``cosim/campaign/study/autopilot.py``.
@@ -35,7 +35,7 @@ class AutopilotTable(Model):
 
     @model_validator(mode="after")
     def _fits(self) -> AutopilotTable:
-        """Refuse options that the autopilot does not take."""
+        """Refuse options that the autopilot does not have."""
         owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
         for key, owners in owned.items():
             if getattr(self, key) and self.name not in owners:
@@ -51,7 +51,7 @@ class AutopilotTable(Model):
         return AUTOPILOTS[self.name].timing.before_s
 
     def program(self, folder: Path) -> Path | None:
-        """Return the path of its program, as a study in ``folder`` states it; None where it states none."""
+        """Return the path of its program, relative to the study; None if not stated."""
         return Path(self.seen_from(folder).binary) if self.binary else None
 
     def seen_from(self, folder: Path) -> AutopilotTable:
@@ -65,7 +65,7 @@ class AutopilotTable(Model):
 
     @property
     def columns(self) -> dict[str, type[int]]:
-        """The columns of a row: the states that it was told, and the answers that never came."""
+        """Columns of a row: frames sent, and answers that never came."""
         return {"autopilot_frames": int, "autopilot_missing": int}
 
     def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, dict[str, Any]]:

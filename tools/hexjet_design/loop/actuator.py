@@ -26,7 +26,7 @@ class Actuator:
 
     @classmethod
     def of(cls, name: str, dynamics: Dynamics) -> Actuator:
-        """Make an actuator of its continuous dynamics, whose sampled model is computed here once."""
+        """Make an actuator from continuous dynamics; its sampled model is computed once."""
         return cls(name, dynamics, dynamics.discrete(name))
 
     def with_delay(self, samples: float) -> Actuator:

@@ -62,7 +62,7 @@ CUTOFF_PER_LAG = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad/s at -3 dB, times lag
 
 @dataclass(frozen=True)
 class LimitTuning:
-    """The law with the least objective that keeps the requirements, or in words why there is none."""
+    """Law with the smallest objective that meets the requirements, or why there is none."""
 
     tuning: Tuning | None
     objective: float  # infinite: not feasible
@@ -70,7 +70,7 @@ class LimitTuning:
 
 
 class _Search:
-    """The law on one channel, for requirements."""
+    """Search of the law on one channel for given requirements."""
 
     def __init__(self, channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> None:
         self.channel, self.model, self.fixed, self.need = channel, model, fixed, need
@@ -81,7 +81,7 @@ class _Search:
         self.corners = [FrequencyGrid(corner, close=100) for corner in _late_corners(channel, need)]
 
     def missed(self, closed: ClosedLoop, flown: bool = True) -> dict[str, float]:
-        """Return the relative parts by which requirements are missed, those that are.
+        """Return the relative excess over each missed requirement.
 
         ``flown``: with what a proof flies, the overshoot of a step at a corner of the tolerances.
         """
@@ -249,7 +249,7 @@ def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requi
 
 
 def _explain(search: _Search) -> str:
-    """Return which requirement, each by itself, would have to be relaxed and to what."""
+    """Return which single requirement would have to be relaxed, and to what."""
     ways = []
     for text, names, grows in RELAXABLE:
         for factor in RELAXATIONS:

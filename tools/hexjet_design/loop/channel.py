@@ -53,7 +53,7 @@ MIN_POLE = 1e-9
 
 @dataclass(frozen=True)
 class Channel:
-    """One axis, or the height, of a vehicle with its actuators."""
+    """One axis or the height of a vehicle, with its actuators."""
 
     name: str  # "roll", "pitch", "yaw" or "altitude"
     unit: str  # unit of the command
@@ -84,19 +84,19 @@ class Channel:
 
     @property
     def rate_dynamics(self) -> tuple[tuple[float, ...], float]:
-        """Weights of a moment and the rate's pole over one step, as :func:`.axis_chain.discretise_rate` has them."""
+        """Weights of a moment and the rate's pole over one step, as in :func:`.axis_chain.discretise_rate`."""
         return discretise_rate(self.damping_1_s, self.step, self.substeps, self.shape)
 
     @property
     def transport_samples(self) -> float:
-        """Pure delay from command to measured rate, without hold and lags: what a tolerance of the delay is of."""
+        """Pure delay from command to measured rate without hold and lags, to which delay tolerances refer."""
         if self.identified is not None:
             return self.identified.delay_samples + self.added_delay
         return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 0.5 * (self.substeps == 1)
 
     @property
     def lag_s(self) -> float:
-        """Sum of the lags, the gyro's and a hold's included, s."""
+        """Sum of the lags, including gyro and hold, s."""
         if self.identified is not None:
             return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
         acting = self.actuator.dynamics.lag_s - self.lead_s
@@ -114,12 +114,12 @@ class Channel:
 
     @property
     def slowness_s(self) -> float:
-        """All delay at low frequency, s: half a step of hold, transport and lags; below 0 where leads are more."""
+        """Total delay at low frequency, s: half a step of hold, transport and lags; negative with large leads."""
         return (0.5 + self.transport_samples) * self.step + self.lag_s
 
     @cached_property
     def pace_s(self) -> float:
-        """Return the time, s, above 0, that a loop around it is fast or slow against, by which a search is scaled.
+        """Return the time scale of a loop, s, above 0, by which searches are scaled.
 
         That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
         zero beside it: thrust that overshoots and comes back slowly leads at low frequency and is late all the same,
@@ -149,13 +149,13 @@ class Channel:
 
     @property
     def longest_s(self) -> float:
-        """Return the longest time in which it answers, s: its slowest pole's, where that is longer than its pace."""
+        """Return the longest response time, s: of the slowest pole, or the pace if longer."""
         if self.pace_s == self.slowness_s:
             return self.pace_s
         return max([self.pace_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
 
     def _turned_s(self) -> float:
-        """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
+        """Return one over the lowest frequency, rad/s, at which command to rate lags by 1 rad without its integral."""
         dynamics = self.actuator.dynamics
         slowest = 1e-5  # rad/s, a day: start of the search
         points = 400  # frequencies of the search, 5 % apart
@@ -229,13 +229,13 @@ class Channel:
     # ---- variants of a channel
 
     def with_delay(self, samples: float) -> Channel:
-        """Return the channel with another delay of the actuator, samples (of all where it was identified whole)."""
+        """Return the channel with another actuator delay, samples (total delay if identified as a whole)."""
         if self.identified is not None:
             return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
         return replace(self, actuator=self.actuator.with_delay(samples))
 
     def with_lags(self, factor: float) -> Channel:
-        """Return the channel with the actuator's lags times a factor; 0 takes them away, but for what no step shows."""
+        """Return the channel with actuator lags scaled; 0 reduces them to what a step cannot show."""
         if self.identified is not None:
             raise InputError("a response given as a whole does not say which of its lags are the engine's")
         if not self.hinged:
@@ -269,12 +269,12 @@ def hover_fraction(vehicle: Vehicle, engine: EngineSpec) -> float:
 
 def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
     """Return the channels of roll, pitch, yaw and altitude at hover, with engines of these dynamics."""
-    by_axis = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
+    by_axis = {axis: _axis_channel(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
     by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
     return by_axis
 
 
-def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+def _axis_channel(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
     index = AXES.index(axis)
     if vehicle.allocation == "effectiveness":
         return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
@@ -301,7 +301,7 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
 def _by_effectiveness(
     axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
 ) -> Channel:
-    """Return the channel of an angular acceleration, rad/s^2, by what gives most of it in hover: thrusts or hinges.
+    """Return the channel of an angular acceleration, rad/s^2, with its main actuator in hover.
 
     What the other gives of it is carried as an uncertainty: :func:`_with_others`.
     """
@@ -341,7 +341,7 @@ def _by_effectiveness(
 def _with_others(
     main: Actuator, shape: Sequence[float], others: Sequence[AxisPart], engine: Actuator, step: float
 ) -> Actuator:
-    """Return the actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
+    """Return an axis's main actuator, with the other actuators as an uncertainty.
 
     With ``W A`` of this one, by its ``shape``, and ``W_i A_i`` of ``others``, of shares ``w_i``, the axis is
     ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A

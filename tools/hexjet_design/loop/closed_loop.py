@@ -37,7 +37,7 @@ WRAPPED = 1e-10
 
 
 class FrequencyGrid:
-    """Points of the unit circle with a channel's response there, close together where a loop turns.
+    """Points of the unit circle with a channel's response, dense where a loop turns.
 
     Among them are those at which a misfit of the model is stated: it is straight between them, so no narrow mode is
     missed, however few the others are.
@@ -110,21 +110,21 @@ class ClosedLoop:
 
     @property
     def peak_sensitivity(self) -> float:
-        """``max |S|``, the largest that the misfit of the model allows; infinite where it allows instability."""
+        """``max |S|`` over the model's misfit; infinite if that allows instability."""
         if self.points.unsure is None:
             return float(np.max(np.abs(self.inner / self.characteristic)))
         return 1.0 / self.distance if self.distance > 0.0 else inf
 
     @cached_property
     def distance(self) -> float:
-        """Least distance of the loops that the misfit allows from the critical point; below 0 where it lies in them."""
+        """Smallest distance to the critical point over the model's misfit; negative if it is inside."""
         unsure = 0.0 if self.points.unsure is None else self.points.unsure
         characteristic = np.abs(self.characteristic) - unsure * np.abs(self.outer)
         return float(np.min(characteristic / np.abs(self.inner)))
 
     @property
     def beyond_stability(self) -> float:
-        """``max w |T| - 1``: above 0 one of the loops that the misfit allows may be unstable."""
+        """``max w |T| - 1``: above 0 the model's misfit allows instability."""
         unsure = 0.0 if self.points.unsure is None else self.points.unsure
         return float(np.max(unsure * np.abs(self.outer / self.characteristic))) - 1.0
 
@@ -173,12 +173,12 @@ class ClosedLoop:
 
     @property
     def overshoot(self) -> float:
-        """Fraction of a step by which the angle goes beyond it."""
+        """Overshoot of the angle as a fraction of the step."""
         return max(0.0, float(self.steps.angle.max()) - 1.0)
 
     @property
     def settling_s(self) -> float:
-        """Time from a step until the angle stays within 5 % of it (as in metrics), s; NaN if it does not."""
+        """Time until the angle stays within 5 % of a step, s; NaN if it does not."""
         outside = np.flatnonzero(np.abs(1.0 - self.steps.angle) > 0.05)
         if len(outside) and outside[-1] == len(self.steps.angle) - 1:
             return nan
@@ -196,7 +196,7 @@ class ClosedLoop:
 
     @property
     def load_left(self) -> float:
-        """Angle that a unit of load leaves for ever, rad per unit of the command; 0 where an integral removes it.
+        """Steady angle per unit of load, rad; 0 with an integral.
 
         A state predictor whose observer knows of no disturbance takes one for a rate, and no integral removes that.
         """

@@ -33,7 +33,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
 
 
 def excesses(closed: ClosedLoop, need: Requirements, spare: float = 0.0, step_m: float = 1.0) -> dict[str, float]:
-    """Return the relative part by which each requirement is missed; below 0 where it is kept with some to spare."""
+    """Return the relative excess over each requirement; negative if it is met with margin."""
     channel = closed.points.channel
     step = step_m if channel.name == "altitude" else need.step_rad
     tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)

@@ -29,7 +29,7 @@ MIN_CARRIED_MISFIT = 0.01
 
 @dataclass(frozen=True)
 class Dynamics:
-    """``prod (1 - s / zero) / prod (1 - s / pole)`` behind a hold, and a delay; gain 1 at rest."""
+    """``prod (1 - s / zero) / prod (1 - s / pole)`` with hold and delay; static gain 1."""
 
     poles: tuple[complex, ...]  # rad/s
     zeros: tuple[complex, ...]
@@ -45,7 +45,7 @@ class Dynamics:
         return float(sum((-1.0 / p).real for p in self.poles) - sum((-1.0 / z).real for z in self.zeros))
 
     def slower(self, factor: float) -> Dynamics:
-        """Return dynamics as many times slower; with 0, a lag that a step leaves nothing of."""
+        """Return dynamics slowed by a factor; 0 gives a lag that is negligible in a step."""
         if factor == 0.0:
             return make_lag_dynamics([0.0], self.delay_samples, self.step)
         return replace(self, poles=tuple(p / factor for p in self.poles), zeros=tuple(z / factor for z in self.zeros))
@@ -71,7 +71,7 @@ class Dynamics:
         return np.asarray(np.interp(np.log(np.maximum(hertz, 1e-9)), np.log(at), misfit))
 
     def unsure_words(self) -> str:
-        """Describe how far the engine may be off these dynamics; "" where it follows them."""
+        """Describe the engine's possible deviation from these dynamics; "" if there is none."""
         if not self.unsure:
             return ""
         at, most = max(self.unsure, key=lambda point: point[1])
@@ -116,7 +116,7 @@ class Dynamics:
 
 
 def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tuple[float, float]]]:
-    """Return the sampled poles: the real ones, no two alike, and the pairs by the one above the real axis.
+    """Return the sampled poles: distinct real ones, and the upper one of each pair.
 
     A pair that is over within a step, or that swings so little in one that rounding leaves nothing of it, is two real
     ones; one that turns by more than half a circle in a step has its other half above the axis.
@@ -135,12 +135,12 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
 
 
 def make_lag_dynamics(constants: Sequence[float], delay: float, step: float) -> Dynamics:
-    """Return lags, s, in a row; none is taken shorter than a fifth of a step, of which a step leaves 0.7 %."""
+    """Return lags, s, in series; each is at least a fifth of a step, of which 0.7 % remains after it."""
     return Dynamics(tuple(complex(-1.0 / max(lag, 0.2 * step)) for lag in constants), (), delay, step)
 
 
 def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynamics:
-    """Fit the smallest of the forms that follows an engine's response, or the closest one.
+    """Fit the smallest form that follows an engine's response, or the closest one.
 
     ``delay`` [samples] and ``lag`` [s] are where the search begins.
     """
@@ -162,7 +162,7 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
 
 
 def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
-    """Add what the model leaves of the response as an uncertainty, where it is large enough to matter.
+    """Add the model's misfit to the response as an uncertainty, if large enough to matter.
 
     Each point has the largest of its own misfit and its neighbours', because the response between points is not known.
     """
@@ -243,7 +243,7 @@ class _FormFit:
         return best[1]
 
     def round_delay(self, best: Array) -> Array:
-        """Find the point near ``best`` whose delay is the whole number of samples that leaves least."""
+        """Find the best point near ``best`` whose delay is a whole number of samples."""
         chosen: tuple[float, Array] = (inf, best)
         others = [k for k in self._free if k != 3]
         for samples in sorted({max(0, round(best[3]) + k) for k in range(-NEARBY, NEARBY + 1)}):

@@ -32,7 +32,7 @@ MAX_TOLERANCES = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as on the c
 
 
 class LoopUncertainty(NamedTuple):
-    """One standard deviation of an engine's gain, relative, and of its delay, s, at a frequency."""
+    """Standard deviation of an engine's relative gain, and of its delay, s, at a frequency."""
 
     gain: float
     delay_s: float
@@ -71,7 +71,7 @@ class EngineSensitivity:
         return LoopUncertainty(float(gain), float(delay_s))
 
     def covariances(self, hertz: float) -> tuple[Array, Array]:
-        """Return the covariances of gain and delay, 2 by 2: of all engines together, and of one beside the others.
+        """Return the 2 by 2 covariances of gain and delay: of all engines together, and between engines.
 
         Raises InputError where the engine does not answer.
         """
@@ -116,7 +116,7 @@ class EngineSensitivity:
         return complex(self._answers(spec, np.array([hertz]))[0])
 
     def _answers(self, spec: EngineSpec, hertz: Array, secant: float = 0.02) -> Complex:
-        """Return N per throttle at frequencies, late by one control step less than it is."""
+        """Return N per throttle at frequencies, with one control step less delay."""
         curve = spec.rising_curve
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
         course = measure_small_steps(spec, throttle, self._step).response
@@ -130,7 +130,7 @@ class EngineSensitivity:
 
 
 def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
-    """Return a parameter moved by ``width`` either way, within the FMU's limits; by one at least where it counts."""
+    """Return a parameter moved by ``width`` both ways within the FMU's limits; counts by at least one."""
     variable = next(v for v in spec.archive.parameters if v.name == name)
     value = spec.parameters[name]
     least = -inf if variable.min is None else variable.min
@@ -141,7 +141,7 @@ def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class EngineTolerances:
-    """Tolerances of a design that an engine's uncertainty gives, and the words for where they are from."""
+    """Design tolerances from an engine's uncertainty, and words on their origin."""
 
     need: Requirements
     words: str = ""  # empty: nothing comes from there
@@ -192,7 +192,7 @@ def engine_tolerances(
 def _engine_spread(
     need: Requirements, table: Uncertainty, found: Sequence[tuple[Channel, Array, Array]], unknown_spread: float = 0.3
 ) -> tuple[dict[str, float], str]:
-    """Return by how much one engine of the proof is off, where nobody states it, and the words for that.
+    """Return the deviation of one engine in the proof if not stated, and words on its origin.
 
     It is the table's spread, in gain or in delay over the channel's pace; a table that states none was made of one
     engine, which says nothing of six.  ``unknown_spread``: of gain and lag between engines of which one alone was

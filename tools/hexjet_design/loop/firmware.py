@@ -113,7 +113,7 @@ Units = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Firmware:
-    """An autopilot's structure on an axis, and what its gains may be.
+    """Loop structure of an autopilot on an axis, and the allowed values of its gains.
 
     ``output_delay``: steps of the flight that its mixer keeps an answer for.  ``units``: what one of the attitude gain
     [1/s] and of P, I and D [command per rad/s and so on] is, where it has whole numbers of them.  ``max_gain``: the
@@ -133,7 +133,7 @@ class Firmware:
 
     @property
     def estimates_attitude(self) -> bool:
-        """Whether its attitude is its own, from the gyro; Betaflight's is told to it."""
+        """Whether it estimates attitude from the gyro; Betaflight's is given."""
         return self.name != "betaflight"
 
     def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
@@ -147,7 +147,7 @@ class Firmware:
         return of_set, -of_rate
 
     def unit(self, name: str) -> float | None:
-        """Return the unit that ``angle_gain``, ``p``, ``i`` or ``d`` is a multiple of; None where it is free."""
+        """Return the unit in which ``angle_gain``, ``p``, ``i`` or ``d`` is quantised; None if it is not."""
         if self.units is None:
             return None
         return self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]

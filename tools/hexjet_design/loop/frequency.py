@@ -14,7 +14,7 @@ from cosim.base.arrays import Array, Complex
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """Margins of a stable loop broken at the plant's input: the change of one kind that puts a pole on the limit.
+    """Margins of a stable loop at the plant's input: the change of one kind that makes it unstable.
 
     None where there is no such thing in the frequencies that were looked at.
     """
@@ -66,14 +66,14 @@ def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: fl
 
 
 class MarginPoint(NamedTuple):
-    """Where a loop has a margin: the frequency [Hz] and, there, its gain [dB] or phase [deg, -360 to 0]."""
+    """Where a loop has a margin: frequency [Hz], and gain [dB] or phase [deg, -360 to 0] there."""
 
     hertz: float
     value: float
 
 
 def margin_points(loop: Complex, hertz: Array) -> tuple[MarginPoint | None, MarginPoint | None]:
-    """Find where a loop is nearest to -1 in gain, on the negative real axis, and in phase, where its gain is 1.
+    """Find the points nearest to -1 in gain, on the negative real axis, and in phase, at gain 1.
 
     Straight lines between the points, as :func:`loop_margins` has them; None where there is no such place.
     """
@@ -102,7 +102,7 @@ def _least(values: Array) -> float | None:
 
 
 def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Array, Array]:
-    """Find where a loop's response meets the negative real axis and the unit circle, by lines between its points.
+    """Find the crossings of the negative real axis and the unit circle by linear interpolation.
 
     The factors that put it on -1; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1, and ``omega`` there.
     A last point at half the sampling rate, ``omega step = pi``, is on the real axis itself.
@@ -119,7 +119,7 @@ def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Ar
 
 
 def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Find where ``value`` changes its sign: the point before, and the fraction of the way to the next."""
+    """Find sign changes of ``value``: the point before, and the fraction of the way to the next."""
     below = value < 0.0
     at = np.flatnonzero(below[:-1] != below[1:])
     return at, value[at] / (value[at] - value[at + 1])

@@ -60,7 +60,7 @@ HINT = "pip install clarabel"  # how to install the solver
 
 
 class Bounds(NamedTuple):
-    """What a controller has to keep: those of another loop, say, that it is compared with."""
+    """Bounds on a controller, for example those of another loop."""
 
     peak_sensitivity: float
     noise: float  # standard deviation of the command
@@ -70,7 +70,7 @@ class Bounds(NamedTuple):
 
 @dataclass(frozen=True)
 class Limit:
-    """The least error after a load, and the closed loop that reaches it, computed without the spline's shortcuts."""
+    """Smallest error after a load, and the closed loop that achieves it, computed exactly."""
 
     bounds: Bounds
     load_error: float  # rad s per unit of the command
@@ -84,7 +84,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class AxisLimit:
-    """A closed loop beside the best that any linear controller does within what the loop keeps."""
+    """A closed loop compared with the best linear controller within the same bounds."""
 
     load_error: float  # of the designed loop
     least: Limit
@@ -98,7 +98,7 @@ class AxisLimit:
 
     @property
     def times_tolerant(self) -> float | None:
-        """The same by the least of those that tolerate as much: at least this, for the condition is sufficient."""
+        """Ratio to the best loop with the same tolerance: at least this, because the condition is sufficient."""
         return None if self.tolerant is None else self.load_error / self.tolerant.load_error
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,7 +135,7 @@ class AxisLimit:
 
 
 def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> AxisLimit:
-    """Return a closed loop, with this load error, beside the limit; ``priced``: with what each bound costs.
+    """Compare a closed loop of this load error with the limit; ``priced``: with the price of each bound.
 
     Raises InputError as :func:`find_limit`.
     """
@@ -147,7 +147,7 @@ def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> A
 
 
 def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
-    """Return by which share the least load error falls where one bound is relaxed by RELAXED, by the bound's name.
+    """Return the relative drop of the smallest load error if one bound is relaxed by PRICE_STEP, by bound.
 
     A bound that costs nothing was not in the way; a tolerance of the delay is relaxed where there is less of it.
     """
@@ -163,13 +163,13 @@ def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
 
 
 def loop_bounds(closed: ClosedLoop) -> Bounds:
-    """Return what a closed loop of the nominal channel keeps, its tolerance of the delay left out."""
+    """Return the bounds that a closed loop of the nominal channel keeps, without its delay tolerance."""
     peak = float(np.max(np.abs(closed.inner / closed.characteristic)))
     return Bounds(peak, closed.noise, closed.step_error)
 
 
 def _delay_error(closed: ClosedLoop) -> float:
-    """Return the largest error of the delay, samples, up to which the peak stays below FACTOR times what it is."""
+    """Return the largest delay error, samples, with a peak below MAX_PEAK_FACTOR times the present one."""
     theta, open_loop = closed.points.theta, closed.open_loop
     allowed, most = MAX_PEAK_FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
 
@@ -288,7 +288,7 @@ class Plant:
         )
 
     def _delayed(self, response: Array, samples: int) -> Array:
-        """Return a response as late as this, cut off at the end of what is looked at."""
+        """Return a response delayed by ``samples``, cut at the end of the window."""
         late = np.zeros((self.samples, *response.shape[1:]))
         inside = response[: max(self.samples - samples, 0)]
         late[samples : samples + len(inside)] = inside
@@ -347,7 +347,7 @@ class Programme:
         )
 
     def solve(self, exact: float = 1e-6) -> tuple[Array, Array]:
-        """Return ``t`` and ``y`` of the optimum.  Raises InputError where there is none, or it is not known.
+        """Return ``t`` and ``y`` of the optimum.  Raises InputError if infeasible or not solved.
 
         ``exact``: share of the least within which it is shown to be it; rounding allows 1e-7 for slow poles.
         """
@@ -381,7 +381,7 @@ class Programme:
         return self.of_t @ to_t(x[:count]), self.of_y @ to_y(x[count:first])
 
     def _at_rest(self) -> list[Cone]:
-        """At rest ``t`` and ``y`` are 1; where the rate has a pole at 1, ``T_i`` has no slope there."""
+        """Constraint at rest: ``t`` and ``y`` are 1; with a rate pole at 1, ``T_i`` has zero slope."""
         cones = [
             Cone("zero", self._rows(t=self.of_t.sum(0)[None]), np.ones(1)),
             Cone("zero", self._rows(y=self.of_y.sum(0)[None]), np.ones(1)),

@@ -32,14 +32,14 @@ COARSE_POINTS = 160  # frequencies of a search
 
 @dataclass(frozen=True)
 class LowOrder:
-    """A target of low order, and the loop that it makes of the model that it was found with."""
+    """A target of low order, and its loop with the model it was found for."""
 
     target: Target
     loop: Limit
 
 
 class _LowOrderProgramme(Programme):
-    """The programme with other bases, whose ``T_i`` is exact at rest and at the slow pole of the rate."""
+    """Programme with other bases, whose ``T_i`` is exact at rest and at the rate's slow pole."""
 
     def __init__(
         self, plant: Plant, form: ModelForm, bounds: Bounds, basis: tuple[Array, Array], frequencies: int

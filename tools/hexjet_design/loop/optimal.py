@@ -137,7 +137,7 @@ class ModelForm:
 
 @dataclass(frozen=True)
 class Target:
-    """The responses that a loop is given: the lag of ``y``, and of ``t`` poles and weights."""
+    """Target responses of a loop: the lag of ``y``, and poles and weights of ``t``."""
 
     lag_s: float  # s, each of three equal lags
     pairs: tuple[tuple[float, float], ...]  # natural frequency [rad/s] and damping
@@ -181,14 +181,14 @@ def pole_pair(natural: float, damping: float, step: float) -> list[complex]:
 
 
 def fit_weights(form: ModelForm, basis: Array, weights: Array) -> Array:
-    """Return the nearest weights with which ``T_i`` is as it has to be at rest."""
+    """Return the nearest weights that satisfy the conditions on ``T_i`` at rest."""
     rows, values = form.interpolation(basis)
     return np.asarray(weights + np.linalg.lstsq(rows, values - rows @ weights, rcond=None)[0], np.float64)
 
 
 @dataclass(frozen=True)
 class PredictorBases:
-    """What a predictor of a target takes from the poles alone: a search of weights computes it once."""
+    """Parts of a predictor that depend on poles alone, computed once for a search of weights."""
 
     form: ModelForm
     of_target: Array  # basis functions of ``t``
@@ -259,7 +259,7 @@ def _sections(poles: Sequence[complex]) -> list[Array]:
     return [polynomial(roots) for roots in (*single, *pairs)]
 
 
-def _pairs(*pairs: tuple[float, float]) -> list[Parameter]:
+def _pole_parameters(*pairs: tuple[float, float]) -> list[Parameter]:
     parameters = []
     for k, (natural, damping) in enumerate(pairs, 1):
         of = f"of pair {k} of the poles of the answer to a load"
@@ -268,7 +268,7 @@ def _pairs(*pairs: tuple[float, float]) -> list[Parameter]:
     return parameters
 
 
-def _weights(*weights: float) -> list[Parameter]:
+def _weight_parameters(*weights: float) -> list[Parameter]:
     meaning = "weight of an orthonormal function with these poles, times the root of theta"
     return [Parameter(f"weight_{k}", weight, "", meaning, -1e3, 1e3) for k, weight in enumerate(weights, 1)]
 
@@ -278,8 +278,8 @@ class Optimal(RateLaw):
 
     parameters = (
         positive_parameter("response", 0.4528, "each of three lags of the answer to a set-point [s] over theta"),
-        *_pairs((0.6264, 0.37), (0.5957, 0.827), (1.462, 1.4), (5.716, 1.07)),
-        *_weights(0.2609, -1.303, 0.1508, -0.5265, 0.07043, -0.5096, 0.1858, -0.08414),
+        *_pole_parameters((0.6264, 0.37), (0.5957, 0.827), (1.462, 1.4), (5.716, 1.07)),
+        *_weight_parameters(0.2609, -1.303, 0.1508, -0.5265, 0.07043, -0.5096, 0.1858, -0.08414),
     )
 
     def make_axis(self, axis: Axis, values: Mapping[str, float]) -> tuple[AxisLaw, float]:

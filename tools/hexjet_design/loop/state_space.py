@@ -88,7 +88,7 @@ class Space:
         self._next[self._slots[name]] = rows
 
     def _shift(self, name: str, newest: Array) -> None:
-        """Put the newest value in front of a delay line, whose oldest one drops out."""
+        """Put the newest value at the front of a delay line and drop the oldest."""
         line = self._x[name]
         self._keep(name, np.vstack([newest[None, :], line[:-1]]))
 
@@ -97,7 +97,7 @@ class Space:
         return command if samples == 0 else np.asarray(self._x["sent"][samples - 1])
 
     def _step(self) -> Array:
-        """Compute one step: keep the states after it in ``_next`` and return the command."""
+        """Compute one step: store the next state in ``_next`` and return the command."""
         channel, gains, x, T = self.channel, self.tuning.gains, self._x, self.channel.step
         measured = x["rate"][0]
         if channel.identified is None:
@@ -130,7 +130,7 @@ class Space:
         return np.asarray(C @ state + numerator[0] * command)
 
     def _fly(self, command: Array) -> None:
-        """Move the plant over the step by the commands that reach it."""
+        """Advance the plant by the commands that reach it."""
         channel, plant, x, T = self.channel, self._plant, self._x, self.channel.step
         acting = self._ago(command, self._late) + self._w
         entering = acting[None, :]

@@ -36,7 +36,7 @@ def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSp
 
 @dataclass(frozen=True)
 class Tuning:
-    """A controller on one channel with all parameters that a design chooses."""
+    """A controller on one channel with all designed parameters."""
 
     controller: str
     angle_gain: float  # 1/s
@@ -52,7 +52,7 @@ class Tuning:
     def of_law(
         cls, values: Mapping[str, float], model: RateModel, fixed: Tuning, bases: PredictorBases | None = None
     ) -> Tuning:
-        """Return the law at the limit with these parameters; ``fixed`` has what it leaves as it is.
+        """Return the law at the limit with these parameters; ``fixed`` supplies the rest.
 
         ``bases`` are those of the poles, where they are known.  Raises InputError where the parameters ask for more
         than the model can be.
@@ -68,7 +68,7 @@ class Tuning:
 
     @property
     def is_integrating(self) -> bool:
-        """Whether it has a part that takes away what a load that lasts does."""
+        """Whether it removes the effect of a constant load."""
         return self.law is not None or bool(self.gains.i)
 
     def answer(self) -> PairResponse:
@@ -93,5 +93,5 @@ class Tuning:
 
 
 def round_gain(value: float) -> float:
-    """Round to six significant digits, which is as exact as a gain is meant."""
+    """Round to six significant digits, more than a gain needs."""
     return float(f"{value:.6g}")

@@ -19,7 +19,7 @@ RESULT_FILES = ("margins.json", "response.csv", "report.html")  # files of measu
 
 
 class MarginsResult(FolderResult):
-    """The margins of one controller on one vehicle.
+    """Margins of one controller on one vehicle.
 
     ``write`` leaves ``margins.json``, ``response.csv`` and ``report.html``.
 
@@ -40,7 +40,7 @@ class MarginsResult(FolderResult):
 
     @property
     def axes(self) -> Mapping[str, AxisMargins]:
-        """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``, where told."""
+        """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``."""
         return self.measured.axes
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -53,7 +53,7 @@ class MarginsResult(FolderResult):
         return self.measured.to_dict() | ({} if self.kept is None else {"kept": self.kept})
 
     def lines(self) -> list[str]:
-        """Return what was measured, whether it is enough, and what is to be said about it."""
+        """Return the measurement, the verdict, and notes."""
         from hexjet_design.measured.judgement import judgement_line
         from hexjet_design.measured.page import limit_line, uncertainty_line
 

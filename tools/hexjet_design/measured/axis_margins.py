@@ -16,7 +16,7 @@ NYQUIST_HZ = 0.5  # times the control step
 
 @dataclass(frozen=True)
 class AxisMargins:
-    """One axis: measured, computed where that can be, and at half the amplitude."""
+    """One axis: measured, computed if possible, and measured at half the amplitude."""
 
     axis: str
     unit: str
@@ -33,12 +33,12 @@ class AxisMargins:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
+        """Whether it was measured up to half the control rate, where a sampled loop ends."""
         return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """The lowest and the highest line that stands out of the noise."""
+        """Lowest and highest line above the noise."""
         heard = self.response.hertz[self.response.used]
         return float(heard[0]), float(heard[-1])
 
@@ -56,7 +56,7 @@ class AxisMargins:
 
     @property
     def limit(self) -> AxisLimit | str | None:
-        """The computed loop beside the limit of performance, or why it has none; None where it was not asked for."""
+        """Computed loop compared with the limit of performance, why there is none, or None if not requested."""
         return None if self.computed is None else self.computed.limit
 
     def off(self, name: str) -> float | None:

@@ -39,7 +39,7 @@ class Computed:
 
 @dataclass(frozen=True)
 class Plants:
-    """A vehicle's channels in hover, with its engine as it is swept there."""
+    """Channels of a vehicle in hover, with its engine as swept there."""
 
     channels: Mapping[str, Channel]
     spec: EngineSpec
@@ -47,7 +47,7 @@ class Plants:
 
 
 def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
-    """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
+    """Return the channels of a scenario's vehicle with its initial fuel, or why there are none."""
     if scenario.controller not in (*PREDICTORS, LAW):
         return "a controller from outside: there is nothing to compute from"
     if scenario.stations:
@@ -62,7 +62,7 @@ def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plant
 
 
 def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
-    """Return what flies on the axes, with the schedule's gains where the vehicle has one."""
+    """Return the flown tunings of the axes, with scheduled gains if there is a schedule."""
     tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*THRUST_AXES, *axes)}
     plan = vehicle.control.schedule
     if plan:
@@ -74,7 +74,7 @@ def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seq
 def compute_margins(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str], limit: bool = False
 ) -> dict[str, Computed] | str:
-    """Compute the margins by axis, or say why that fails.  What the scenario's mismatch changes is not in them.
+    """Compute the margins by axis, or say why not, without the scenario's mismatch.
 
     The engine is swept around the thrust that the vehicle hovers with.  ``limit``: with the limit of performance.
     """
@@ -96,7 +96,7 @@ def compute_margins(
 
 
 def find_loop_limit(closed: ClosedLoop) -> AxisLimit | str:
-    """Return a loop beside the limit of performance, or why it has none."""
+    """Compare a loop with the limit of performance, or return why there is none."""
     try:
         return axis_limit(closed, closed.load_error)
     except InputError as error:

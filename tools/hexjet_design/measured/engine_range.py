@@ -24,14 +24,14 @@ NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIE
 
 @dataclass(frozen=True)
 class EngineRange:
-    """The 95 % range of each margin over the draws, infinite where there is none; a lost loop counts as without any."""
+    """95 % range of each margin over the draws, infinite if absent; an unstable loop has no margin."""
 
     ranges: Mapping[str, tuple[float, float]]
     draws: int
     unstable: int  # number of unstable ones
 
     def to_dict(self) -> dict[str, Any]:
-        """Return ranges and counts for JSON; null where there is no such margin."""
+        """Return ranges and counts for JSON, null if absent."""
 
         def number(value: float) -> float | None:
             return float(value) if isfinite(value) else None
@@ -67,6 +67,6 @@ def range_over_engines(response: Response, ratios: Complex, step: float, transpo
 
 
 def stays_stable(reference: Complex, loop: Complex) -> bool:
-    """Return whether a loop is stable beside a stable one that is the same at both ends of the band, or nearly so."""
+    """Return whether a loop is stable, given a stable one that is nearly the same at both ends of the band."""
     turn = np.unwrap(np.angle((1.0 + loop) / (1.0 + reference)))
     return abs(float(turn[-1] - turn[0])) < 0.5 * np.pi

@@ -29,7 +29,7 @@ QUANTITIES = tuple(field.name for field in fields(LoopMargins))  # margins of a 
 
 @dataclass(frozen=True)
 class Bounded:
-    """A number and its 95 % bounds; NaN where the periods do not agree that there is one."""
+    """A number and its 95 % interval; NaN if the periods do not agree that it exists."""
 
     value: float
     low: float
@@ -38,7 +38,7 @@ class Bounded:
 
 @dataclass(frozen=True)
 class Response:
-    """A measured loop: ``L`` and ``S`` at each line, one standard deviation of ``S``, and the coherence there."""
+    """A measured loop: ``L``, ``S``, deviation of ``S`` and coherence at each line."""
 
     hertz: Array
     loop: Complex
@@ -112,7 +112,7 @@ def relative_difference(name: str, value: float, reference: float) -> float:
 
 
 def relative_differences(one: Mapping[str, Bounded], other: Mapping[str, Bounded]) -> dict[str, float]:
-    """Return by how much each margin of ``one`` is off that of ``other``, relative; of gains in dB by their factors."""
+    """Return the relative difference of each margin of ``one`` from that of ``other``; dB as factors."""
     margins = {}
     for name in one.keys() & other.keys():
         a, b = one[name].value, other[name].value

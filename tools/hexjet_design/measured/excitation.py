@@ -87,7 +87,7 @@ def multisine(
 
 
 class Tap:
-    """One axis of what a controller commands, as a number: how it is read, and how something is added to it."""
+    """One axis of a controller's output as a number: how to read it and how to add to it."""
 
     def __init__(self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
         index = AXES.index(axis)
@@ -161,7 +161,7 @@ def _slope(spec: EngineSpec, thrust: float, secant: float = 0.02) -> float:
 
 
 class TappedController:
-    """A controller behind which a signal is added; it records the command before and behind the addition."""
+    """Controller with a signal added to its output; it records the output before and after."""
 
     def __init__(self, inner: Controller, tap: Tap, wave: Callable[[int], float]) -> None:
         self._inner, self._tap, self._wave = inner, tap, wave
@@ -184,7 +184,7 @@ class TappedController:
 
 @dataclass(frozen=True)
 class Record:
-    """Whole periods of a multisine in flight, after the first, in which the loop comes to swing with it."""
+    """Whole periods of a multisine in flight, after the first, which is a transient."""
 
     sine: Multisine
     amplitude: float
@@ -235,7 +235,7 @@ def still(scenario: Scenario) -> Scenario:
 def fly_excitation(
     scenario: Scenario, axis: str, sine: Multisine, amplitude: float, periods: int, source: Source | None = None
 ) -> Record:
-    """Fly one period for the loop to come to swing, and ``periods`` that are kept.  Fuel does not burn meanwhile.
+    """Fly one transient period and ``periods`` that are kept, without burning fuel.
 
     Raises FlightError where the flight ends before.
     """

@@ -46,7 +46,7 @@ _UNKNOWN = _Loop(True, inf, "")
 
 
 class LoopJudge:
-    """Judges the parameters of one vehicle with its engine; may be asked from any thread."""
+    """Judges the parameters of one vehicle with its engine; thread-safe."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -57,7 +57,7 @@ class LoopJudge:
         self._lock = Lock()
 
     def prepare(self) -> None:
-        """Sweep the engine, which every verdict needs; an error is met again, and reported, by the first verdict."""
+        """Sweep the engine, which all verdicts need; an error is reported by the first verdict."""
         with self._lock, suppress(InputError, ValueError, ArithmeticError):
             self._known_plants()
 
@@ -70,7 +70,7 @@ class LoopJudge:
         return CHANNELS if self._built_in else ("altitude",)
 
     def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
-        """Return what is to be said of every loop that a change makes worse; nothing where it cannot be computed."""
+        """Return warnings on loops that a change makes worse; none if that cannot be computed."""
         changed = [name for name, value in after.items() if value != before[name]]
         axes = [axis for axis in self._channels if any(name.startswith(_NAMES[axis]) for name in changed)]
         if not axes:
@@ -90,7 +90,7 @@ class LoopJudge:
         return cautions
 
     def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
-        """Return the loops of the axes, but not of those whose predictor states no frequency response."""
+        """Return the loops of the axes whose predictors have a frequency response."""
         from hexjet_design.measured.computed import find_tunings
 
         plants = self._known_plants()

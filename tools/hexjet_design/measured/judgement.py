@@ -53,7 +53,7 @@ def guaranteed_phase_deg(peak: float) -> float:
 
 
 class Judged(NamedTuple):
-    """One margin beside its limit."""
+    """One margin compared with its limit."""
 
     axis: str
     margin: str  # one of JUDGED
@@ -66,7 +66,7 @@ class Judged(NamedTuple):
 
     @property
     def severity(self) -> tuple[int, float]:
-        """What is greater is worse: the band, then the limit over the number."""
+        """Order of severity: the band, then limit over value."""
         if self.band is None or self.limit is None or self.worst is None:
             return -1 if self.band is None else BANDS.index(self.band), 0.0
         larger, smaller = abs(self.limit), abs(self.worst)
@@ -115,7 +115,7 @@ def judge_axis(measured: AxisMargins) -> list[Judged]:
 
 
 def find_worst(rows: Iterable[Judged]) -> Judged:
-    """Return the margin that decides; the peak sensitivity is always one of them."""
+    """Return the decisive margin; peak sensitivity is always among them."""
     return max(rows, key=lambda row: row.severity)
 
 
@@ -125,7 +125,7 @@ def falls_below(rows: Iterable[Judged], band: str) -> bool:
 
 
 def judgement_line(rows: Sequence[Judged]) -> str:
-    """Return what the worst of all margins comes to, which it is, and how many others are as bad."""
+    """Return a sentence on the worst margin, and how many others are as bad."""
     worst = find_worst(rows)
     others = sum(row.band == worst.band for row in rows) - 1
     more = "" if worst.band in (None, ENOUGH) or not others else f", and {others} more {worst.band}"
@@ -133,7 +133,7 @@ def judgement_line(rows: Sequence[Judged]) -> str:
 
 
 def _worse_end(name: str, bounded: Bounded) -> float:
-    """Return the end of a margin's bounds that is judged, its value without bounds; one beyond 0 leaves no margin."""
+    """Return the judged end of a margin's interval, or its value; beyond 0 there is no margin."""
     if name == "peak_sensitivity":
         end = bounded.high
     else:
@@ -152,7 +152,7 @@ def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Jud
 
 
 def _limit(name: str, measured: AxisMargins, deviations: float = 3.0) -> tuple[float | None, float | None, str]:
-    """Return the limit, the one with a well-known engine where that is another, and where they are from."""
+    """Return the limit, the one for a well-known engine if different, and their origin."""
     if name == "peak_sensitivity":
         return PEAK, KNOWN_PEAK, "usual"
     if name in ("gain_db", "gain_down_db"):

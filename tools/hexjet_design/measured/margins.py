@@ -38,7 +38,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class MeasuredMargins:
-    """The measured margins of one controller on one vehicle."""
+    """Measured margins of one controller on one vehicle."""
 
     scenario: Scenario
     source: Source | None
@@ -49,7 +49,7 @@ class MeasuredMargins:
 
     @property
     def judged(self) -> list[Judged]:
-        """The margins of all axes beside the limits of ``docs/judging.md``."""
+        """Margins of all axes compared with the limits of ``docs/judging.md``."""
         return [row for measured in self.axes.values() for row in judge_axis(measured)]
 
     @property
@@ -139,7 +139,7 @@ def measure_margins(
     limit: bool = False,
     say: Say = lambda text: None,
 ) -> MeasuredMargins:
-    """Break the loop of each axis at the plant's input while the vehicle holds still, and measure it.
+    """Break each axis's loop at the plant's input while the vehicle hovers, and measure it.
 
     Arguments and errors are those of :func:`hexjet_design.measured.api.margins`.  ``amplitude`` None: 0.03 of thrust or
     0.06 rad, less where that does not fit; with allocation by effectiveness what moves a thrust or a hinge by that.
@@ -185,7 +185,7 @@ def measure_margins(
 
 @dataclass(frozen=True)
 class _MarginRequest:
-    """A measurement on one axis, as it was asked for."""
+    """A requested measurement on one axis."""
 
     scenario: Scenario
     source: Source | None
@@ -236,7 +236,7 @@ class _MarginRequest:
         return measured(record.sensitivity(), sine.hertz, sine.step, self.transport_s)
 
     def _fitting(self, sine: Multisine, size: float) -> tuple[float, Record]:
-        """Fly with that amplitude, or a smaller one that fits.  Raises InputError if a requested one does not fit."""
+        """Fly with this amplitude, or a smaller one that fits.  Raises InputError if a requested one does not fit."""
         why = ""
         for _ in range(TRIES):
             self.say(f"{self.axis}: amplitude {size:.2g}")

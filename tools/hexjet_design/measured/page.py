@@ -40,7 +40,7 @@ QUANTITIES = (  # quantity, its name, its format
 
 
 def columns(measured: AxisMargins) -> tuple[str, ...]:
-    """Return what heads the cells of :func:`rows`: :data:`COLUMNS`, and the engine's range where it is known."""
+    """Return the heads of :func:`rows`: :data:`COLUMNS`, and the engine's range if known."""
     return COLUMNS if measured.over_engine is None else (*COLUMNS, OVER_ENGINE)
 
 
@@ -91,7 +91,7 @@ def engine_rows(ranges: Sequence[ParameterRange]) -> list[list[str]]:
 
 
 def _none(name: str, measured: AxisMargins) -> str:
-    """Say that there is no such margin, and in what band; of lead and less delay the crossovers settle it."""
+    """Say that a margin does not exist, and in which band."""
     if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
         return "none"
     least, most = measured.band_hz
@@ -102,7 +102,7 @@ def _none(name: str, measured: AxisMargins) -> str:
 
 
 def heading(measured: AxisMargins) -> str:
-    """Describe the excitation of an axis: band, lines, periods, peak, and above what frequency nothing was measured."""
+    """Describe the excitation of an axis: band, lines, periods, peak and highest measured frequency."""
     sine = measured.sine
     band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
     heard = measured.band_hz[1]
@@ -115,7 +115,7 @@ def heading(measured: AxisMargins) -> str:
 
 
 def uncertainty_line(measured: AxisMargins) -> str | None:
-    """Describe how well the engine is known, and the margins in multiples of that; None where it states nothing."""
+    """Describe how well the engine is known, and margins in multiples of that; None if not stated."""
     if measured.uncertainty is None:
         return None
     gain, delay_s = measured.uncertainty
@@ -130,7 +130,7 @@ def uncertainty_line(measured: AxisMargins) -> str | None:
 
 
 def limit_line(measured: AxisMargins) -> str | None:
-    """Compare the computed loop with the limit of performance, or say why it has none; None where nobody asked."""
+    """Compare the computed loop with the limit of performance, or say why not; None if not requested."""
     limit = measured.limit
     if limit is None:
         return None

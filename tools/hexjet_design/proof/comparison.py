@@ -16,7 +16,7 @@ from cosim.results.run import Run
 
 @dataclass(frozen=True)
 class Measure:
-    """A number that is measured of a flight, and from how much more of it on a flight counts as worse."""
+    """A measured quantity of a flight, and the increase that counts as worse."""
 
     label: str
     unit: str
@@ -49,7 +49,7 @@ WORSE_WORDS = (  # note on what worse means
 
 @dataclass(frozen=True)
 class FlownMeasures:
-    """The measured numbers of one flight.
+    """Measured quantities of one flight.
 
     ``failure``: how a flight ended that was not completed, empty for one that was; ``steps``: whether it was asked for
     steps; ``values``: by the keys of :data:`MEASURES`, empty for a flight that was lost, None for what such a flight
@@ -72,14 +72,14 @@ class FlownMeasures:
 
 @dataclass(frozen=True)
 class FlownPair:
-    """One flight with the gains that ship and with the designed ones."""
+    """One flight with shipped and with designed gains."""
 
     flight: str
     shipped: FlownMeasures
     designed: FlownMeasures
 
     def worse(self) -> dict[str, float]:
-        """Return the measures that are worse as designed, by key, with the factor; infinite where there was none."""
+        """Return the worse measures by key, with the factor; infinite if there was none before."""
         if self.shipped.failure or self.designed.failure:
             return {}
         factors = {}
@@ -135,7 +135,7 @@ def worse_lines(pairs: Sequence[FlownPair]) -> list[str]:
 
 
 def comparison_lines(pairs: Sequence[FlownPair]) -> list[str]:
-    """Return what a reader has to know first of the comparison: what is worse, or that nothing is."""
+    """Return the main result of the comparison: which measures are worse, or that none is."""
     if not pairs:
         return []
     lost_flights = [f"{pair.flight} {pair.shipped.failure}" for pair in pairs if pair.shipped.failure]
@@ -152,7 +152,7 @@ def comparison_columns(pairs: Sequence[FlownPair]) -> list[str]:
 
 
 def comparison_rows(pairs: Sequence[FlownPair]) -> list[list[str]]:
-    """Return one row of texts for each measure, shipped and designed of every flight; none that no flight tells."""
+    """Return one row of texts per measure, shipped and designed for each flight."""
     rows = []
     for key, measure in MEASURES.items():
         flights = [measures for pair in pairs for measures in (pair.shipped, pair.designed)]

@@ -29,7 +29,7 @@ from hexjet_design.proof.result import ProofFlight
 
 
 class FlightBounds(NamedTuple):
-    """What the flights of a proof try and allow."""
+    """Settings and limits of the proof's flights."""
 
     still_deg: float = 1.0  # in hover, and after a doublet
     gust_deg: float = 25.0  # of roll and pitch, in a gust
@@ -50,7 +50,7 @@ HOVER, DOUBLET, GUST = "hover", "doublet", "gust"  # kinds of proof flights
 
 
 def fly_all(design: Design, say: Say) -> list[ProofFlight]:
-    """Fly a design as designed, at the corners of its tolerances, and with one engine off; stop where one corner fails.
+    """Fly a design as designed, at tolerance corners and with one odd engine, until a corner fails.
 
     Raises InputError if a flight cannot be set up at all.
     """
@@ -74,12 +74,12 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
 
 
 def spread_of(need: Requirements) -> float:
-    """Return the share of gain and lag by which one engine is off in a proof."""
+    """Return the relative deviation of gain and lag of one engine in a proof."""
     return min(BOUNDS.engine_spread, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
 
 
 def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> dict[str, float]:
-    """Return the requirement that a failed flight is off by, and the largest value with which the same flights keep it.
+    """Return the requirement that failed flights would need changed, and the largest value that passes.
 
     The values are whole twentieths below the one that was flown, found by bisection; the gains stay.  Empty where a
     flight as designed failed: no tolerance is in its way.
@@ -116,7 +116,7 @@ def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> d
 
 
 def compare_with_shipped(design: Design, flights: Sequence[ProofFlight], say: Say) -> list[FlownPair]:
-    """Fly hover and doublets with the gains that ship, beside the flights as designed."""
+    """Fly hover and doublets with shipped gains, to compare them with the designed flights."""
     tables = flight_tables(design)
     pairs = []
     for flight in flights:
@@ -162,7 +162,7 @@ def side_s(bandwidth_hz: float) -> float:
 
 
 def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> ProofFlight:
-    """Fly one scenario with the designed gains at ``gain`` times that of the axes, ``later`` control steps later."""
+    """Fly one scenario with designed gains, plant gains times ``gain`` and ``later`` steps of delay."""
     inertia = [moment / gain for moment in design.vehicle.inertia_kg_m2]
     changes = {"vehicle": {"inertia_kg_m2": inertia} if gain != 1.0 else {}, "mismatch": {"delay_samples": later}}
     run = _fly_designed(design, name, table, changes)
@@ -172,7 +172,7 @@ def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float,
 
 
 def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], factor: float) -> ProofFlight:
-    """Fly the largest doublet with ``factor`` times the thrust of one engine, and as much more of its lag either way.
+    """Fly the largest doublet with ``factor`` on one engine's thrust, and likewise on its lag.
 
     The thrust comes to that in steps over one side of the doublet, and one more side lets the controller trim it.
     The lag is a further one before the engine, which any engine can be given.
@@ -209,7 +209,7 @@ def _promised_overshoot(design: Design) -> float:
 
 
 def _strongest_lever(vehicle: Vehicle) -> int:
-    """Return the jet, from 1, of those that have a factor of their own, that turns the vehicle's roll most."""
+    """Return the jet, from 1, with a factor of its own and the largest roll lever."""
     levers = [abs(jet.position_m[1]) for jet in vehicle.jets[: BOUNDS.stations_with_factor]]
     return levers.index(max(levers)) + 1
 
@@ -230,7 +230,7 @@ def _fly_designed(design: Design, name: str, table: Mapping[str, Any], changes: 
 
 
 def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMeasures:
-    """Fly with the gains of the vehicle and the predictor for which it states a model, if any."""
+    """Fly with the vehicle's own gains, and the predictor it has a model for, if any."""
     controller = design.axes["roll"].before.controller
     vehicle = merge(table.get("vehicle", {}), design.scenario.vehicle)
     scenario = _scenario(design, f"{name}-as-shipped", table, controller, {"vehicle": vehicle})
@@ -263,7 +263,7 @@ def _scenario(
 
 
 def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
-    """Return what a flight did that was not promised, or nothing; ``wider`` times the bounds are allowed."""
+    """Return what a flight did beyond the promise, or nothing; ``wider`` scales the bounds."""
     if run.outcome != "completed":
         return f"{run.outcome}, {run.reason}"
     log = run.log

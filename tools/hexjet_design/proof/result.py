@@ -38,7 +38,7 @@ class ProofFlight:
 
 @dataclass(frozen=True)
 class Proof:
-    """The checks of a design against the engine and in flight; ``reason`` says why they failed, or is empty."""
+    """Checks of a design with the real engine and in flight; ``reason`` of failure, or empty."""
 
     reason: str
     measured_hz: float  # highest frequency measured
@@ -52,7 +52,7 @@ class Proof:
     allowing: Mapping[str, float] = field(default_factory=dict)  # requirements that would have been met
 
     def lines(self) -> list[str]:
-        """Describe the proof by flights and the one by measured response, in a sentence each."""
+        """Describe the proof by flights and that by measured response, one sentence each."""
         lines = []
         if self.flights:
             passed = sum(not flight.fault for flight in self.flights)

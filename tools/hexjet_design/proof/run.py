@@ -45,7 +45,7 @@ Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
 
 def add_proof(design: Design, say: Say = lambda text: None, again: Again | None = None) -> Design:
-    """Check a design against the engine's own response and fly it; it is not acceptable where one of these fails.
+    """Check a design with the engine's own response and in flight; any failure makes it unacceptable.
 
     ``again`` makes another one for an engine that differs from its model by shares at frequencies
     (:attr:`hexjet_design.loop.dynamics.Dynamics.unsure`): where the measured response is too far from the model, one is
@@ -67,7 +67,7 @@ def add_proof(design: Design, say: Say = lambda text: None, again: Again | None 
 
 
 def prove(design: Design, say: Say = lambda text: None) -> Proof:
-    """Check a design against the engine's measured response and fly it.
+    """Check a design with the engine's measured response, and fly it.
 
     Raises InputError if a flight cannot be set up at all.
     """
@@ -101,7 +101,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
 
 
 def _is_moved_by_noise(flight: ProofFlight) -> bool:
-    """Return whether a hover of a stable loop, in which nothing else moves, swings."""
+    """Return whether a hover of a stable loop oscillates although nothing else moves."""
     return flight.is_as_designed and flight.scenario == HOVER and "swings" in flight.fault
 
 

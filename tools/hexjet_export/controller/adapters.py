@@ -71,12 +71,12 @@ def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vec
 
 
 def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a template is told of a file that is a part of the autopilot's program."""
+    """Return template values for a file of the autopilot's program."""
     return dict(values) | {"licence": licence_line(values["program_licence"])}
 
 
 def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """Return Betaflight's adapter: one patch with every file in it, and a README on how to apply it."""
+    """Return Betaflight's adapter: a patch with all files, and a README."""
     program_files = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
     files = dict(controller_files) | render_files(program_files, _as_program(values))
     sources = sorted(name for name in files if name.endswith(".c"))

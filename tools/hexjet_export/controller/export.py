@@ -56,7 +56,7 @@ class ControllerExport(Result):
 
     @property
     def same(self) -> bool | None:
-        """Whether the C repeats the flight to the last bit; None where there is no C compiler to try it with."""
+        """Whether the C repeats the flight to the last bit; None without a C compiler."""
         return None if self.exported.measured is None else self.exported.measured.same
 
     def to_dict(self) -> dict[str, Any]:
@@ -173,7 +173,7 @@ def export_controller(
 
 
 def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
-    """Return which files of an adapter have another licence than the one that was asked for, a line each."""
+    """Return files of an adapter under another licence than requested, one line each."""
     programs = {each: PROGRAM_LICENCES.get(each) for each in inside}
     return [
         f"licence {licence}: not for what touches or includes {autopilot}'s code: {program}"
@@ -261,7 +261,7 @@ def list_figures(measurements: Measurements | None, loops: bool = False) -> list
 def _build_fmus(
     form: Form, vectors: RecordedFlight, labels: Labels, sources: dict[str, str], folder: Path
 ) -> tuple[list[str], str | None]:
-    """Write the FMUs into ``folder``, and return their names and, where there are none, why in one line."""
+    """Build the FMUs in ``folder``; return their names and, if none, the reason."""
     n, jets = labels.name, form["jets"]
     if form["loops"]:
         return [], "the loops alone are C for a mixer of yours"

@@ -151,7 +151,7 @@ def _c(value: Any, indent: str = "        ") -> str:
 
 
 def _prepare_form(form: Form) -> Form:
-    """Return the form with what templates need beside: which C helpers are used."""
+    """Return the form with additional template values: which C helpers are used."""
     axes = form["axes"]
     predictors = [axis["predictor"] for axis in axes]
     leads = [axis["lead"] for axis in axes] + [form["altitude"]["lead"]]

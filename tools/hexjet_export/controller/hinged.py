@@ -101,7 +101,7 @@ def render_solver(name: str) -> tuple[str, str]:
 
 
 def _method() -> str:
-    """Return what the source says of the method and where it is from, as a comment."""
+    """Return the source's comment on its method and origin."""
     head, _, _ = SOURCE.read_text(encoding="utf-8").partition(" */\n")
     _, _, told = head.partition(" * --- What is solved ---\n *\n")
     return "/* Allocation.\n *\n" + told.replace(" * --- By priority ---\n *\n", "") + " */\n"

@@ -25,7 +25,7 @@ _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")  # cycle counts of the tes
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements of the compiled C; None where this machine's compiler does not report one."""
+    """Measurements of the compiled C; None if the compiler does not report one."""
 
     compiler: str  # first line of its --version
     same: bool  # same bits in double precision
@@ -100,7 +100,7 @@ def _figures(text: str) -> tuple[int, float, float]:
 
 
 def _measure_static(cc: str, folder: Path, name: str, output: Path) -> tuple[int | None, int | None]:
-    """Return bytes of stack by gcc's call graph, and of code and constants by ``size``; None where one is missing."""
+    """Return stack bytes by gcc's call graph, and code and constants by ``size``; None if missing."""
     target = output / f"{name}.o"
     result = _run([cc, *FLAGS, "-O2", "-fcallgraph-info=su", "-c", "-o", str(target), str(folder / f"{name}.c")])
     if result.returncode != 0:

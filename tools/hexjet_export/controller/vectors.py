@@ -85,7 +85,7 @@ def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, .
 
 @dataclass
 class RecordedFlight:
-    """A recorded flight: the start, then one row a step, inputs before outputs."""
+    """A recorded flight: the start, then one row per step, inputs before outputs."""
 
     on_ground: bool = False
     burnt: float = 0.0  # kg burnt
@@ -94,7 +94,7 @@ class RecordedFlight:
 
 
 def make_loop_rows(vectors: RecordedFlight, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
-    """Return a flight's rows as the loops alone have them: what was not given in the step before is an input."""
+    """Return a flight's rows for the loops alone, with the previous step's unallocated part as input."""
     names = list_output_names(jets, servos)
     left = [len(INPUTS) + names.index(name) for name in LOOP_INPUTS[len(INPUTS) :]]
     given = [len(INPUTS) + names.index(name) for name in LOOP_OUTPUTS]
@@ -107,7 +107,7 @@ def make_loop_rows(vectors: RecordedFlight, jets: int, servos: Sequence[str]) ->
 
 
 class RecordingController:
-    """A controller that delegates to another one and records that one's inputs and outputs."""
+    """Controller that records another one's inputs and outputs."""
 
     def __init__(self, inner: Controller, vectors: RecordedFlight) -> None:
         self._inner, self._vectors = inner, vectors

@@ -21,7 +21,7 @@ INFO, ERROR = 6, 3  # syslog severities
 
 
 class LogLine(NamedTuple):
-    """A line of text about a flight: its step, its time, its severity as in syslog, and what it is of."""
+    """One line of text of a flight: step, time, syslog severity, subject."""
 
     k: int
     time_s: float
@@ -31,7 +31,7 @@ class LogLine(NamedTuple):
 
 
 def read_pilot(run: Run) -> list[Line]:
-    """Return what the autopilot of a run recorded; nothing where none flew."""
+    """Return a run's autopilot record; empty if none flew."""
     return [] if run.folder is None else read_pilot_record(run.folder)
 
 
@@ -69,7 +69,7 @@ def describe_column(column: Column) -> str:
 
 
 def read_flown_scenario(run: Run) -> Scenario | None:
-    """Return the scenario as flown; None where it is of another version or gone, while the log is still there."""
+    """Return the flown scenario; None if lost or of another version, while the log remains."""
     try:
         scenario = run.scenario
         scenario.resolved_vehicle()

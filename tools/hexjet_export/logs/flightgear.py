@@ -38,7 +38,7 @@ RUNNING, OFF = 2, 0  # values of eng_state
 
 
 class FlightGear:
-    """An observer that sends; nothing waits for FlightGear, and nobody need listen."""
+    """Observer that sends packets to FlightGear, which need not listen."""
 
     def __init__(self, address: str, environment: Environment) -> None:
         self._to = parse_address(address)
@@ -48,7 +48,7 @@ class FlightGear:
         self._sent = 0
 
     def observe(self, sample: Sample) -> None:
-        """Send where the next packet is due."""
+        """Send a packet if one is due."""
         if sample.time * RATE_1_S + 1e-9 < self._sent:
             return
         self._sent += 1
@@ -117,6 +117,6 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
 
 
 def _four(values: Sequence[float]) -> list[float]:
-    """Return the values of the first four engines, 0 where there is none or it reports none."""
+    """Return the values of the first four engines, 0 if absent or not reported."""
     finite = [value if isfinite(value) else 0.0 for value in values[:ENGINES]]
     return finite + [0.0] * (ENGINES - len(finite))

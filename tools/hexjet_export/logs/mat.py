@@ -20,7 +20,7 @@ _KEYWORDS = {
 
 
 def export_mat(run: Run, path: Path, max_values: int = 2**31) -> None:
-    """Write a run's log as MAT: one structure, ``flight``.
+    """Write a run's log as MAT with one structure, ``flight``.
 
     ``flight.time`` [s] and each of ``flight.columns`` are columns of doubles, one row a control step, NaN where the log
     has NaN.  ``flight.units``, ``flight.frames`` and ``flight.meanings`` have a text under the same name,

@@ -49,7 +49,7 @@ _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # foxglove.Log level
 
 
 class Channel(NamedTuple):
-    """A channel of columns: its number, the columns, and how a row of them is laid out as a message."""
+    """A channel of columns: number, columns, and layout of its messages."""
 
     number: int
     columns: tuple[str, ...]
@@ -58,7 +58,7 @@ class Channel(NamedTuple):
 
 
 def export_mcap(run: Run, path: Path) -> None:
-    """Write a run's log as MCAP: every column, the vehicle in three dimensions, its place on the map, what was said.
+    """Write a run's log as MCAP: columns, vehicle in 3D, position on a map, texts.
 
     ``scenario.toml`` and ``summary.json`` are attached, the run's facts are a metadata record.  Without a readable
     scenario there is neither vehicle nor map.  Raises InputError if there is no run, the file cannot be written, or
@@ -107,7 +107,7 @@ def _write(writer: Any, messages: Sequence[Timed]) -> None:
 
 
 def group_by_channel(columns: Sequence[Column]) -> dict[str, list[Column]]:
-    """Return the columns of a log by the channel that has them; ``time_s`` is in one of its own."""
+    """Group a log's columns by channel; ``time_s`` has its own."""
     custom = {column.name for column in custom_columns(columns)}
     groups: dict[str, list[Column]] = {}
     for column in columns:
@@ -150,7 +150,7 @@ def _varint(number: int) -> bytes:
 
 
 def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
-    """Yield a message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
+    """Yield one message per row and channel, with tag and eight bytes per field, so that layouts are fixed."""
     times = [round(1e9 * time) for time in block["time_s"].tolist()]
     for channel in channels:
         messages = np.zeros(len(times), dtype=channel.kind)

@@ -72,7 +72,7 @@ class Scene:
         self._every = {name: max(1, round(seconds / step_s)) for name, seconds in INTERVAL_S.items()}
 
     def messages(self, block: Block, first: int, last: int) -> Iterator[Timed]:
-        """Yield the messages of a block whose first row is step ``first``; that of the ``last`` step always."""
+        """Yield the messages of a block whose first row is step ``first``, always including step ``last``."""
         q = quaternions(*(block[f"{axis}_rad"] for axis in AXES))
         made = {"/tf": self._frames, "/pose": self._pose, "/location": self._location, "/scene/arrows": self._arrows}
         for row, seconds in enumerate(block["time_s"].tolist()):
@@ -194,14 +194,14 @@ def _position(block: Block, row: int) -> tuple[float, ...]:
 
 
 def _entity(update: SceneUpdate, name: str, frame: str, time: int) -> SceneEntity:
-    """Add an entity, which takes the place of the last of its name and stays."""
+    """Add an entity, which replaces the last of its name and persists."""
     entity: SceneEntity = update.entities.add(id=name, frame_id=frame, frame_locked=True)
     entity.timestamp.FromNanoseconds(time)
     return entity
 
 
 def _arrow(entity: SceneEntity, at: Any, turned: Any, length: float, thickness: float, colour: Any) -> None:
-    """Add an arrow; none where it has no length, so that the entity says that there is none now."""
+    """Add an arrow, or none of zero length, so that the entity shows its absence."""
     if isfinite(length) and length > 0.0:
         head = min(2.0 * thickness, 0.5 * length)
         arrow = entity.arrows.add(pose=_pose(at, turned), shaft_length=length - head, head_length=head)

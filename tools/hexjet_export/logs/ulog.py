@@ -38,7 +38,7 @@ _TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "ui
 
 
 def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
-    """Write a run's log as ULog, with what its autopilot did if one flew it.
+    """Write a run's log as ULog, with its autopilot's record if there is one.
 
     ``rates``: ``all`` writes every step, ``px4`` each topic about as often as PX4's default profile does
     (:data:`INTERVAL_S`), a tenth of that, and at the last step.  Raises InputError if there is no run or the file
@@ -97,7 +97,7 @@ def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
 
 
 class _Topic(NamedTuple):
-    """A topic of the rows: what is in it, and every how many rows."""
+    """A topic of log rows: its fields, and its interval in rows."""
 
     fields: list[Field]
     every: int
@@ -108,7 +108,7 @@ _Timed = tuple[int, bytes]  # step and message
 
 
 def _of(lines: Sequence[Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
-    """Return the topics of the rows: those of an autopilot replace what follows from the loops."""
+    """Return the topics of log rows; those of an autopilot replace the loops'."""
     rows = topics(logged_vehicle_of(names))
     if not any(line["kind"] == "state" for line in lines):
         return list(rows.items())
@@ -143,12 +143,12 @@ def _hold_estimates(estimates: ulog_autopilot.Series, first: int, count: int) ->
 
 
 def _series_fields(series: ulog_autopilot.Series) -> list[Field]:
-    """Return the fields of a topic of the autopilot's, whose values are columns of its own."""
+    """Return the fields of an autopilot's topic."""
     return [column(ulog_autopilot.TYPES.get(name, "float"), name, name) for name in series.values]
 
 
 def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, step: float) -> Iterator[_Timed]:
-    """Yield the data messages of the autopilot's topics, whose numbers begin with ``number``."""
+    """Yield the data messages of the autopilot's topics, numbered from ``number``."""
     for n, series in enumerate(pilot.values(), number):
         fields = _series_fields(series)
         messages = np.zeros(len(series.k), dtype=_message_type(fields))
@@ -172,7 +172,7 @@ def _log_message(severity: int, time: float, text: str) -> bytes:
 
 
 def _fill(message: NDArray[np.void], number: int, fields: Iterable[Field], block: Block) -> None:
-    """Write one data message a row."""
+    """Write one data message per row."""
     message["size"] = message.dtype.itemsize - 3  # size without the header: size and type
     message["type"] = ord("D")
     message["id"] = number

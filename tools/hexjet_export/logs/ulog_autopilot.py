@@ -34,7 +34,7 @@ STANDBY, ARMED = 1, 2  # values of arming_state
 
 
 class Series(NamedTuple):
-    """A topic's values over time: by field name, one row an instant; ``k`` the steps."""
+    """A topic's values over time by field name; ``k`` are the steps."""
 
     k: NDArray[np.int64]
     values: dict[str, Array]
@@ -56,7 +56,7 @@ def states(lines: Sequence[Line], steps: int, step: float) -> dict[str, Series]:
 
 
 def estimates(lines: Sequence[Line]) -> Series | None:
-    """Return position, velocity and set-points as the autopilot had them; None if it said nothing."""
+    """Return position, velocity and set-points as estimated by the autopilot; None if unknown."""
     found = [line for line in lines if line["kind"] == "estimate"]
     if not found:
         return None

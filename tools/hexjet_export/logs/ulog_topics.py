@@ -21,7 +21,7 @@ _ARMED, _ALTITUDE_MODE, _STABILIZED_MODE, _ACRO_MODE = 2, 1, 15, 10
 
 
 class Field(NamedTuple):
-    """One field of a topic: ``length`` values of a ULog type, 0 for a scalar, and where they come from."""
+    """One field of a topic: ``length`` values of a ULog type, 0 for a scalar, and their source."""
 
     kind: str
     name: str

@@ -48,7 +48,7 @@ class ExportedVehicle:
 
 
 class VehicleExport(Result):
-    """A vehicle as FMUs or as a system of them.
+    """A vehicle exported as FMUs or as a system of them.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def export_vehicle(
     name: str = "vehicle",
     progress: Progress | None = None,
 ) -> VehicleExport:
-    """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs for other masters.
+    """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs.
 
     The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
     HEXJET_PYTHON names.

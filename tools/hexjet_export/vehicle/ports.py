@@ -46,7 +46,7 @@ _ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)  # state of engi
 
 
 class OutputGroup(NamedTuple):
-    """Outputs that one function reads together."""
+    """Outputs that one function reads."""
 
     quantities: Sequence[Quantity]
     read: Callable[[], Sequence[float]]
@@ -54,14 +54,14 @@ class OutputGroup(NamedTuple):
 
 @dataclass(frozen=True)
 class VehicleContents:
-    """Which parts the exported vehicle contains."""
+    """Parts that the exported vehicle contains."""
 
     engines: bool = True
     controller: bool = True
 
 
 class ExportedFlight:
-    """One simulation whose engines, or controller, or commands are outside, in the importing tool.
+    """A simulation whose engines, controller or commands are in the importing tool.
 
     ``exchange`` is called in every step where the flight needs inputs: before it the :attr:`outputs` are those of
     ``t_k``, after it :attr:`input_values` holds the inputs by name.  Raises InputError as :func:`build` does, and for a
@@ -140,7 +140,7 @@ class ExportedFlight:
                         yield Quantity(f"{name}_{jet}", UNITS[name], f"Of the engine of jet {jet}: {name}", start)
 
     def _list_setpoints(self) -> Iterator[Quantity]:
-        """List set-points for the controller inside, which fly in place of the scenario's commands."""
+        """List set-points for the internal controller, which replace the scenario's commands."""
         command = self.simulation.command_script.at(0)
         yield Quantity("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
         for axis, angle in zip(AXES, command.attitude, strict=True):
@@ -154,7 +154,7 @@ class ExportedFlight:
         yield Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off")
 
     def _list_actuators(self) -> Iterator[Quantity]:
-        """List what a controller outside commands: throttles of engines inside, and servos."""
+        """List commands of an external controller: throttles of internal engines, and servos."""
         vehicle = self.simulation.vehicle
         if self.contents.engines:
             for jet, start in zip(self.jet_numbers, self.start_throttle, strict=True):
@@ -206,7 +206,7 @@ class ExportedFlight:
         yield OutputGroup([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
     def _list_reports(self) -> Iterator[OutputGroup]:
-        """List what engines inside deliver and report."""
+        """List outputs and reports of internal engines."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
             indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has_port(name)]
@@ -215,7 +215,7 @@ class ExportedFlight:
             yield OutputGroup(quantities, partial(_read_jets, output, n, indices))
 
     def _list_engine_inputs(self) -> Iterator[OutputGroup]:
-        """List what engines outside get beside their throttles."""
+        """List inputs of external engines other than throttle."""
         stations = self.simulation.stations
         text = "Throttle at which the engine stands in equilibrium before the first step: jet {}"
         starts = _list("start_throttle_{}", self.jet_numbers, "1", text)
@@ -279,7 +279,7 @@ class ExportedFlight:
 
 
 class _ObservedEngines:
-    """Engines inside the vehicle, whose throttles are recorded as outputs."""
+    """Internal engines with throttles recorded as outputs."""
 
     def __init__(self, inner: Engines, flight: ExportedFlight) -> None:
         self._inner, self._flight = inner, flight
@@ -304,7 +304,7 @@ class _ObservedEngines:
 
 
 class _EnginesOutside:
-    """Stand-in for engines outside: step ``k``'s throttles are outputs, and the thrusts at its end are inputs."""
+    """Placeholder for external engines: step ``k``'s throttles are outputs, thrusts at its end inputs."""
 
     def __init__(self, flight: ExportedFlight, wants_ambient: bool) -> None:
         self._flight, self.wants_ambient = flight, wants_ambient
@@ -330,11 +330,11 @@ class _EnginesOutside:
         return flight.simulation.stations[index].has_port("run")
 
     def close(self) -> None:
-        """Do nothing, because there is nothing to free."""
+        """Do nothing, as there is nothing to free."""
 
 
 class _PilotOutside:
-    """A pilot that flies the set-points of the inputs where they are commanded, or else the scenario's."""
+    """Pilot that flies commanded set-points of the inputs, or else the scenario's."""
 
     def __init__(self, flight: ExportedFlight, inner: Pilot | None, commander: CommandScript) -> None:
         self._flight, self._inner, self._commander = flight, inner, commander
@@ -368,7 +368,7 @@ class _PilotOutside:
 
 
 class _ControllerOutside:
-    """Stand-in for a controller outside; the built-in controller gives the engines' throttles before the first step."""
+    """Placeholder for an external controller; the built-in one sets throttles before the first step."""
 
     signals = ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, nan, nan)
     lost: tuple[int, ...] = ()
@@ -401,11 +401,11 @@ class _ControllerOutside:
         return ALL_WELL
 
     def forgive(self) -> None:
-        """Do nothing, because it takes no engine for lost."""
+        """Do nothing, as no engine counts as failed."""
 
 
 def _name_movables(vehicle: Vehicle) -> tuple[str, ...]:
-    """Return the names of hinges and surfaces; none for two tilting banks, or where nothing moves."""
+    """Return names of hinges and surfaces; empty with two banks, or if nothing moves."""
     return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
 
 
@@ -418,7 +418,7 @@ def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
 
 
 def _list(name: str, parts: Iterable[object], unit: str, text: str) -> list[Quantity]:
-    """Return a quantity for each part, whose name stands for the brackets."""
+    """Return one quantity per part, whose name replaces the brackets."""
     return [Quantity(name.format(part), unit, text.format(part)) for part in parts]
 
 

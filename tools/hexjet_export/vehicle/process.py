@@ -52,13 +52,13 @@ class _Socket:
             raise _DisconnectedError from None
 
     def refuse(self, error: object) -> None:
-        """Say why it cannot go on."""
+        """Report an error to the importer."""
         line = " ".join(str(error).split())
         self.send(struct.pack("=d", -1.0) + line.encode("utf-8", "replace")[:1000] + b"\n")
 
 
 def describe_version_differences(manifest: dict[str, str], here: dict[str, str]) -> str:
-    """Return in words which versions differ from those that made the archive; empty where none does."""
+    """Describe the versions that differ from those that made the archive; empty if none."""
     differences = [
         f"{name} {here.get(name, 'missing')} in place of {text}"
         for name, text in manifest.items()
@@ -68,7 +68,7 @@ def describe_version_differences(manifest: dict[str, str], here: dict[str, str])
 
 
 class _Server:
-    """Server that flies the vehicle until the importer is gone."""
+    """Server that flies the vehicle until the importer ends."""
 
     def __init__(self, socket: _Socket, folder: Path) -> None:
         from cosim import InputError, Scenario, versions
@@ -132,7 +132,7 @@ class _Server:
         self._flight.simulation.reset()
 
     def _fly(self) -> NoReturn:
-        """Fly step after step.  Raises FlightError where the flight is over."""
+        """Fly step after step.  Raises FlightError when the flight is over."""
         from cosim import FlightError
 
         self._start()
@@ -147,7 +147,7 @@ class _Server:
                 raise FlightError(f"the flight is over: {ending.outcome}, {ending.reason}")
 
     def serve(self) -> None:
-        """Serve requests until the importer is gone."""
+        """Serve requests until the importer ends."""
         from cosim import EngineError, FlightError, InputError
 
         flying = False

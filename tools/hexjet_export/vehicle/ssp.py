@@ -22,7 +22,7 @@ FMU = "application/x-fmu-sharedlibrary"  # media type of an FMU
 
 
 def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, seconds: float) -> None:
-    """Write an SSP archive of the vehicle's FMU, which has its engines outside, and of the engines' FMUs.
+    """Write an SSP archive of the vehicle's FMU with external engines, and of the engines' FMUs.
 
     ``seconds``: of the default experiment.  Raises InputError for an engine that cannot be connected so.
     """
@@ -64,7 +64,7 @@ def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, sec
 def _connect(
     connections: ElementTree.Element, start: tuple[str, str], end: tuple[str, str], factor: float, offset: float
 ) -> None:
-    """Add a connection between two connectors, each named by its element and its own name."""
+    """Add a connection between two connectors, each given by element and name."""
     ends = {"startElement": start[0], "startConnector": start[1], "endElement": end[0], "endConnector": end[1]}
     connection = _sub(connections, "ssd:Connection", **ends)
     if (factor, offset) != (1.0, 0.0):
@@ -83,7 +83,7 @@ def _check_engine(jet: int, spec: EngineSpec) -> None:
 
 
 def _archive(spec: EngineSpec, fmi: int) -> Path:
-    """Return the archive of a library engine in this FMI version, or of another engine its only one."""
+    """Return a shipped engine's archive in this FMI version, or another engine's only one."""
     if not spec.library:
         return spec.path
     return archive_path(spec.path.parent, spec.name.removesuffix(FMI2_SUFFIX), fmi)

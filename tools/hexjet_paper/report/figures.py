@@ -65,7 +65,7 @@ class Curve(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes; ranges as Plotly wants them, None for all that is drawn."""
+    """One pair of axes; ranges in Plotly's form, None for all."""
 
     title: str
     x_title: str
@@ -77,7 +77,7 @@ class Panel(NamedTuple):
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
-    """Draw every figure of the page, by the name that its template has for it."""
+    """Draw all figures of the page by template name."""
     part = reproduction.linear
     both = (part.results, reproduction.flight_results)
     figures = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
@@ -107,7 +107,7 @@ def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
 def _pair(
     both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], quantity: str, limit: float
 ) -> list[Panel]:
-    """Draw one experiment in both fidelities on one scale, which ends where an unstable loop would spoil it."""
+    """Draw one experiment in both fidelities on one scale, cut where an unstable loop would dominate."""
     drawn = []
     for results, title in zip(both, FIDELITIES, strict=True):
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
@@ -148,7 +148,7 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
 
 
 def identification(reproduction: Reproduction) -> Figure:
-    """Draw turbojet, EDF and the Hex-Jet's roll rate, swept on our FMUs and in flight, against the printed models."""
+    """Draw turbojet, EDF and roll rate as swept in FMUs and in flight, with the printed models."""
     value = numbers.value
     step, delay = value("hexjet.step"), value("hexjet.delay")
     hertz = np.geomspace(0.1, 10.0, 200)
@@ -220,7 +220,7 @@ def _tracking_curves(time: Sequence[float], pair: tuple[Sequence[float], Sequenc
 
 
 def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
-    """Draw peak sensitivity over delay error x gain error; one colour for unstable, a line at the designer's limit."""
+    """Draw peak sensitivity over delay and gain errors, with unstable cells and the designer's limit."""
     rows = -(-len(maps) // columns)
     figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
@@ -298,7 +298,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
 
 
 def delays(reproduction: Reproduction) -> Figure:
-    """Draw tracking error and peak sensitivity over the delay; a line ends where its loop is unstable."""
+    """Draw tracking error and peak sensitivity over delay, up to instability."""
     rows = []
     for quantity, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
         row = []
@@ -364,7 +364,7 @@ def turbojet(reproduction: Reproduction) -> Figure:
 
 
 def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
-    """Draw panels in rows and columns with one legend; a panel without curves says that it was not flown."""
+    """Draw panels in rows and columns with one legend; empty panels say that they were not flown."""
     layout = _layout(len(rows) * panel_height + 90) | {"annotations": []}
     data: list[Figure] = []
     labels: set[str] = set()

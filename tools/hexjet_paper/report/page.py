@@ -85,7 +85,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
 
 
 def count_choices(claims: Iterable[ClaimRow]) -> list[int]:
-    """Count, by fidelity, the claims that hold and follow from a choice of ours."""
+    """Count by fidelity the claims that hold because of a choice of ours."""
     rows = list(claims)
     return [
         sum(

@@ -60,7 +60,7 @@ def counts_table(claims: Iterable[ClaimRow]) -> str:
 
 
 def constructed_table(claims: Iterable[ClaimRow]) -> str:
-    """Return the table of the claims that hold because we fitted or chose our way to them, and their reasons."""
+    """Return the table of claims that hold by fit or choice, with reasons."""
     rows = []
     for row in claims:
         where = [
@@ -74,7 +74,7 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
 
 
 def _consistency(rows: Iterable[ClaimRow]) -> str:
-    """Return the table of our own questions to printed numbers, and the answers of both fidelities."""
+    """Return the table on the consistency of printed numbers in both fidelities."""
     cells = [
         (row.claim, row.linear.verdict, row.flight.verdict if row.flight else "not flown", row.linear.condition)
         for row in rows
@@ -160,7 +160,7 @@ def _agrees(judged: Judgement | None) -> bool:
 
 
 def _claims_that_differ(reproduction: Reproduction) -> str:
-    """Return the table of what does not follow from the printed model, and what we found."""
+    """Return the table of what does not follow from the printed model, with our findings."""
     linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins
 

@@ -21,12 +21,12 @@ class Table(NamedTuple):
     rows: list[tuple[str, ...]]
 
     def markdown(self, left: int = 9) -> str:
-        """Return it for a page, its first ``left`` columns to the left."""
+        """Return the table as Markdown with ``left`` left-aligned columns."""
         return table(self.head, self.rows, left=left)
 
 
 def judge_reading(result: ReadingResult) -> list[ClaimRow]:
-    """Judge the claims that hang on the reading by its own flights: raised gains, and those of the printed ratios."""
+    """Judge the claims that depend on the reading by its flights with raised and fitted gains."""
 
     def evidence(fidelity: Literal["linear", "flight"]) -> Evidence:
         metrics: dict[str, Metrics] = {}
@@ -131,7 +131,7 @@ def _off(error: ModelError) -> str:
 
 
 def model_errors_in_words(errors: list[ModelError]) -> str:
-    """Describe in a sentence what became of Smith's predictor with models that are off."""
+    """Describe in a sentence Smith's predictor with wrong models."""
     off = [error for error in errors if error.delay_error or error.gain_factor != 1.0]
     good = [error for error in off if error.stable and error.settling_s is not None]
     text = (

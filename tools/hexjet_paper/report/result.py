@@ -61,7 +61,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Identified:
-    """What the identification found: numbers by the printed ones' keys, and the responses they were fitted to."""
+    """Results of the identification: numbers by printed key, and responses."""
 
     numbers: dict[str, float]
     responses: dict[str, Response]  # by "turbojet", "edf" or "roll"
@@ -111,7 +111,7 @@ class Reproduction(call.Result):
         return [counts_in_words(self.claims), "G(z) is read as delay only; the other readings are flown in the report"]
 
     def tables(self) -> list[call.Table]:
-        """Return numbers of the paper beside ours, and the claims."""
+        """Return the comparison with the paper, and the claims."""
         from hexjet_paper.report.page import rows_to_compare
 
         numbers = []

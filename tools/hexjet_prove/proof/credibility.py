@@ -22,7 +22,7 @@ CAPABILITY, RESULTS = "capability", "results"  # the standard's two assessments
 
 
 class Factor(NamedTuple):
-    """One factor: what is on record, and what a person states of it."""
+    """One factor of credibility: the record, and a person's statement."""
 
     assessment: str
     name: str
@@ -34,7 +34,7 @@ class Factor(NamedTuple):
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a proof knows of its model and of itself, beside the flights' outcomes."""
+    """Evidence on a proof's model and method, besides the flights' results."""
 
     aircraft: str
     engine: str
@@ -54,7 +54,7 @@ class Evidence:
 
 
 def read_comparison(path: Path) -> dict[str, Any]:
-    """Return what ``hexjet replay`` left in a replay.json, or in its folder.
+    """Read the replay.json of ``hexjet replay``, or of its folder.
 
     Raises InputError where the hash of its log is missing, too, as in those of version 0.2.0.
     """
@@ -109,7 +109,7 @@ def _validation(evidence: Evidence, record: Mapping[str, Any]) -> str:
 
 
 def _describe_comparison(one: Mapping[str, Any], evidence: Evidence) -> str:
-    """Return what a replay.json says, of which log, and whether that is a recorded flight of what flew here."""
+    """Describe a replay.json: its result, log, and whether that is a flight of this vehicle."""
     of = [("aircraft", evidence.aircraft), ("engine", evidence.engine)]
     others = [f"another {kind}" for kind, flown in of if one[kind] != flown]
     what = f"{Path(one['log']).name} (sha256 {one['log_sha256'][:16]}, {one['aircraft']} with {one['engine']})"

@@ -34,7 +34,7 @@ NOT_PROMISED = ("drift_m", "speed_m_s", "settling_s", "oscillation_rad", "satura
 
 
 def find_design(path: Path) -> Path | None:
-    """Return the controller file that ``path`` is, or that the folder ``path`` holds; None where there is none."""
+    """Return the controller file at ``path`` or in the folder ``path``, or None."""
     file = path / CONTROLLER if path.is_dir() else path
     if file.suffix != ".toml" or not file.is_file():
         return None
@@ -85,7 +85,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
 
 
 def _need_engine(file: Path, made: Purpose, flown: str) -> None:
-    """Raise InputError where the engine of the design is a file of the user's that is not where the design says."""
+    """Raise InputError if the design's engine file is missing."""
     designed_for = made.find_engine(file)
     if flown != designed_for or Path(flown).is_file() or flown.removesuffix(FMI2_SUFFIX) in list_engine_names():
         return
@@ -105,7 +105,7 @@ def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
 
 
 def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]:
-    """Return the scenario's settings: what the design was made for, the doublet of its proof, and what is ``given``."""
+    """Return the scenario's settings: the design's, its proof's doublet, and ``given`` ones."""
     roll = made.axes["roll"]
     width = side_s(roll.bandwidth_hz)
     settings: dict[str, Any] = {

@@ -40,7 +40,7 @@ HINT = "pip install cmaes"  # how to install the search's package
 def search_failures(
     study: Study, folder: Path, budget: int, workers: Workers, say: Callable[[str], None]
 ) -> dict[str, Part]:
-    """Search the most likely failure and the worst case with so many flights each; a search goes on where it was.
+    """Search the most likely failure and the worst case with so many flights each; searches resume.
 
     The flights have the noise and turbulence of the scenario's own seed.  Where the package that searches is not
     installed a part says so.  Raises FlightError if no more can be flown.
@@ -101,7 +101,7 @@ def check_flights(flights: int) -> None:
 
 
 def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, say: Callable[[str], None]) -> Part:
-    """Return the probability of failure by subset simulation with so many flights; one that was stopped goes on.
+    """Estimate the failure probability by subset simulation with so many flights; it resumes.
 
     Seeds of noise and turbulence are part of what varies.  Raises FlightError if no more can be flown.
     """

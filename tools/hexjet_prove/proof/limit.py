@@ -18,7 +18,7 @@ from hexjet_design.measured.computed import find_loop_limit, find_tunings, make_
 
 
 def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: None) -> dict[str, AxisLimit | str]:
-    """Return each axis of the nominal vehicle beside the limit of performance, or why it has none, by axis."""
+    """Compare each axis of the nominal vehicle with the limit of performance, or say why not."""
     loops = _loops(scenario)
     if isinstance(loops, str):
         return dict.fromkeys(AXES, loops)

@@ -78,7 +78,7 @@ def write_page(proof: Proof, path: Path) -> None:
 
 
 def _searched(proof: Proof) -> Iterator[Markup]:
-    """Yield what the searches for the worst flights came to, with their flights and pages."""
+    """Yield results of the searches for the worst flights, with flights and pages."""
     for part in (proof.likely, proof.worst_case):
         if part.result:
             run = part.result["run"]

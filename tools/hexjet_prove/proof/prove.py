@@ -70,7 +70,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Request:
-    """What a proof is to have beside its flights."""
+    """Options of a proof besides its flights."""
 
     limit: bool = True  # whether to compute performance limits
     search: int = 0  # flights for each search; 0: none
@@ -107,7 +107,7 @@ def conclude(
     workers: Workers | int | None = None,
     say: Say = lambda text: None,
 ) -> Proof:
-    """Find what the flights of :func:`fly_study` show and do not, and write the proof; ``say`` is told what is done.
+    """Evaluate the flights of :func:`fly_study` and write the proof; ``say`` is told the progress.
 
     ``workers`` fly what is searched for.
 
@@ -126,7 +126,7 @@ def conclude(
 
 
 def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
-    """Search the most likely failure, the worst case and how probable a rare failure is, where that is asked for."""
+    """Run the requested searches: most likely failure, worst case, and failure probability."""
     parts = {name: Part(None, text) for name, text in NOT_SEARCHED.items()} | {RARE: Part(None, NOT_RARE)}
     with open_workers(workers) as flying:
         if request.search:
@@ -174,7 +174,7 @@ def _conclude(
 
 
 def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> Iterator[WorstFlight]:
-    """Fly those with the smallest margins again, and the failed one that is nearest to the middle of the draws."""
+    """Fly the flights of smallest margins again, and the failure nearest to the middle of the draws."""
     shutil.rmtree(out / WORST, ignore_errors=True)  # left by an interrupted proof
     rows = [campaign.row(int(number)) for number in table.flight]
     margins = np.array([row_margin(row, campaign.study) for row in rows])
@@ -230,7 +230,7 @@ def _evidence(
 
 
 def _describe_draws(evidence: Evidence) -> str:
-    """Return in words what a probability is over, and what is known of where that is from."""
+    """Describe the population of the probability, and its origin."""
     if not evidence.is_engine_drawn:
         return f"the {evidence.varied} numbers that are drawn here, as the study states them"
     source = evidence.uncertainty_source or "of no stated source"
@@ -239,13 +239,13 @@ def _describe_draws(evidence: Evidence) -> str:
 
 
 def _commanded_axis(scenario: Scenario) -> str:
-    """Return the axis that the scenario moves first, roll where it moves none."""
+    """Return the axis that the scenario commands first, by default roll."""
     signals = [str(getattr(command, "signal", "")).partition("_")[0] for command in scenario.command]
     return next((signal for signal in signals if signal in AXES), AXES[0])
 
 
 def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
-    """Return what repeats the proof, and by what it is known to be the same."""
+    """Return how to repeat the proof, and hashes to recognise the same result."""
     study, digest = campaign.study, sha256()
     columns = [campaign.columns[name] for name in ("flight", "outcome", "success", "log_sha256")]
     for row in zip(*columns, strict=True):

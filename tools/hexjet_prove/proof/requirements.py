@@ -47,7 +47,7 @@ def _describe_flown(campaign: Campaign) -> str:
 
 
 def _formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
-    """Return a requirement of the scenario or the study; a flight that was lost broke it."""
+    """Return a requirement of scenario or study; failed flights miss it."""
     unit = parse_formula(entry.formula).unit
     says = f"{entry.name}: {entry.formula}"
     flown = [index for index, outcome in enumerate(campaign.columns["outcome"]) if outcome != "failed"]
@@ -65,7 +65,7 @@ def _condition(campaign: Campaign, label: str, name: str, allowed: Range) -> Pro
 def _proven(
     campaign: Campaign, label: str, says: str, name: str, indices: Sequence[int], factor: float, unit: str
 ) -> ProvenRequirement:
-    """Return a requirement with what the rows of ``indices`` say of its margin, shown ``factor`` times as large."""
+    """Return a requirement with its margins in rows ``indices``, displayed with ``factor``."""
     column, numbers = campaign.columns.get(MARGIN_OF + name, [None] * len(campaign)), campaign.columns["flight"]
     margins = [
         (factor * float(value), int(numbers[index] or 0))

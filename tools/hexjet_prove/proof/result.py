@@ -17,7 +17,7 @@ LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  
 
 @dataclass(frozen=True)
 class ProvenRequirement:
-    """One requirement on every flight, and how near the flights came to breaking it."""
+    """One requirement on all flights, and the smallest margin."""
 
     label: str  # R1, R2, ...
     says: str
@@ -45,7 +45,7 @@ class WorstFlight:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a proof that another method does, as its result; or why it was not done."""
+    """A part of a proof by another method: its result, or why it was not done."""
 
     result: Mapping[str, Any] | None
     says: str  # result in words, or why not done
@@ -74,7 +74,7 @@ class Proof:
 
     @property
     def verdict(self) -> Verdict | None:
-        """What is shown of the claim; None where no flight was counted."""
+        """Verdict on the claim; None if no flight was counted."""
         return next(iter(self.claim.verdicts.values()), None)
 
     @property
@@ -84,13 +84,13 @@ class Proof:
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence: who keeps what, with which probability, by how many flights; what was fixed."""
+        """Result in one sentence: who meets what, with which probability, by how many flights."""
         fixed = f"; not varied: {', '.join(self.not_varied)}" if self.not_varied else ""
         return f"{self._shown()}{fixed}."
 
     @property
     def facts(self) -> dict[str, str]:
-        """What belongs to the sentence, by what it is about: draws, failures, and the controller beside the best."""
+        """Additional facts by subject: draws, failures, and the controller compared with the best."""
         return {
             "probability over": self.over,
             **({"rare failures": self.rare.says} if self.rare.result else {}),
@@ -175,7 +175,7 @@ class Proof:
         }
 
     def requirement_rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield the requirements as texts: label, what it says, flights that broke it, the smallest margin."""
+        """Yield requirements as texts: label, sentence, flights that missed it, smallest margin."""
         for one in self.requirements:
             margin = (
                 "" if one.margin is None else f"{one.margin:.3g} {one.unit} (flight {one.flight})".replace("  ", " ")

@@ -34,7 +34,7 @@ def kinds_not_varied(study: Study) -> list[str]:
 
 
 def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) -> list[str]:
-    """Return what the result does not say, a sentence each.
+    """Return what the result does not cover, one sentence each.
 
     ``missing`` are the parts that were not done, and ``not_flown`` the reasons of the flights that could not be flown.
     """

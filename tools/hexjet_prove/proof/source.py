@@ -54,7 +54,7 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
 
 
 def _open(name: str, **options: Any) -> Study:
-    """Open a study as ``open_study``, whose ``vary`` no proof has."""
+    """Open a study as ``open_study``, without ``vary``."""
     try:
         return open_study(name, **options)
     except NothingVariesError:

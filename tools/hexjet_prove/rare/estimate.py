@@ -30,7 +30,7 @@ MIN_LEVEL_FLIGHTS, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
 
 @dataclass(frozen=True)
 class Budget:
-    """What a simulation may take: ``flights`` at most, for probabilities down to ``target``, in ``repeats``."""
+    """Limits of a simulation: ``flights``, smallest probability ``target``, and ``repeats``."""
 
     target: float
     flights: int
@@ -38,12 +38,12 @@ class Budget:
 
     @property
     def most_levels(self) -> int:
-        """The levels of a repeat at most: one more than the target needs."""
+        """Largest number of levels of a repeat: one more than the target needs."""
         return ceil(-log10(self.target) - 1e-9) + 1
 
     @property
     def size(self) -> int:
-        """The flights of the first level, in whole tens, and of each other one where there is one group."""
+        """Flights of the first level, in tens, and of each further one with one group."""
         return int(self.flights / (self.repeats * (1.0 + self._later_levels)) / 10) * 10
 
     def size_of(self, groups: int) -> int:
@@ -59,7 +59,7 @@ class Budget:
 
     @property
     def _later_levels(self) -> float:
-        """How many times the flights of a level all levels after the first take."""
+        """Flights of all further levels, relative to one level."""
         return (1.0 - LEVEL_FRACTION) * (self.most_levels - 1)
 
     def check(self) -> None:
@@ -74,7 +74,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A probability of failure, and between which two it lies with ``CONFIDENCE``.
+    """A failure probability with its interval of ``CONFIDENCE``.
 
     ``probability`` is None where too few repeats met a failure: then ``high`` is an upper bound, at the same
     confidence, and ``low`` 0.  ``method`` says in words how it was made.
@@ -148,13 +148,13 @@ def _missing(repeats: Sequence[Repeat]) -> int:
 
 
 def _filled(repeat: Repeat) -> float:
-    """Return the logarithm of a repeat's probability; one that met none counts as one flight of its last level."""
+    """Return the log probability of a repeat; without failures one flight of its last level counts."""
     known = repeat.log_probability
     return repeat.log_reached - log(repeat.levels[-1].margins.size) if known is None else known
 
 
 def seed_effect(repeats: Sequence[Repeat]) -> float | None:
-    """Return how often a candidate with a new seed is accepted, over how often one with the seed before it is.
+    """Return the acceptance rate of candidates with a new seed over that with the previous one.
 
     Near 1 where noise and turbulence do not decide.  None where no seed was drawn anew.
     """
@@ -176,7 +176,7 @@ def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) ->
 
 
 def _counted(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
-    """Return what counting says where failures are not rare, or all margins the same: every flight is independent."""
+    """Return the counted probability if failures are frequent or all margins equal."""
     failed, flights = _first_level(simulations)
     if not failed:
         return _counted_bound(simulations)

@@ -46,7 +46,7 @@ def resolve_rare(
 def run_rare(
     study: Study, plan: Plan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedRare:
-    """Simulate, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
+    """Simulate and write everything to ``out``; ``progress`` is told the number of flights.
 
     ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and the result is the
     same as without a stop.  Raises InputError if study or folder is not usable (another simulation's, in use, or one

@@ -31,7 +31,7 @@ class Group:
     others: tuple[tuple[int, ...], ...] = ()  # columns of every other group
 
     def judge(self, margins: Array) -> tuple[Array, Array]:
-        """Return of each flight (a row of margins) the margin of this group, and which part of a failure it counts."""
+        """Return each flight's margin for this group, and the fraction of a failure it counts."""
         groups_broken = np.ones(len(margins))
         for columns in self.others:
             groups_broken += np.any(margins[:, columns] < 0.0, axis=1)
@@ -63,7 +63,7 @@ def group_requirements(margins: Array, most: int, far: float = 20.0) -> list[Gro
 
 
 def measure_distance(margins: Array) -> tuple[float, float]:
-    """Return how many standard deviations failure is away, and the fall of the margin in one of them.
+    """Return the distance of failure in standard deviations, and the drop of the margin in one.
 
     The margin is taken to fall from its median by c z^a at z standard deviations, with the least ``a`` of 1: that goes
     through the fall at a tenth and at a hundredth of the flights.

@@ -27,7 +27,7 @@ MAX_SEARCHED, MIN_SEARCHED, SEEDS_TRIED = 500, 50, 10
 
 @dataclass(frozen=True)
 class NearestSearch:
-    """What a search for the nearest failure found in so many ``flights``; without a ``distance`` it found none.
+    """Result of a search for the nearest failure; without ``distance`` none was found.
 
     ``share`` of the seeds of noise and turbulence that were tried there fail.
     """
@@ -39,12 +39,12 @@ class NearestSearch:
 
     @property
     def probability(self) -> float:
-        """The probability of what lies beyond a plane through the failure; 0 without one."""
+        """Probability beyond a plane through the failure; 0 without one."""
         return 0.0 if self.distance is None else self.share * float(ndtr(-self.distance))
 
     @property
     def says(self) -> str:
-        """What was found, in words."""
+        """Sentence on the result."""
         if not self.flights:
             return f"no search for the nearest failure was made: it takes {MIN_SEARCHED} flights, and the package cmaes"
         if self.distance is None:
@@ -52,7 +52,7 @@ class NearestSearch:
         return f"the nearest failure that {self.flights} flights searched is {self.distance:.2f} sd from the middle"
 
     def contradict(self, high: float) -> str:
-        """Return how the failure contradicts an interval that ends at ``high``; empty where it does not."""
+        """Return how the failure contradicts an interval up to ``high``; empty: it does not."""
         if self.distance is None or self.probability <= high:
             return ""
         place = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
@@ -66,7 +66,7 @@ class NearestSearch:
 def search_nearest(
     space: NormalSpace, controller: str, seed: int | None, left: int, prober: Prober
 ) -> Asking[NearestSearch]:
-    """Search the failure nearest to the middle of all draws, with at most ``left`` flights, and try other seeds there.
+    """Search the failure nearest to the middle of the draws in ``left`` flights, and try other seeds there.
 
     All have the ``seed``, or that of the scenario where it varies.  Without enough flights, or without the package that
     searches, none is made.  Raises FlightError if flights cannot be flown.

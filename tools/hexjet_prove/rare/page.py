@@ -60,7 +60,7 @@ def write_page(saved: Answered[RareResult], path: Path) -> None:
 
 
 def describe_result(result: RareResult) -> list[str]:
-    """Return the result in lines: its sentence, what contradicts it, and how it was made."""
+    """Return the result in lines: sentence, contradictions, and method."""
     lines = (
         result.sentence,
         result.contradiction,
@@ -92,7 +92,7 @@ def _named_repeats(result: RareResult) -> list[tuple[list[str], Repeat]]:
 
 
 def shift_rows(result: RareResult) -> list[list[str]]:
-    """Return a row for each key: where the failures are in it, in standard deviations, and how wide they lie."""
+    """Return one row per key: mean and spread in the failures, in standard deviations."""
     return [[shift.name, f"{shift.mean:+.2f}", f"{shift.spread:.2f}"] for shift in result.shifts[:12]]
 
 

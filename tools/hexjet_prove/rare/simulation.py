@@ -25,7 +25,7 @@ SUBJECT = "a rare failure"  # what is searched, in messages
 
 @dataclass(frozen=True)
 class Plan:
-    """What is asked: how rare, in how many flights, and whether the seed of noise and turbulence varies too."""
+    """Options of an estimate: smallest probability, flights, and whether the noise seed varies."""
 
     budget: Budget
     seeds_vary: bool = True
@@ -37,7 +37,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Failure:
-    """A flight that failed: the place of its row, its own in standard deviations, and its part of the probability."""
+    """A failed flight: its row, coordinates in standard deviations, and share of the probability."""
 
     number: int
     point: Array
@@ -45,13 +45,13 @@ class Failure:
 
     @property
     def distance(self) -> float:
-        """How many standard deviations it lies from the middle of all draws: |u|."""
+        """Distance |u| from the middle of the draws, in standard deviations."""
         return float(np.sqrt(np.sum(self.point**2)))
 
 
 @dataclass(frozen=True)
 class KeyShift:
-    """Where one coordinate is in the failures, in standard deviations: mean and spread; 0 and 1 in all flights."""
+    """Mean and spread of one coordinate in the failures, in standard deviations; 0 and 1 in all flights."""
 
     name: str
     mean: float
@@ -60,7 +60,7 @@ class KeyShift:
 
 @dataclass(frozen=True)
 class RareResult:
-    """The result of subset simulations of one controller.
+    """Result of subset simulations of one controller.
 
     ``rows`` are those of all candidates in the order in which they were asked for.  The flights of ``searched`` are no
     part of them.
@@ -79,7 +79,7 @@ class RareResult:
 
     @property
     def flights(self) -> int:
-        """How many flights it took, with those that searched for the nearest failure."""
+        """Number of flights, including those of the search for the nearest failure."""
         return len(self.rows) + self.searched.flights
 
     @property
@@ -89,29 +89,29 @@ class RareResult:
 
     @property
     def groups_note(self) -> str:
-        """Which requirements share a simulation; empty where there is one requirement."""
+        """Sentence on requirements that share a simulation; empty with one requirement."""
         if len(self.requirements) == 1:
             return ""
         return f"simulated on its own: {'; '.join(' with '.join(names) for names in self.groups)}"
 
     @property
     def contradiction(self) -> str:
-        """What the search for the nearest failure found that the interval does not allow; empty elsewhere."""
+        """Contradiction between nearest failure and interval; empty if there is none."""
         return self.searched.contradict(self.estimate.high)
 
     @property
     def search_note(self) -> str:
-        """What the search for the nearest failure came to; empty where failures were counted."""
+        """Sentence on the search for the nearest failure; empty if failures were counted."""
         return "" if self.simulations.counted else self.searched.says
 
     @property
     def not_flown(self) -> list[str]:
-        """Why flights could not be flown at all, which count as failures, a reason each."""
+        """Reasons of flights that could not be flown, which count as failures."""
         return [str(row["reason"]) for row in self.rows if row["outcome"] == "failed" and not row.get("steps")]
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence."""
+        """Result in one sentence."""
         vary = "are" if self.plan.seeds_vary else "are not"
         reasons = self.not_flown
         not_flown = f"; {describe_not_flown(len(reasons), reasons[0])}" if reasons else ""
@@ -123,7 +123,7 @@ class RareResult:
 
     @property
     def seed_note(self) -> str:
-        """A warning where noise and turbulence decide, which no chain can lead to failure; empty elsewhere."""
+        """Warning if noise and turbulence decide, which chains cannot follow; empty otherwise."""
         effect = seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats])
         if effect is None or effect >= MIN_SEED_EFFECT:
             return ""
@@ -134,7 +134,7 @@ class RareResult:
 
     @property
     def shifts(self) -> list[KeyShift]:
-        """Where the failures lie, the coordinate that they are furthest out in first; nothing without a failure."""
+        """Position of the failures by coordinate, furthest first; empty without failures."""
         if not self.failures:
             return []
         weights = np.array([failure.weight for failure in self.failures])
@@ -158,11 +158,11 @@ class RareResult:
 
     @property
     def nearest(self) -> Failure | None:
-        """The failure that is most likely of those met: with the smallest |u|."""
+        """Most likely failure found, of the smallest |u|."""
         return min(self.failures, key=lambda failure: failure.distance, default=None)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as a table: what is asked, what came of it, and each repeat's levels."""
+        """Return the result as a table: options, result, and levels of each repeat."""
         base, nearest = self.study.base(), self.nearest
         return {
             "sentence": self.sentence,
@@ -211,7 +211,7 @@ class RareResult:
 
 
 def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
-    """Fly a study's subset simulations, and search the nearest failure beside them.
+    """Fly a study's subset simulations, and search the nearest failure.
 
     Raises InputError for a study with more controllers than one or a budget that is too small, FlightError if flights
     cannot be flown.
@@ -234,7 +234,7 @@ def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
 
 
 class _Flyer:
-    """Has candidates flown; ``rows`` are theirs in the order in which they were asked for, one may be there twice."""
+    """Requests flights of candidates; ``rows`` are in request order and may repeat."""
 
     def __init__(self, study: Study, space: NormalSpace, controller: str) -> None:
         self._space, self._controller = space, controller

@@ -42,7 +42,7 @@ DIGITS = 9  # of a coordinate, same on all machines
 
 
 class Candidates(NamedTuple):
-    """Points of shape (n, dimension) whose margins are asked for, the seed of each, and their level, from 0."""
+    """Candidates of shape (n, dimension) with their seeds, and their level, from 0."""
 
     points: Array
     seeds: list[int]
@@ -51,7 +51,7 @@ class Candidates(NamedTuple):
 
 @dataclass(frozen=True)
 class Level:
-    """The margins of a level's flights, all of them below the threshold of the level before; numbers as flown.
+    """Margins of a level's flights, all below the previous threshold; numbers as flown.
 
     ``threshold`` is where the next level begins, 0 in the last one, and ``below`` how many flights are below it: in the
     last one the sum of their ``shares``.
@@ -71,7 +71,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Repeat:
-    """One subset simulation from beginning to end: its levels, and how many flights it took.
+    """One complete subset simulation: its levels and number of flights.
 
     ``redrawn`` and ``kept``: of the candidates with a new seed, and with the one before, those accepted and all.
     """
@@ -83,7 +83,7 @@ class Repeat:
 
     @property
     def log_probability(self) -> float | None:
-        """The natural logarithm of the probability of failure; None where no flight failed."""
+        """Natural logarithm of the failure probability; None without failure."""
         if not self.levels[-1].below:
             return None
         return sum(log(level.fraction) for level in self.levels)
@@ -94,7 +94,7 @@ class Repeat:
         return sum(log(level.fraction) for level in self.levels[:-1])
 
     def log_below(self, margin: float) -> float | None:
-        """Return the logarithm of the probability of a margin below this one; None where no flight has one."""
+        """Return the log probability of a margin below this one; None if no flight has one."""
         reached = 0.0
         for level in self.levels:
             if level.threshold <= margin or level is self.levels[-1]:
@@ -116,7 +116,7 @@ class _States:
         return _States(*(values[index] for values in self._columns()))
 
     def replace(self, index: Index, by: _States) -> None:
-        """Put the entries ``index`` of other states into the same places of these."""
+        """Replace states at ``index`` by those of another set."""
         for mine, theirs in zip(self._columns(), by._columns(), strict=True):
             mine[index] = theirs[index]
 
@@ -129,7 +129,7 @@ class _States:
 
 
 def first_level(dimension: int, size: int, random: np.random.Generator, seed: int | None = None) -> Candidates:
-    """Return the independent flights that a repeat begins with.  Each has this ``seed``, or one of its own."""
+    """Return the independent flights of the first level, with this ``seed`` or one each."""
     points = np.round(random.standard_normal((size, dimension)), DIGITS)
     return Candidates(points, [draw_seed(random) if seed is None else seed for _ in range(size)], 0)
 
@@ -143,7 +143,7 @@ def subset_simulation(
     random: np.random.Generator,
     seed: int | None = None,
 ) -> Generator[Candidates, Array, Repeat]:
-    """Yield the candidates of one repeat, take their margins of every requirement, and return what came of it.
+    """Yield the candidates of one repeat, take their margins, and return its result.
 
     It goes on from the ``first`` level, whose margins are ``flown``, to failures of the ``group``, by at most
     ``most_levels`` levels in all, each other one with ``size`` flights.  Every candidate has this ``seed``, or one of
@@ -200,7 +200,7 @@ def subset_simulation(
 
 
 def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return how many candidates with a new seed were accepted, of how many; and of those with the one before."""
+    """Count accepted candidates with a new seed and with the previous one, of how many."""
     redrawn, accepted = judgements.astype(bool).T
     return (
         (int(np.sum(accepted & redrawn)), int(np.sum(redrawn))),
@@ -209,7 +209,7 @@ def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]
 
 
 def _next_threshold(margins: Array, count: int) -> float | None:
-    """Return the margin above 0 with the number of smaller ones nearest to ``count``, in ratio; None without one."""
+    """Return the margin above 0 whose rank is closest to ``count``, as a ratio; None without one."""
     values = np.unique(margins)[1:]
     values = values[values > 0.0]
     if not values.size:
@@ -257,7 +257,7 @@ class _LinearModel:
         return np.asarray(log_ndtr((self._room - points @ self._slopes) / self._residual))
 
     def draw(self, normal: Array, random: np.random.Generator) -> Array:
-        """Return a draw for each row of ``normal``, standard normal numbers; what it adds is drawn from ``random``."""
+        """Return one draw per row of standard normal ``normal``, with additions from ``random``."""
         if not self.fraction:
             return normal
         from scipy.special import ndtr, ndtri

@@ -91,7 +91,7 @@ def resolve_search(
 
 
 def point_seeds(study: Study, first: int | None, count: int) -> tuple[int, ...]:
-    """Return the seeds of a point's flights: the ``first``, or the scenario's, and those that follow it.
+    """Return the seeds of a point's flights, beginning at ``first`` or the scenario's.
 
     Raises InputError.
     """
@@ -111,7 +111,7 @@ def _parse_over(text: str | None) -> list[Vary]:
 
 
 def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
-    """Parse ``X`` where one key is varied, else ``KEY=X``."""
+    """Parse ``X`` for one key, else ``KEY=X``."""
     tolerances: dict[str, float] = {}
     for text in texts:
         key, equals, number = text.rpartition("=")
@@ -125,7 +125,7 @@ def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
 def run_search(
     study: Study, plan: Plan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedSearch:
-    """Search, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
+    """Search and write everything to ``out``; ``progress`` is told the number of flights.
 
     ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and what is found is the
     same as without a stop.  Raises InputError if study or folder is not usable (another search's, in use, or one that
@@ -148,7 +148,7 @@ def _number(result: SearchResult, point: Point, breaks: bool) -> int:
 
 
 def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
-    """Yield the points whose flights get a folder, with name and whether the vehicle breaks there.
+    """Yield the points to be recorded, with name and whether the vehicle fails there.
 
     These are the edges, and of a curve the nearest on each side.
     """

@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Scan:
-    """The result of one walk: every position that it evaluated, from the start, and whether it breaks there."""
+    """Result of one walk: all evaluated positions from the start, and whether each fails."""
 
     positions: tuple[float, ...]
     breaks: tuple[bool, ...]
@@ -32,12 +32,12 @@ class Scan:
 
     @property
     def start_breaks(self) -> bool:
-        """Whether it breaks where it starts."""
+        """Whether the start fails."""
         return self.breaks[0]
 
     @property
     def bands(self) -> list[tuple[float, float, bool]]:
-        """Ranges of positions that are alike: first and last position, and whether it breaks in them."""
+        """Ranges of equal result: first and last position, and whether it fails."""
         bands: list[tuple[float, float, bool]] = []
         for position, broken in zip(self.positions, self.breaks, strict=True):
             if bands and bands[-1][2] == broken:
@@ -78,7 +78,7 @@ def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None
 def run_together(
     generators: Mapping[Name, Generator[Asked, Answer, Result]],
 ) -> Generator[dict[Name, Asked], Mapping[Name, Answer], dict[Name, Result]]:
-    """Run generators side by side to their ends; asks for what all of them ask for next, and is told it, by name."""
+    """Run generators in parallel: yields their joint requests, and is sent the answers by name."""
     answers: Mapping[Name, Answer | None] = dict.fromkeys(generators)
     ended: dict[Name, Result] = {}
     while answers:

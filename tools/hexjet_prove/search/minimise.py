@@ -38,11 +38,11 @@ DISTANCE_RESOLUTION = 0.01  # standard deviations, of a failure
 
 
 class BudgetSpentError(Exception):
-    """None of the allowed flights is left."""
+    """The budget of flights is used up."""
 
 
 class Region(Protocol):
-    """Where points may lie, around the origin."""
+    """Region of allowed points around the origin."""
 
     @property
     def size(self) -> float:
@@ -55,7 +55,7 @@ class Region(Protocol):
         """Return a point anywhere in the region."""
 
     def corners(self, dimension: int, most: int) -> Array:
-        """Return the corners of the region, a row each; none where it has none, or more than ``most``."""
+        """Return the corners of the region, one per row; none if there are more than ``most``."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Ball:
 
 @dataclass(frozen=True)
 class Box:
-    """All points whose coordinates are at most ``size`` in magnitude."""
+    """Points with all coordinates up to ``size`` in magnitude."""
 
     size: float = 1.0
 
@@ -173,7 +173,7 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
 
 
 def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
-    """Run one descent until it has converged, or goes where an earlier one has ended."""
+    """Run one descent until it converges or approaches an earlier end."""
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
     # A generation whose spread is below this fraction of the region has converged, if it is the best so far.
     narrow_if_best = 0.02
@@ -211,7 +211,7 @@ def _optimiser(start: Array, sigma: float, seed: int) -> Any:
 
 
 class _Descent:
-    """The state of a search: what was evaluated, the best of it, and the region that is left."""
+    """State of a search: evaluations, best point, and remaining region."""
 
     def __init__(self, region: Region, dimension: int, budget: int, nearest: bool) -> None:
         self.region = region
@@ -252,7 +252,7 @@ class _Descent:
         return any(low <= margin and float(np.linalg.norm(point - end)) < near for end, low in self.ends)
 
     def shrink(self) -> Steps[None]:
-        """Find where the way to the nearest failure fails first, and let the region end there."""
+        """Find the first failure on the way to the nearest one, and shrink the region to it."""
         if not self._nearest or not self.best.fails or self.best.distance > self.region.size:
             return
         end, reach = self.best.point, self.best.distance

@@ -56,7 +56,7 @@ def write_page(searched: Answered[SearchResult], path: Path) -> None:
 
 
 def list_facts(base: Scenario, flights: int, more: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return what the page of a search, or of rare failures, says of its flights."""
+    """Return the facts on flights for the page of a search or of rare failures."""
     named = [("scenario", base.name), ("aircraft", base.aircraft_name), ("engine", str(base.engine))]
     return [*named, *more, ("flights", f"{flights:,}")]
 
@@ -68,7 +68,7 @@ def cases_card(
     columns: Sequence[str] = (),
     cells: Callable[[Any], Sequence[str]] = lambda case: (),
 ) -> Card | None:
-    """Return the flights that were flown again, with their pages; None where there are none.
+    """Return the card of repeated flights with their pages; None if there are none.
 
     ``columns`` and ``cells``: what is said of a case besides.
     """
@@ -116,12 +116,12 @@ def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
 
 
 def answers(result: SearchResult, at_most: int = 4) -> list[str]:
-    """Return where the first edges are, a sentence each; the table has all of them."""
+    """Return one sentence per first boundary; the table has all."""
     return [_answer(result, edge) for edge in result.edges[:at_most]]
 
 
 def _answer(result: SearchResult, edge: Edge) -> str:
-    """Return where an edge is in one sentence."""
+    """Describe a boundary in one sentence."""
     over = result.plan.over
     where = f", {over.key.path} {text(edge.level, over.key.unit)}" if over else ""
     subject = f"{short_name(edge.controller)}{where}: {edge.key}"
@@ -151,7 +151,7 @@ def _describe_break(edge: Edge) -> str:
 
 
 def describe_resolution(span: Span) -> str:
-    """Describe the resolution at which a key was searched."""
+    """Describe the resolution of the search along a key."""
     unit = span.key.unit
     fine = "exactly" if span.key.kind == "int" and span.tolerance <= 1.0 else f"to {text(span.tolerance, unit)}"
     nominal = span.key.nominal
@@ -165,7 +165,7 @@ def describe_resolution(span: Span) -> str:
 
 
 def together_lines(result: SearchResult) -> list[str]:
-    """Return what searches several keys together, in a line, where there are several."""
+    """Return a line on the joint search of several keys, if there is one."""
     if len(result.plan.spans) == 1:
         return []
     return ["each key was searched alone; hexjet search --likely searches all of them together"]
@@ -182,7 +182,7 @@ def figures(result: SearchResult) -> dict[str, Figure]:
 
 
 def _bands(result: SearchResult, span: Span) -> Figure:
-    """Return the figure of where it holds and where it breaks, a bar for each controller."""
+    """Draw where it passes and where it fails, one bar per controller."""
     data: list[Figure] = []
     edges = [edge for edge in result.edges if edge.key == span.key.path]
     for edge in edges:

@@ -29,7 +29,7 @@ class Point:
 
     @classmethod
     def of(cls, controller: str, values: Mapping[str, Value]) -> Point:
-        """Return the point of these values, which is the same in any order of them."""
+        """Return the point of these values, independent of their order."""
         return cls(controller, tuple(sorted(values.items())))
 
 
@@ -49,7 +49,7 @@ def count_needed(fraction: float, flights: int) -> int:
 
 
 class Prober:
-    """The flights that a sampler has asked for, numbered in that order; ``rows`` has the row of each point and seed.
+    """Requests of a sampler in order; ``rows`` has the row of each point and seed.
 
     A point is flown with all of ``seeds``.  It breaks if at least ``fraction`` of its flights do, and one in any case:
     where the flight does not end ``completed``, or misses what the study asks for.  All but the first seed bring a draw
@@ -67,11 +67,11 @@ class Prober:
 
     @property
     def flights(self) -> int:
-        """How many flights were asked for."""
+        """Number of requested flights."""
         return len(self.rows)
 
     def fly(self, keys: Sequence[tuple[Point, int]]) -> Asking[None]:
-        """Ask for the flights of these points and seeds that were not asked for yet.
+        """Request the flights of these points and seeds that are new.
 
         Raises FlightError where some were not flown.
         """
@@ -101,7 +101,7 @@ class Prober:
 
 
 def answer_by(steps: Generator[A, Any, R], evaluate: Callable[[A], Asking[Any]]) -> Asking[R]:
-    """Run a generator to its end whose questions another one answers by flights, and return what it found."""
+    """Run a generator whose requests another generator answers by flights; return its result."""
     answer = None
     while True:
         try:
@@ -112,7 +112,7 @@ def answer_by(steps: Generator[A, Any, R], evaluate: Callable[[A], Asking[Any]])
 
 
 def answer_all(steps: Generator[A, Any, R], answer: Callable[[A], Any]) -> R:
-    """Run a generator to its end whose questions a function answers, and return what it found."""
+    """Run a generator whose requests a function answers; return its result."""
     answered = None
     while True:
         try:

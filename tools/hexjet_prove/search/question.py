@@ -25,7 +25,7 @@ from hexjet_prove.search.search import describe_flight
 
 
 class Answer(Protocol):
-    """What came of a question."""
+    """Result of a search."""
 
     def to_json(self) -> dict[str, Any]:
         """Return it as a table."""
@@ -54,7 +54,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Answered(Generic[A]):
-    """An answer, its folder, and the flights that show it, flown again."""
+    """A result, its folder, and the repeated flights that show it."""
 
     folder: Path
     result: A
@@ -62,7 +62,7 @@ class Answered(Generic[A]):
 
     @property
     def confirmed(self) -> bool:
-        """Whether every case came out as it had before."""
+        """Whether all repeated flights had the same result."""
         return all(case.same for case in self.cases)
 
     def to_json(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class Answered(Generic[A]):
         return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
 
     def lines(self) -> list[str]:
-        """Return what became of each case, with the command that flies it."""
+        """Return the result of each repeated flight, with the command that flies it."""
         lines = []
         for each in case_rows(self, self.folder / REPORT):
             case = each["case"]
@@ -111,7 +111,7 @@ def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance
 
 
 def case_rows(answered: Answered[Any], page: Path) -> Iterator[dict[str, Any]]:
-    """Yield each ``case`` with its ``report`` as linked from a page, empty without one, and the file to fly again."""
+    """Yield each ``case`` with the link to its ``report``, or empty, and its scenario file."""
     for case in answered.cases:
         folder = answered.folder / CASES / case.name
         report = folder / REPORT

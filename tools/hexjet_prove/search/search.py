@@ -35,7 +35,7 @@ SIDES: dict[int, Side] = {1: "up", -1: "down"}  # name of a search's direction
 
 @dataclass(frozen=True)
 class SecondKey:
-    """A second key, and its values at which the first one is searched."""
+    """A second key, and its values for which the first one is searched."""
 
     key: Key
     levels: tuple[Value, ...]
@@ -43,7 +43,7 @@ class SecondKey:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is searched: a study says how a flight is made and judged, this where."""
+    """What is searched; the study defines how flights are made and judged."""
 
     spans: tuple[Span, ...]
     over: SecondKey | None = None
@@ -52,7 +52,7 @@ class Plan:
     draws_engine: bool = False  # True: engines drawn in further flights
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
-        """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
+        """Return the point with all keys at the start except ``changed`` ones; ``level``: of the second key."""
         values = {span.key.path: span.value_at(0.0) for span in self.spans} | dict(changed)
         if self.over and level is not None:
             values[self.over.key.path] = level
@@ -75,7 +75,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Edge:
-    """The smallest change of one key that breaks one controller, on one side of where the search starts."""
+    """Smallest change of one key that makes one controller fail, on one side of the start."""
 
     controller: str
     key: str
@@ -96,7 +96,7 @@ class Edge:
 
     @property
     def comes_back(self) -> bool:
-        """Whether it holds again further out than it breaks."""
+        """Whether it passes again beyond the failure."""
         first = next((number for number, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
         return any(not breaks for _, _, breaks in self.bands[first:])
 
@@ -113,7 +113,7 @@ class SearchResult:
 
     @property
     def criterion(self) -> str:
-        """The condition on which a point breaks, in words."""
+        """Condition under which a point fails, in words."""
         metrics = []
         for name, span in self.study.success.items():
             metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
@@ -129,7 +129,7 @@ class SearchResult:
 
     @property
     def engine_note(self) -> str:
-        """Whether the engine is drawn by its uncertainty, in words; empty where it states none."""
+        """Sentence on whether the engine's uncertainty is drawn; empty without one."""
         over = [] if self.plan.over is None else [self.plan.over.key.path]
         keys = [*(span.key.path for span in self.plan.spans), *over]
         draw, text = default_draw(self.study.base(), self.study.nominal_engine, keys)
@@ -141,7 +141,7 @@ class SearchResult:
         return f"the engine flies as it is stated; with seeds N it is {where}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as a table of plain values, as ``search.json`` holds it."""
+        """Return the result as a table of plain values for ``search.json``."""
         base = self.study.base()
         return {
             "scenario": base.name,
@@ -173,7 +173,7 @@ def search(plan: Plan, study: Study) -> Asking[SearchResult]:
 
 
 def describe_flight(study: Study, row: Row) -> str:
-    """Describe how a flight ended, and for a completed one which metrics were out of range."""
+    """Describe how a flight ended and which metrics were out of range."""
     if row["outcome"] == "failed" and not row.get("steps"):
         return f"not flown: {row['reason']}"
     metrics = {name: row.get(name) for name in study.success}
@@ -190,7 +190,7 @@ def describe_flight(study: Study, row: Row) -> str:
 
 @dataclass(frozen=True)
 class _Line:
-    """One walk: which controller, which key, which way, at which level of the second key."""
+    """One walk: controller, key, direction, and level of the second key."""
 
     controller: str
     span: int
@@ -204,7 +204,7 @@ class _Line:
 
 
 def _search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> Asking[list[Edge]]:
-    """Search every key by itself, for every controller, side and level, all side by side."""
+    """Search each key separately, for each controller, side and level, all in parallel."""
     lines = [
         _Line(controller, number, side, level)
         for controller in controllers

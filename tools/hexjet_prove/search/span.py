@@ -31,12 +31,12 @@ class Span:
 
     @property
     def sides(self) -> tuple[int, ...]:
-        """1 where there is room above the start, -1 where there is some below."""
+        """1 if there is room above the start, -1 if below."""
         return tuple(side for side in (1, -1) if self._reach(side) > 0.0)
 
     @property
     def quantum(self) -> float | None:
-        """The step of which the key takes whole multiples only; None without one."""
+        """Step whose multiples the key takes; None without one."""
         return quantum(self.key)
 
     @property

@@ -65,7 +65,7 @@ class WorstPlan:
 
 @dataclass(frozen=True)
 class KeyEffect:
-    """One coordinate of what was found, and what it does there.
+    """One coordinate of a found point, and its effect.
 
     ``share`` of the squared distance; ``without``: the margin with this coordinate put back to its middle and all
     others kept; ``alone``: the margin with all others put back.
@@ -82,7 +82,7 @@ class KeyEffect:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The flight that was found for one controller.
+    """Flight found for one controller.
 
     ``distance`` from the middle in standard deviations; None where the ranges alone were asked for, which have no
     likelihood.
@@ -126,7 +126,7 @@ class WorstSearch:
 
     @property
     def notes(self) -> list[str]:
-        """What the result rests on, a sentence each."""
+        """Notes on the evidence, one sentence each."""
         seeds = self.plan.seeds
         many = len(seeds) > 1
         lines = [
@@ -151,7 +151,7 @@ class WorstSearch:
         return lines
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as a table of plain values, as ``search.json`` holds it."""
+        """Return the result as a table of plain values for ``search.json``."""
         base = self.study.base()
         return {
             "scenario": base.name,
@@ -204,7 +204,7 @@ def worst_row(prober: Prober, point: Point) -> tuple[float, Row]:
 
 
 class PlaceMargins:
-    """The margins at places of the region, by flights; nan where there is no such vehicle or scenario."""
+    """Margins at points of the region by flights; nan if a point is no valid vehicle or scenario."""
 
     def __init__(self, plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> None:
         self._plan, self._prober, self._space, self._controller = plan, prober, space, controller
@@ -237,7 +237,7 @@ class PlaceMargins:
         return nan if point in self.impossible else margin
 
     def _reason_of_none(self, point: Point) -> str:
-        """Return why there is no such flight; empty if there is one, whose failure is its own."""
+        """Return why a point has no flight; empty if it has one."""
         study = self._prober.study
         if study.autopilot is not None:
             return ""
@@ -288,7 +288,7 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
 def _effects(
     margins: PlaceMargins, space: NormalSpace, found: Found, values: Mapping[str, Value]
 ) -> Asking[tuple[KeyEffect, ...]]:
-    """Return what each coordinate does in what was found, by flights with it put back and with it alone."""
+    """Return the effect of each coordinate: the margin with it reset, and with it alone."""
     place, count = found.point, space.dimension
     without, alone = np.where(np.eye(count, dtype=bool), 0.0, place), np.diag(place)
     flown = yield from margins.evaluate(np.vstack([without, alone]))

@@ -66,7 +66,7 @@ def _within(text: str | float | None, likely: bool) -> float | None:
 def run_worst(
     study: Study, plan: WorstPlan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedWorst:
-    """Search as :func:`hexjet_prove.search.folder.run_search`; ``cases/`` has what was found for each controller."""
+    """Search like :func:`hexjet_prove.search.folder.run_search`; ``cases/`` has the found flight of each controller."""
     asked = COMMAND | plan.table()
     campaign, result = run_sampler(study, out, partial(search_worst, plan), workers, resume, progress, asked)
     kind = "likely" if plan.likely else "worst"

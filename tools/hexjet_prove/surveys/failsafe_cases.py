@@ -21,7 +21,7 @@ GYRO_BIAS = radians(3.0)  # rad/s, of an uncalibrated MEMS gyro
 
 
 class Case(NamedTuple):
-    """One failsafe: requests from the beginning of the flight on, and those with which it is called."""
+    """One failsafe: initial requests, and the requests that trigger it."""
 
     name: str
     first_requests: tuple[Request, ...]

@@ -54,7 +54,7 @@ OWN = "own."  # prefix of measures in a row
 
 
 class FailsafeAutopilot(Model):
-    """The autopilot that flies a study of failsafes: the table ``[autopilot]``, and what a case writes over it.
+    """Autopilot of a failsafe study: the table ``[autopilot]`` with a case's overrides.
 
     The methods are those of ``StudyAutopilot`` in ``cosim/campaign/study/autopilot.py``.
     """
@@ -70,7 +70,7 @@ class FailsafeAutopilot(Model):
 
     @property
     def columns(self) -> dict[str, type[float | int | str | bool | None]]:
-        """The columns of a row: the verdict, and what was measured."""
+        """Columns of a row: verdict and measures."""
         return {"verdict": str, **{OWN + name: float for name in MEASURED}}
 
     @property
@@ -83,7 +83,7 @@ class FailsafeAutopilot(Model):
         return None
 
     def seen_from(self, folder: Path) -> FailsafeAutopilot:
-        """Return itself: there is no file."""
+        """Return itself, as there is no file."""
         return self
 
     def check(self, scenario: Scenario, folder: Path) -> None:
@@ -92,7 +92,7 @@ class FailsafeAutopilot(Model):
             attach_autopilot(simulation, airborne=not scenario.initial.on_ground)
 
     def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, dict[str, Any]]:
-        """Fly a scenario into ``folder``; return its run, which flies again from there, and what became of it."""
+        """Fly a scenario into ``folder``; return its repeatable run, and verdict and measures."""
         with build(scenario.replace(requests=REQUESTS)) as simulation:
             case = next(case for case in cases(simulation.vehicle) if case.name == self.failsafe)
             flight = FailsafeFlight(self, case, simulation, folder)
@@ -104,7 +104,7 @@ class FailsafeAutopilot(Model):
 
 
 class FailsafeFlight:
-    """A flight with its autopilot, its requests and what is measured of it."""
+    """A flight with autopilot, requests and measures."""
 
     def __init__(self, table: FailsafeAutopilot, case: Case, simulation: Simulation, folder: Path) -> None:
         self.table, self.case, self.simulation = table, case, simulation
@@ -120,7 +120,7 @@ class FailsafeFlight:
         self.refused = ""  # why it did not take off
 
     def fly_case(self) -> tuple[dict[str, float], Verdict]:
-        """Fly until something fails, and on to the end; return what was measured, and what became of it."""
+        """Fly until the failure and on to the end; return measures and verdict."""
         case, table = self.case, self.table
         if table.number:
             if not self.take_off():
@@ -140,7 +140,7 @@ class FailsafeFlight:
         return self.fail()
 
     def finish(self) -> Run:
-        """Put the run's files into place; its scenario ends where the flight has ended.
+        """Finish the run's files; its scenario ends with the flight.
 
         The reason is that of a crash, or else what the autopilot said it acted upon.
         """
@@ -153,7 +153,7 @@ class FailsafeFlight:
         return self._recording.finish(outcome, reason, time.perf_counter() - self._begin)
 
     def ask(self, requests: Sequence[Request]) -> None:
-        """Ask for these before the next step.  Raises InputError where one is refused."""
+        """Send requests before the next step.  Raises InputError if one is refused."""
         k = self.simulation.k
         for request in requests:
             answer = self.pilot.handle(request, k)
@@ -164,13 +164,13 @@ class FailsafeFlight:
             self._requests.write(k, "table", request, answer)
 
     def fly(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Step on for so long, until something is true, or it has crashed."""
+        """Fly for so many seconds, or until a condition, or a crash."""
         last = self.simulation.k + round(seconds / self.simulation.dt)
         while self.simulation.k < last and self._ending is None and not until():
             self._step()
 
     def settle(self) -> None:
-        """Fly until the vehicle holds."""
+        """Fly until the vehicle holds its position."""
         simulation, slow = self.simulation, 0
         dt = simulation.dt
         min_settled_s = 5.0  # s of hover before the failure, at least
@@ -182,7 +182,7 @@ class FailsafeFlight:
                 break
 
     def take_off(self) -> bool:
-        """Climb from standing, once home is known, and hold; return False where there is too little fuel for it."""
+        """Take off once home is known, and hold; return False if fuel does not suffice."""
         height = self.table.height_m
         self.fly(1.1)  # home is known after this
         self.ask((Arm(),))
@@ -196,7 +196,7 @@ class FailsafeFlight:
         return True
 
     def fail(self) -> tuple[dict[str, float], Verdict]:
-        """Let it fail, and fly until it has been disarmed for long enough, has crashed, or time is up."""
+        """Trigger the failure and fly until disarmed for some time, crashed, or out of time."""
         table, simulation, pilot, case = self.table, self.simulation, self.pilot, self.case
         dt, begin = simulation.dt, simulation.k
         target, failed_at = HoldTarget(pilot, simulation, table.speed_m_s), simulation.state.position
@@ -240,7 +240,7 @@ class FailsafeFlight:
         return sample
 
     def _touch_margin(self) -> float:
-        """Return by how much its legs touched slower than they take and than it tips, m/s; NaN where none touched."""
+        """Return the margin of the touchdown speed to breaking and tipping, m/s; NaN without touchdown."""
         if isnan(self._touched):
             return nan
         limit = self.simulation.vehicle.limits.touchdown_m_s
@@ -251,7 +251,7 @@ class FailsafeFlight:
         return inf if self.table.trip_m_s is None else self.table.trip_m_s
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
-        """Return what became of it."""
+        """Return the verdict on the flight."""
         on_ground = self.simulation.state.on_ground
         if self.refused:
             return Verdict.REFUSED
@@ -267,7 +267,7 @@ class FailsafeFlight:
 
 
 class HoldTarget:
-    """The position and the height that a vehicle is to hold from now on: those of its set-point, or where that stops.
+    """Position and height to be held from now on, of the set-point or where it stops.
 
     A set-point at speed v stops within v^2/2a + v a/2j, with the acceleration a and the jerk j that it is allowed.
     """
@@ -293,7 +293,7 @@ class HoldTarget:
         return min(self._within - distance, MAX_HOLD_HEIGHT_M - abs(height_error))
 
     def is_held(self) -> bool:
-        """Return whether it is slow in HOLD, near that place, at that height."""
+        """Return whether it is slow in HOLD near its position and height."""
         north, east, down = self._simulation.state.velocity
         is_slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
         return self._pilot.mode is Mode.HOLD and self.margin() > 0.0 and is_slow

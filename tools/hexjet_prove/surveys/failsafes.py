@@ -39,7 +39,7 @@ HOVER_S = (2.0, 20.0)  # from the take-off until it fails
 
 
 class Start(NamedTuple):
-    """Where a flight is when something fails: m, m/s from abeam, m/s ahead (0: it holds)."""
+    """State at the failure: m, m/s from abeam, m/s forward (0: hover)."""
 
     height: float
     wind: float
@@ -51,7 +51,7 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """The outcome of one flight; NaN where there is no number."""
+    """Result of one flight; NaN if there is no number."""
 
     failsafe: str
     height_m: float
@@ -77,7 +77,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What failsafes are flown in.
+    """Conditions of failsafe flights.
 
     ``heights`` empty: 3, 10 and 30 m, and for what waits for the fuel 100 and 300 m too; ``speed`` 0: nothing moves.
     ``flights``: of a cell, each in another of the winds, at a moment drawn by ``seed`` and its place in the table.
@@ -105,7 +105,7 @@ class Conditions:
                     raise InputError(f"{name} {value:g} {unit}: must be from {least} to {most} {unit}")
 
     def starts(self, case: Case) -> list[tuple[Start, int]]:
-        """Return where the flights of a failsafe are when it fails, each with its number in its cell.
+        """Return the states at the failure, each with its number in its cell.
 
         They hold, and what loses the position moves too, from 10 m on, in the least wind if begun in the air.  The
         number is 0 for a flight that begins in the air.
@@ -128,7 +128,7 @@ class Conditions:
 
 
 class PlannedFlight(NamedTuple):
-    """One flight of a study."""
+    """One planned flight of a study."""
 
     case: Case
     start: Start
@@ -146,7 +146,7 @@ class PlannedFlight(NamedTuple):
 
 
 class FailsafePlan(NamedTuple):
-    """The study of a survey, and what its cases are."""
+    """Study of a survey, and its cases."""
 
     subject: Subject
     controller: str
@@ -205,7 +205,7 @@ def plan_failsafes(
 
 
 class FailsafeSurvey:
-    """The flights of every failsafe of one vehicle: ``rows`` has a flight each."""
+    """Flights of all failsafes of one vehicle: one row each."""
 
     caption = "the fastest touch-down and the most thrust of all flights of a cell"
 
@@ -217,7 +217,7 @@ class FailsafeSurvey:
         self.rows = [_row(plan.flights[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table for JSON; null where there is no number."""
+        """Return the table for JSON, null if there is no number."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
@@ -280,12 +280,12 @@ def draw_flight(
 
 
 def default_controller(subject: Subject) -> str:
-    """Return smith, or baseline where there is no model."""
+    """Return smith, or baseline without a model."""
     return SMITH.name if SMITH.name in subject.controllers() else BASELINE.name
 
 
 def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, Any]:
-    """Return the settings of a flight, without what is asked in it; it begins in the air."""
+    """Return the settings of a flight that begins in the air, without its requests."""
     return subject.settings(
         height,
         MAX_SETTLING_S + MOVING_S + MAX_FLIGHT_S + 2.0 * MAX_S_PER_METRE * height,
@@ -295,13 +295,13 @@ def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, A
 
 
 def scenario_of(subject: Subject, controller: str, height: float, wind: float) -> Scenario:
-    """Return the flight of one case, without what is asked in it; it begins in the air."""
+    """Return the scenario of one case that begins in the air, without its requests."""
     settings = flight_settings(subject, height, wind)
     return Scenario.from_table(settings | {"name": "failsafe", "controller": controller}, Path(), "failsafe")
 
 
 def _column(row: Row) -> str:
-    """Return the column's head for a flight whose wind is one of several in its cell."""
+    """Return the column's head for a flight in one of several winds."""
     return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
 
 
@@ -330,5 +330,5 @@ def format_cell(rows: Sequence[Row]) -> str:
 
 
 def _worst(rows: Sequence[Row], column: str) -> float:
-    """Return the largest of a column's numbers; NaN where there is none."""
+    """Return the largest number of a column; NaN without one."""
     return max((value for row in rows if not isnan(value := getattr(row, column))), default=nan)

@@ -37,7 +37,7 @@ CONFIRMATIONS_S = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3)  # detecti
 
 
 class Case(NamedTuple):
-    """One fault at one place, as a scenario states it without its start; None is a flight without a fault."""
+    """One fault at one place, as in a scenario but without its start; None: no fault."""
 
     kind: str
     place: str
@@ -49,7 +49,7 @@ class Case(NamedTuple):
         return "-".join(re.findall(r"\w+", f"{self.kind} {self.place} {start}"))
 
     def settings_from(self, start: str) -> dict[str, Any]:
-        """Return what it sets in the scenario."""
+        """Return the scenario's settings of the case."""
         begin = SETTLED_S[start]
         roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": 10.0}
         return {
@@ -64,7 +64,7 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """The outcome of one flight."""
+    """Result of one flight."""
 
     kind: str
     place: str
@@ -81,7 +81,7 @@ class Row:
 
 
 class FaultMetrics:
-    """Metrics of a flight from the fault on: largest lean, height lost, time to the monitor's first verdict."""
+    """Metrics of a flight after the fault: largest lean, height lost, time to detection."""
 
     names = ("lean_deg", "lost_m", "detected_s")
     start: ClassVar[str]
@@ -95,13 +95,13 @@ class FaultMetrics:
 
 
 class FromHover(FaultMetrics):
-    """Those of a fault in hover."""
+    """Metrics of a fault in hover."""
 
     start = "hover"
 
 
 class FromRoll(FaultMetrics):
-    """Those of a fault in a roll."""
+    """Metrics of a fault during a roll."""
 
     start = "roll"
 
@@ -148,14 +148,14 @@ def cases(vehicle: Vehicle, limits: bool = False) -> list[Case]:
 
 
 def _location(kind: str, place: str) -> dict[str, Any]:
-    """Return where a fault is, as a scenario has it."""
+    """Return the place of a fault as scenarios state it."""
     if place.startswith("jet "):
         return {"jet": int(place.removeprefix("jet "))}
     return {"servo" if kind == "servo_jam" else "sensor": place}
 
 
 class FaultPlan(NamedTuple):
-    """The study of a survey, and what its cases are."""
+    """Study of a survey, and its cases."""
 
     subject: Subject
     study: Study
@@ -171,7 +171,7 @@ def plan_faults(
     limits: bool = False,
     nominal_engine: bool = False,
 ) -> FaultPlan:
-    """Return the study of every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
+    """Return the study of all cases; ``kinds`` select cases by their beginnings.
 
     ``engine`` None is the one that the aircraft is made for.  An engine that states its uncertainty is drawn by it for
     each case and start, the same for every controller, unless ``nominal_engine``.
@@ -213,7 +213,7 @@ class FaultSurvey:
 
     @property
     def unmonitored_controllers(self) -> list[str]:
-        """The controllers with which no monitor watches the engines: they have to see to it themselves."""
+        """Controllers flown without an engine monitor."""
         return [source.label for source in self.custom_controllers if source.level == WHOLE_CONTROLLER]
 
     def to_dict(self) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class FaultSurvey:
         return table
 
     def lines(self) -> list[str]:
-        """Return how many flights are held by each controller, and what is to be said of them, a line each."""
+        """Return how many flights each controller held, with notes, one line each."""
         lines = []
         for name in dict.fromkeys(row.controller for row in self.rows):
             held = [row.verdict is Verdict.HELD for row in self.rows if row.controller == name]
@@ -276,7 +276,7 @@ def _row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
 
 
 def judge(outcome: str, margin: float | None) -> Verdict:
-    """Return whether a vehicle is held, airborne and no more than that, or lost; ``margin`` is that of being held."""
+    """Return whether a vehicle was held, only airborne, or lost; ``margin`` to being held."""
     if outcome != "completed":
         return Verdict.LOST
     return Verdict.HELD if margin is not None and margin >= 0.0 else Verdict.AIRBORNE

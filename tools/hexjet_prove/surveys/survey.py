@@ -48,14 +48,14 @@ class Subject(NamedTuple):
         return Scenario.from_table(table, Path(), name)
 
     def controllers(self) -> list[str]:
-        """Return those of the compared controllers whose model the vehicle has with this engine."""
+        """Return the compared controllers for which the vehicle has a model of this engine."""
         engine = load_engine(self.engine, {}, self.vehicle.control_step)
         modelled = bool(engine.models_in(self.vehicle.identified))
         return [name for name, spec in PREDICTORS.items() if spec.compared and (modelled or not spec.needs_model)]
 
 
 def load_subject(aircraft: str, engine: str | None = None) -> Subject:
-    """Return an aircraft with an engine, None: the one that it is made for.  Raises InputError for unknown names."""
+    """Return an aircraft with an engine, by default its own.  Raises InputError for unknown names."""
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
     named = engine or engine_of(aircraft) or Scenario.model_fields["engine"].default
@@ -63,7 +63,7 @@ def load_subject(aircraft: str, engine: str | None = None) -> Subject:
 
 
 def select_cases(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:
-    """Return the cases that begin as one of ``kinds``, all if there are none.  Raises InputError if none does."""
+    """Return cases that begin with one of ``kinds``, or all.  Raises InputError if there are none."""
     chosen = [case for case in cases if not kinds or name_of(case).startswith(tuple(kinds))]
     if not chosen:
         names = ", ".join(dict.fromkeys(map(name_of, cases)))
@@ -78,7 +78,7 @@ def make_study(name: str, title: str, settings: Mapping[str, Any], cases: Sequen
 
 
 def fly_study(study: Study, out: str | Path | None, workers: int, progress: Progress) -> Campaign:
-    """Fly what the folder ``out`` does not hold of a study, None: in a new one in ``runs/``; return its campaign.
+    """Fly what ``out`` lacks of a study, by default in a new folder of ``runs/``; return its campaign.
 
     Raises InputError for a flight that cannot be flown, with its reason.
     """
@@ -108,7 +108,7 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
 
 
 def held_formula(duration_s: float) -> str:
-    """Return what a vehicle keeps that is held: every axis level to 5 deg over the last second."""
+    """Return the requirement of a held vehicle: all axes level to 5 deg over the last second."""
     max_error_deg = 5.0  # held: all axes within it for 1 s
     level = " and ".join(f"abs({axis}_error_deg) <= {max_error_deg:g}" for axis in AXES)
     return f"after({duration_s - 1.0:.9g} s, always({level}))"

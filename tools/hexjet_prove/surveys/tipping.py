@@ -25,7 +25,7 @@ TIPPED = radians(60.0)  # past any centre of gravity over legs
 
 
 class _ClosedThrottles:
-    """The built-in controller with every throttle closed and every servo held where its first step puts it."""
+    """Built-in controller with closed throttles and servos held at their first command."""
 
     def __init__(self, controller: Any) -> None:
         self._controller = controller
