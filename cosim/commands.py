@@ -12,13 +12,4 @@ from cosim.base.runtime.threads import one_thread
 from cosim.cli.console import echo, say, show_result, show_table, terminal
 from cosim.cli.declare import Command
 
-__all__ = [
-    "Command",
-    "echo",
-    "nearest",
-    "one_thread",
-    "say",
-    "show_result",
-    "show_table",
-    "terminal",
-]
+__all__ = ["Command", "echo", "nearest", "one_thread", "say", "show_result", "show_table", "terminal"]

@@ -5,7 +5,8 @@ the unit circle, an array of complex numbers, and a response is an array as long
 that flies, a mapping from its name to its ``PredictorSpec``.
 """
 
-from cosim.control.frequency import Margins, grid, impulse_response, margins, pid_response, zeros_outside
+from cosim.control.frequency import grid, impulse_response, pid_response, zeros_outside
+from cosim.control.margins import LoopMargins, crossings, delayed_margins, loop_margins, sample_delayed
 from cosim.control.predictors.linear import delayed_response, model_response
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
@@ -19,7 +20,7 @@ __all__ = [
     "DelayLine",
     "DelayedModel",
     "DoubleIntegratorObserver",
-    "Margins",
+    "LoopMargins",
     "PredictorSpec",
     "PredictorTuning",
     "RateAxis",
@@ -27,14 +28,17 @@ __all__ = [
     "RateModel",
     "StateModel",
     "StatePredictor",
+    "crossings",
+    "delayed_margins",
     "delayed_response",
     "grid",
     "impulse_response",
-    "margins",
+    "loop_margins",
     "model_response",
     "overshoot",
     "pid_response",
     "rate_model",
+    "sample_delayed",
     "settling_time",
     "zeros_outside",
 ]

@@ -42,18 +42,8 @@ class Given(NamedTuple):
 class Snapshot:
     """Step of a flight to return to; it can be pickled and restored in another process.
 
-    Attributes
-    ----------
-    flight : str
-        SHA-256 of what flies: scenario, aircraft, engines, controller.
-    seed : int
-        The scenario's.
-    k : int
-        The step that comes next.
-    given : tuple of Given
-        The commands and actuator values that a program gave up to there, in order.
-    there : str
-        SHA-256 of the motion, the measurement and the engines' reports at that step.
+    ``k`` is the step that comes next and ``given`` what a program gave up to there, in order.  ``flight`` is the
+    SHA-256 of what flies, ``there`` that of the motion, the measurement and the engines' reports at that step.
     """
 
     flight: str
@@ -111,12 +101,7 @@ class Stepper:
     """
 
     def __init__(
-        self,
-        scenario: Scenario | str | Path,
-        *,
-        controller: Any = None,
-        actuators: bool = False,
-        log: bool = True,
+        self, scenario: Scenario | str | Path, *, controller: Any = None, actuators: bool = False, log: bool = True
     ) -> None:
         self._manual = _ManualController() if actuators else None
         if actuators and controller is not None:
@@ -263,7 +248,7 @@ class Stepper:
             self.simulation.close()
 
     def reset(self, seed: int | None = None, scenario: Scenario | None = None) -> Measured:
-        """Return to ``t = 0``.
+        """Return to ``t = 0`` and return what the sensors measure there.
 
         Parameters
         ----------
@@ -271,11 +256,6 @@ class Stepper:
             In place of the scenario's; None: the noise is that of before.
         scenario : Scenario or None
             To fly from here on, with the same controller; None: that of before.
-
-        Returns
-        -------
-        Measured
-            What the sensors say at the start.
 
         Raises
         ------
@@ -297,12 +277,7 @@ class Stepper:
         return self.measured
 
     def snapshot(self) -> Snapshot:
-        """Return a snapshot of this step, to which the flight can return.
-
-        Returns
-        -------
-        Snapshot
-            A value; it takes no time to make.
+        """Return a snapshot of this step, to which the flight can return; it takes no time to make.
 
         Raises
         ------
@@ -314,17 +289,12 @@ class Stepper:
         return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._state_hash())
 
     def restore(self, snapshot: Snapshot) -> Measured:
-        """Fly from the start to the step of a snapshot, with the same inputs.
+        """Fly to the step of a snapshot with what was given on the way, and return what the sensors measure there.
 
         Parameters
         ----------
         snapshot : Snapshot
             Of this scenario, aircraft, engine and controller, of this or another process.
-
-        Returns
-        -------
-        Measured
-            What the sensors say there.
 
         Raises
         ------
@@ -372,12 +342,7 @@ class Stepper:
         return sha256("\n".join(parts).encode()).hexdigest()
 
     def run(self) -> Run:
-        """End the flight here and return it: summary, metrics, log.
-
-        Returns
-        -------
-        Run
-            ``summary.by_hand`` says how many steps were not the scenario's; nothing is expected of it.
+        """Finish the flight here and return it; its ``summary.by_hand`` counts the steps that were not the scenario's.
 
         Raises
         ------

@@ -77,12 +77,7 @@ def _section(
 
 
 def _draw(
-    root: ET.Element,
-    left_px: float,
-    axes: tuple[int, int],
-    whole: Corners,
-    bound: Corners,
-    without: dict[str, Corners],
+    root: ET.Element, left_px: float, axes: tuple[int, int], whole: Corners, bound: Corners, without: dict[str, Corners]
 ) -> None:
     corners = [*whole, *bound, *(corner for section in without.values() for corner in section)]
     wide = _largest(abs(x) for x, _ in corners)

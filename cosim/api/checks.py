@@ -114,13 +114,7 @@ def check_engine(
 
 
 class MappingResult(Result):
-    """A mapping file begun for an engine's FMU.
-
-    Attributes
-    ----------
-    begun : BegunMapping
-        Everything; ``text`` is the file's.
-    """
+    """A mapping file begun for an engine's FMU.  ``begun`` has everything, its ``text`` is the file."""
 
     def __init__(self, begun: BegunMapping) -> None:
         self.begun = begun

@@ -41,17 +41,12 @@ class CompareResult(Result):
         self.files = {}
 
     def write(self, page: Path | str) -> CompareResult:
-        """Write the page.
+        """Write the page and return this result, which has the file now.
 
         Parameters
         ----------
         page : Path or str
             A name that ends in ``.html``, or the folder of ``comparison.html``.
-
-        Returns
-        -------
-        CompareResult
-            This one, which has the file now.
 
         Raises
         ------

@@ -19,13 +19,7 @@ if TYPE_CHECKING:
 
 
 class FlightResult(Result):
-    """Result of a flight.
-
-    Attributes
-    ----------
-    run : Run
-        Everything.
-    """
+    """Result of a flight: ``run`` has everything."""
 
     short_lines = 6
 

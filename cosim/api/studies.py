@@ -37,7 +37,7 @@ class SweepResult(Result):
         return self.campaign.columns
 
     def fly_again(self, flight: int, out: Path | str | None = None) -> RepeatedFlight:
-        """Fly one of the flights again with a full log.
+        """Fly one of the flights again, recorded in full, and return it with ``same``: whether it is so bit for bit.
 
         Parameters
         ----------
@@ -45,11 +45,6 @@ class SweepResult(Result):
             Its number.
         out : Path or str or None
             The run's folder; without it the log stays in memory.
-
-        Returns
-        -------
-        RepeatedFlight
-            ``run`` is the flight, ``same`` says whether it is as it was, bit for bit.
 
         Raises
         ------

@@ -15,15 +15,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import (
-    RESOURCE_ERRNOS,
-    STDOUT_NAME,
-    FlightError,
-    InputError,
-    Notice,
-    NotIdentifiedError,
-    nearest,
-)
+from cosim.base.errors import RESOURCE_ERRNOS, STDOUT_NAME, FlightError, InputError, Notice, NotIdentifiedError, nearest
 from cosim.base.trust import command_trust_scope
 from cosim.base.wording import printable_line
 from cosim.cli import table

@@ -1,4 +1,4 @@
-"""A sampled loop from its response on the unit circle: predictors, rate PID, margins, poles outside the circle.
+"""A sampled loop from its response on the unit circle: predictors, rate PID, poles outside the circle.
 
 Nothing here knows a vehicle.  ``z`` are points on the upper half of the unit circle; ``y`` is the measured rate, ``u``
 the command, ``y^`` the predicted rate, ``T`` the control step:
@@ -13,27 +13,12 @@ from collections.abc import Callable
 from math import pi
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.base.protocols import Predictor
 from cosim.control.predictors.linear import Pair, PairResponse
 from cosim.spec.vehicle import RateGains, RateModel
-
-
-class Margins(BaseModel):
-    """Margins of an open loop, the smallest of several crossings.
-
-    ``cutoff`` is the first frequency [Hz] at which the gain falls below 1, ``gain_margin`` in dB, ``phase_margin`` in
-    deg; None where there is no crossing.
-    """
-
-    model_config = ConfigDict(frozen=True, defer_build=True)
-
-    cutoff: float | None
-    gain_margin: float | None
-    phase_margin: float | None
 
 
 def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
@@ -98,51 +83,3 @@ def zeros_outside(values: Complex) -> int:
     """
     turn = np.unwrap(np.angle(values))
     return -round(float(turn[-1] - turn[0]) / pi)
-
-
-def margins(response: Callable[[Complex], Complex], step: float, low: float = 0.05, points: int = 4000) -> Margins:
-    """Return the margins of a sampled open loop from its response on the unit circle.
-
-    ``step`` is the sample time [s]; from ``low`` Hz to half the sample rate, at ``points`` frequencies.
-    """
-    frequencies = np.geomspace(low, 0.5 / step * (1.0 - 1e-9), points)
-    values = response(np.exp(2j * pi * frequencies * step))
-
-    def at(frequency: float) -> complex:
-        return complex(response(np.exp(np.array([2j * pi * frequency * step])))[0])
-
-    gains, falls, phases = [], [], []
-    size = np.abs(values) - 1.0
-    for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
-        crossing = _bisect(lambda f: abs(at(f)) - 1.0, frequencies[k], frequencies[k + 1])
-        phases.append(wrap_degrees(float(np.degrees(np.angle(at(crossing)))) + 180.0))
-        if size[k] > 0.0:
-            falls.append(crossing)
-    turns = (np.sign(values.imag[:-1]) != np.sign(values.imag[1:])) & (values.real[:-1] < 0.0)
-    for k in np.flatnonzero(turns):
-        crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
-        gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
-    last = complex(response(np.array([-1.0 + 0.0j]))[0]).real  # real at half the sampling rate
-    if last < 0.0:
-        gains.append(-20.0 * float(np.log10(-last)))
-    return Margins(
-        cutoff=falls[0] if falls else None,
-        gain_margin=min(gains, key=abs, default=None),
-        phase_margin=min(phases, key=abs, default=None),
-    )
-
-
-def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
-    sign = function(low)
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if (function(middle) > 0.0) == (sign > 0.0):
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-def wrap_degrees(degrees: float) -> float:
-    """Return the same angle between -180 and 180 degrees."""
-    return (degrees + 180.0) % 360.0 - 180.0

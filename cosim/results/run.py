@@ -128,17 +128,12 @@ class Run:
         return self.summary.model_dump(mode="json")
 
     def table(self, *names: str) -> Any:
-        """Return its log as a ``pandas.DataFrame``.
+        """Return its log as a ``pandas.DataFrame``, one row a control step, the time [s] as its index.
 
         Parameters
         ----------
         *names : str
             The columns; all of them where none is named.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a control step, the time [s] as its index.
         """
         return self.log.table(*names)
 
@@ -209,13 +204,7 @@ class Recording:
         }
         self._setup = self._setup.model_copy(update=changed)
 
-    def finish(
-        self,
-        outcome: Outcome,
-        reason: str,
-        wall_s: float | None = None,
-        pace: PaceReport | None = None,
-    ) -> Run:
+    def finish(self, outcome: Outcome, reason: str, wall_s: float | None = None, pace: PaceReport | None = None) -> Run:
         """Put the run's files into place; ``wall_s`` is the time spent on the steps.
 
         A log that could not be written to its end makes the run ``failed``.  Raises FlightError if the files cannot be
@@ -291,17 +280,12 @@ def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) 
 
 
 def open_run(folder: Path | str) -> Run:
-    """Open a finished run, or finish a killed one from what it wrote.
+    """Return a finished run as :func:`cosim.fly` did; one that was killed is finished with all that it had written.
 
     Parameters
     ----------
     folder : Path or str
         Where it was flown into.
-
-    Returns
-    -------
-    Run
-        As :func:`cosim.fly` gave it back.
 
     Raises
     ------

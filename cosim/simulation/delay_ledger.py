@@ -63,11 +63,7 @@ class LedgerRow:
 
 
 def make_delay_ledger(
-    scenario: Scenario,
-    vehicle: Vehicle,
-    engines: Sequence[EngineSpec],
-    allocator: Allocator,
-    on_wing: bool = False,
+    scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec], allocator: Allocator, on_wing: bool = False
 ) -> list[LedgerRow]:
     """Return the rows of roll, pitch and yaw, each in the order in which the signal passes them.
 

@@ -30,6 +30,16 @@ STEP = 0.004
 SILENT = (nan,) * 6  # engines that report nothing but their thrust
 
 
+class Rows:
+    """An observer that keeps every sample."""
+
+    def __init__(self) -> None:
+        self.samples: list[Sample] = []
+
+    def observe(self, sample: Sample) -> None:
+        self.samples.append(sample)
+
+
 def exported(folder: Path | None, path: Path) -> ULog:
     """The ULog of a run, written to ``path`` and read back."""
     assert folder is not None

@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 
 
 class DesignResult(FolderResult):
-    """A controller with its predictor, model and gains, their margins, and the proof flown with them.
-
-    Attributes
-    ----------
-    designed : Design
-        Everything.
-    """
+    """A controller with predictor, model, gains, margins and the proof flown with them: ``designed`` has it all."""
 
     def __init__(self, designed: Design, autopilot: str | None = None, chosen: Sequence[tuple[str, str]] = ()) -> None:
         self.designed = designed
@@ -193,7 +187,7 @@ def design(
     from cosim.simulation.controllers.controller_file import LAW, Requirements
     from hexjet_design.design import add_limits
     from hexjet_design.design import design as make
-    from hexjet_design.loop.limit import need_solver
+    from hexjet_design.loop.programme import need_solver
     from hexjet_design.proof.run import add_proof
 
     hears, texts = progress or Progress(), as_settings(settings)

@@ -19,7 +19,7 @@ from hexjet_design.loop.tuning import Tuning
 
 @dataclass(frozen=True)
 class LeastMargins:
-    """Smaller one of each pair of margins in :class:`hexjet_design.loop.frequency.LoopMargins`.
+    """Smaller one of each pair of margins in :class:`cosim.loops.LoopMargins`.
 
     Of the loop broken at the plant's input, attitude and rate loop closed; None where nothing is crossed."""
 
@@ -91,7 +91,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     closed = fine_loop(channel, tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)
-    settled = tuning.is_integrating and not closed.load_left
+    settled = bool(tuning.law is not None or tuning.gains.i) and not closed.load_left
     return Assessment(
         tuning.controller,
         tuning,

@@ -16,7 +16,7 @@ from hexjet_design.limits import Say, tolerance_checks
 from hexjet_design.loop.at_limit import tune_at_limit
 from hexjet_design.loop.criteria import fine_loop, is_acceptable, objective
 from hexjet_design.loop.firmware import Firmware
-from hexjet_design.loop.limit import need_solver
+from hexjet_design.loop.programme import need_solver
 from hexjet_design.loop.tuning import Tuning, candidates, designable
 
 WITH_LEAD = " + lead"  # suffix of a candidate with a lead

@@ -54,7 +54,8 @@ from hexjet_design.loop.criteria import fine_loop, objective
 from hexjet_design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from hexjet_design.loop.engine_uncertainty import engine_tolerances
 from hexjet_design.loop.firmware import Firmware
-from hexjet_design.loop.limit import AxisLimit, axis_limit, need_solver
+from hexjet_design.loop.limit import AxisLimit, axis_limit
+from hexjet_design.loop.programme import need_solver
 from hexjet_design.loop.tuning import Tuning
 from hexjet_design.proof.result import Proof
 from hexjet_design.tune import TuningResult, settle, tune, tune_near

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import pi
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
+from cosim.loops import crossings
 from cosim.pages import BLUE, GREY, ORANGE, RED, panels, trace
 from hexjet_design.assessment import AxisDesign
 from hexjet_design.design import Design
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.frequency import MarginPoint, margin_points, wrap_phase
 from hexjet_design.loop.tuning import Tuning
 
 Figure = dict[str, Any]
@@ -78,7 +79,7 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
         parts = [f"{-gain.value:.1f} dB"] if gain else []
         parts += [f"{phase.value + 180.0:.1f} deg"] if phase else []
         name = f"{curve.label}: {', '.join(parts)}" if parts else curve.label
-        degrees = wrap_phase(np.degrees(np.angle(loop)))
+        degrees = _wrap_phase(np.degrees(np.angle(loop)))
         jumps = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
         data.append(trace(name, curve.colour, hertz, decibels(loop), **curve.style))
         broken = np.insert(hertz, jumps, np.nan), np.insert(degrees, jumps, np.nan)
@@ -97,6 +98,35 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
         for axis, at in (("y", 0.0), ("y2", -180.0))
     ]  # fmt: skip
     return {"data": data, "layout": layout}
+
+
+class MarginPoint(NamedTuple):
+    """Where a loop has a margin: the frequency [Hz] and, there, its gain [dB] or phase [deg, -360 to 0]."""
+
+    hertz: float
+    value: float
+
+
+def margin_points(loop: Complex, hertz: Array) -> tuple[MarginPoint | None, MarginPoint | None]:
+    """Find where a loop is nearest to -1 in gain, on the negative real axis, and in phase, where its gain is 1.
+
+    Straight lines between the points, as :func:`cosim.loops.loop_margins` has them; None where there is no such place.
+    """
+    factors, of_axis, angles, of_circle = crossings(loop, 2.0 * pi * hertz)
+    phases = _wrap_phase(np.degrees(angles) - 180.0)
+    return _nearest(-20.0 * np.log10(factors), 0.0, of_axis), _nearest(phases, -180.0, of_circle)
+
+
+def _nearest(values: Array, limit: float, omega: Array) -> MarginPoint | None:
+    if not len(values):
+        return None
+    k = int(np.argmin(np.abs(values - limit)))
+    return MarginPoint(float(omega[k] / (2.0 * pi)), float(values[k]))
+
+
+def _wrap_phase(degrees: Array) -> Array:
+    """Return the same angles between -360 and 0 degrees, so that -180 is in the middle."""
+    return np.asarray(-np.mod(-degrees, 360.0))
 
 
 def decibels(loop: Complex) -> Array:

@@ -49,7 +49,8 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
     """Check that a loop is stable at all tolerated whole samples of delay and gains, and with lags 30 % off."""
     wide = need.delay_samples(channel.transport_samples)
     middle = channel.actuator_delay
-    delays = sorted({max(0.0, middle - wide), middle, middle + wide, *_whole_numbers(middle - wide, middle + wide)})
+    whole = map(float, range(max(0, ceil(middle - wide)), floor(middle + wide) + 1))
+    delays = sorted({max(0.0, middle - wide), middle, middle + wide, *whole})
     gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAIN_COUNT)
     checks = {}
     checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
@@ -58,18 +59,11 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
         for gain in (gains if channel.identified is None else gains[GAIN_COUNT // 2 : GAIN_COUNT // 2 + 1])
     )
     if channel.identified is None:
-        checks[f"lags of the {_actuator_name(channel)} 0.7 and 1.3 times"] = all(
+        actuator = SERVO if channel.is_by_servo else "engine"
+        checks[f"lags of the {actuator} 0.7 and 1.3 times"] = all(
             _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
         )
     return checks
-
-
-def _actuator_name(channel: Channel) -> str:
-    return SERVO if channel.is_by_servo else "engine"
-
-
-def _whole_numbers(low: float, high: float) -> list[float]:
-    return [float(n) for n in range(max(0, ceil(low)), floor(high) + 1)]
 
 
 def _stable(channel: Channel, tuning: Tuning) -> bool:

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import tomli_w
 
-from cosim.loops import margins
 from hexjet_paper import numbers
 from hexjet_paper.experiments import Experiment, hexjet_ratios, linear, linear_run, quadrotor_axis
 from hexjet_paper.frozen import FILE, Calibration, FittedNumber, Frozen
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import LOW_END_HZ, gain_at, open_loop, unstable_poles
+from hexjet_paper.loops import LOW_END_HZ, gain_at, margins, open_loop, unstable_poles
 from hexjet_paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
 START = Calibration(  # where the fit begins

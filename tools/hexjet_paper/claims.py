@@ -20,11 +20,10 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.loops import Margins
 from hexjet_paper import numbers
 from hexjet_paper.experiments import Metrics, hexjet_ratios
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import LOW_END_HZ
+from hexjet_paper.loops import LOW_END_HZ, Margins
 from hexjet_paper.numbers import Basis, Record
 
 Verdict = Literal["holds", "under a condition", "by construction", "does not hold", "not flown"]

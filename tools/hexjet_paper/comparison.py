@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator
 
-from cosim.loops import margins
 from hexjet_paper import extensions, numbers
 from hexjet_paper.claims import ClaimRow, Evidence
 from hexjet_paper.conditions import Condition, conditions
@@ -23,7 +22,7 @@ from hexjet_paper.experiments import COMPARED, Metrics, Result, experiments, hex
 from hexjet_paper.experiments import linear as on_linear_plant
 from hexjet_paper.frozen import Frozen, load
 from hexjet_paper.linear import STATE_AS_PRINTED
-from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, open_loop, sweep
+from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, margins, open_loop, sweep
 from hexjet_paper.numbers import Basis, Record
 
 Origin = Basis | Literal["given", "derived"]

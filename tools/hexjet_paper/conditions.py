@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from cosim.loops import Margins, margins
 from hexjet_paper import numbers
 from hexjet_paper.claims import growth_percent
 from hexjet_paper.experiments import Experiment, Fidelity, flight_payload_gain, hexjet_axis, linear, quadrotor_axis
 from hexjet_paper.frozen import Calibration
 from hexjet_paper.linear import STATE_AS_PRINTED, Plant, doublet, simulate
-from hexjet_paper.loops import LoopMap, open_loop, predictor_response, unstable_poles
+from hexjet_paper.loops import LoopMap, Margins, margins, open_loop, predictor_response, unstable_poles
 from hexjet_paper.numbers import Record
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from cosim import InputError
 from cosim.loops import (
-    Margins,
     PredictorTuning,
     RateModel,
     delayed_response,
@@ -67,6 +66,20 @@ def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
     return response
 
 
+class Margins(Record):
+    """The least margins of an open loop, dB and deg, and where its gain first falls below 1, Hz; None: no crossing."""
+
+    cutoff: float | None
+    gain_margin: float | None
+    phase_margin: float | None
+
+
+def margins(response: Response, step: float, low: float = 0.05, points: int = 4000) -> Margins:
+    """Return the margins of a sampled open loop, from ``low`` Hz to half the sample rate; ``step`` in s."""
+    hertz = np.geomspace(low, 0.5 / step, points)
+    return _margins_of_points(hertz, *_bode(response(np.exp(2j * pi * hertz * step))))
+
+
 class Sweep(Record):
     """A measured open loop."""
 
@@ -103,17 +116,9 @@ def sweep(axis: Axis, period: float = 8.0, low: float = 0.25, high: float = 20.0
     u, w = spectrum(np.array(record.command)), spectrum(np.array(record.disturbance))
     augmented = spectrum(np.array(record.predicted)) / (u + w)
     measured = -u / (u + w)
-    frequency = np.array(bins) / period
-    gain, phase = _bode(measured)
-    augmented_gain, augmented_phase = _bode(augmented)
-    return Sweep(
-        frequency=frequency.tolist(),
-        gain=gain.tolist(),
-        phase=phase.tolist(),
-        augmented_gain=augmented_gain.tolist(),
-        augmented_phase=augmented_phase.tolist(),
-        margins=_margins_of_points(frequency, gain, phase),
-    )
+    gain, phase = _bode(augmented)
+    update = {"augmented_gain": gain.tolist(), "augmented_phase": phase.tolist()}
+    return measured_sweep(np.array(bins) / period, measured).model_copy(update=update)
 
 
 def measured_sweep(hertz: Array, response: Complex) -> Sweep:

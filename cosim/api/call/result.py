@@ -89,12 +89,7 @@ class Result:
         return next(iter(self.lines()), "")
 
     def table(self) -> Any:
-        """Return the first of its tables as a ``pandas.DataFrame``.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Of texts; of a sweep the flights, a row each.
+        """Return the first of its tables as a ``pandas.DataFrame`` of texts; of a sweep the flights, a row each.
 
         Raises
         ------
@@ -108,12 +103,7 @@ class Result:
         return make_table({name: [row[at] for row in tables[0].rows] for at, name in enumerate(tables[0].columns)})
 
     def figures(self) -> Mapping[str, Any]:
-        """Return the figures of the page, which the extra ``notebook`` draws.
-
-        Returns
-        -------
-        dict
-            A ``plotly.graph_objects.Figure`` each, by name.
+        """Return the figures of the page by name, a ``plotly.graph_objects.Figure`` each.
 
         Raises
         ------
@@ -156,17 +146,12 @@ class FolderResult(Result):
     """Result of a call whose files are in one folder."""
 
     def write(self, folder: Path | str) -> Self:
-        """Write its files.
+        """Write its files and return this result, which has them now.
 
         Parameters
         ----------
         folder : Path or str
             Made if need be.
-
-        Returns
-        -------
-        FolderResult
-            This one, which has the files now.
 
         Raises
         ------

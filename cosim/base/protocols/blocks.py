@@ -184,7 +184,7 @@ class Metric(Protocol):
     """Computes numbers from a finished log; a pure function, such as ``flight_metrics``."""
 
     def __call__(self, log: Columns, step_s: float, /) -> Any:
-        """Evaluate the log of a flight; called once, when it is over.
+        """Return one number of a flight, or a record of them, None for what it cannot tell; called once, at its end.
 
         Parameters
         ----------
@@ -192,9 +192,4 @@ class Metric(Protocol):
             One float64 a step in every column.
         step_s : float
             The control step [s].
-
-        Returns
-        -------
-        Any
-            One number, or a record of them; None for what this flight cannot tell.
         """

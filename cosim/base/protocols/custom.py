@@ -18,7 +18,7 @@ class Predictor(Protocol):
         """Reset to rest with no command applied."""
 
     def update(self, measured: float, applied: float) -> float:
-        """Return the rate to feed back at ``t_k``; called once a step.
+        """Return the rate [rad/s] to feed back at ``t_k``; called once a step.
 
         Parameters
         ----------
@@ -26,11 +26,6 @@ class Predictor(Protocol):
             The body rate there [rad/s].
         applied : float
             The command over the step before as allocation gave it: throttle on roll, rad of tilt on pitch and yaw.
-
-        Returns
-        -------
-        float
-            The rate [rad/s] that the rate controller sees.
         """
 
 
@@ -45,7 +40,7 @@ class RateLoop(Protocol):
         """Return to rest, with nothing applied."""
 
     def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        """Return the torque to apply over a step; called once a step.
+        """Return the torque to apply over a step, roll in throttle, pitch and yaw in rad of tilt; called once a step.
 
         Parameters
         ----------
@@ -55,11 +50,6 @@ class RateLoop(Protocol):
             Body rates at ``t_k`` [rad/s].
         applied : Vector3
             Last step's answer, less what could not be given of it.
-
-        Returns
-        -------
-        Vector3
-            About roll in throttle, about pitch and yaw in rad of tilt.
         """
 
 
@@ -73,7 +63,7 @@ class AttitudeLoop(Protocol):
         """Return to rest."""
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        """Return the body rates to ask for over a step; not called while the command is a rate itself.
+        """Return the body rates [rad/s] to ask for over a step; not called while the command is a rate itself.
 
         Parameters
         ----------
@@ -81,11 +71,6 @@ class AttitudeLoop(Protocol):
             Its ``attitude`` is asked for.
         measured : Measured
             What is seen at ``t_k``.
-
-        Returns
-        -------
-        Vector3
-            Body rates [rad/s].
         """
 
 
@@ -101,6 +86,9 @@ class WholeController(Protocol):
     def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
         """Return what the actuators are to do over a step; called once a step.
 
+        That is an :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or
+        of each hinge [rad] and then each surface [unit of its property]; tilts are left out where nothing moves.
+
         Parameters
         ----------
         command : Command
@@ -109,12 +97,6 @@ class WholeController(Protocol):
             What is seen at ``t_k``.
         applied : Applied
             What became of the step before.
-
-        Returns
-        -------
-        Actuation or tuple
-            An :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or of
-            each hinge [rad] and then each surface [unit of its property]; left out where nothing moves.
         """
 
 
@@ -127,7 +109,7 @@ class OwnSensors(Protocol):
     """
 
     def reset(self, state: State, measured: Measured) -> Measured:
-        """Start a new flight.
+        """Start a new flight and return what is measured before step 0.
 
         Parameters
         ----------
@@ -135,11 +117,6 @@ class OwnSensors(Protocol):
             The truth.
         measured : Measured
             What the built-in sensors say of it.
-
-        Returns
-        -------
-        Measured
-            What is measured before step 0.
         """
 
     def sample(self, state: State, measured: Measured) -> Measured:
@@ -151,11 +128,6 @@ class OwnSensors(Protocol):
             The truth at ``t_k+1``.
         measured : Measured
             What the built-in sensors say of it.
-
-        Returns
-        -------
-        Measured
-            What is measured there.
         """
 
 
@@ -166,7 +138,7 @@ class Wind(Protocol):
     """
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Return the velocity of the air; asked once a step for the centre of gravity and for every engine's station.
+        """Return the air's velocity [m/s, NED]; asked once a step for the centre of gravity and every engine's station.
 
         Parameters
         ----------
@@ -178,9 +150,4 @@ class Wind(Protocol):
             From the starting point [m].
         height : float
             Above the ground [m].
-
-        Returns
-        -------
-        Vector3
-            Where the air moves to [m/s, NED].
         """

@@ -85,12 +85,7 @@ class FmuInstance:
         return self.fmu
 
     def initialize(
-        self,
-        settings: Sequence[Setting],
-        throttle: float,
-        air: Air = STANDARD_AIR,
-        *,
-        step: float,
+        self, settings: Sequence[Setting], throttle: float, air: Air = STANDARD_AIR, *, step: float
     ) -> float:
         """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N].
 

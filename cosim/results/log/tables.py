@@ -97,18 +97,14 @@ class Columnar(NamedColumns[Array]):
         return list(self.columns)
 
     def table(self, *names: str) -> Any:
-        """Return the log as a ``pandas.DataFrame``, which the extra ``notebook`` brings.
+        """Return the log as a ``pandas.DataFrame``, one row a control step, the time [s] as its index.
+
+        Its ``attrs`` have ``units``, ``frames`` and ``meanings`` of the columns, by name.
 
         Parameters
         ----------
         *names : str
             The columns; all of them where none is named.
-
-        Returns
-        -------
-        pandas.DataFrame
-            One row a control step, the time [s] as its index; ``attrs`` has ``units``, ``frames`` and ``meanings`` of
-            the columns, by name.
 
         Raises
         ------

@@ -11,13 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from cosim.base.signals import AXES
-from cosim.results.comparison import (
-    ComparedFlight,
-    LogComparison,
-    Signal,
-    list_input_differences,
-    median_step,
-)
+from cosim.results.comparison import ComparedFlight, LogComparison, Signal, list_input_differences, median_step
 from cosim.results.events import list_events
 from cosim.results.log.tables import TIME
 from cosim.results.report.cards import Card, Page, code, coloured, link, marked

@@ -33,10 +33,7 @@ THREE = "vendor/three.iife.min.js"
 FIGURES = ("figure_axes.js", "figure_marks.js", "figures.js")
 FIGURE_STYLE = "figures.css"
 # The licences of what others wrote, by what a page holds of it: each asks that its text goes with every copy.
-NOTICES = {
-    "vendor/uPlot.iife.min.js": ("uPlot",),
-    THREE: ("three",),
-}
+NOTICES = {"vendor/uPlot.iife.min.js": ("uPlot",), THREE: ("three",)}
 SHARED = "assets-"  # and a hash: folder shared by pages
 
 

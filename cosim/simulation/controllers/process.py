@@ -84,13 +84,7 @@ class ProcessBlock:
     shown: tuple[float, ...] = ()
 
     def __init__(
-        self,
-        command: Command,
-        folder: Path,
-        label: str,
-        level: str,
-        columns: Sequence[Column],
-        extras: Sequence[str],
+        self, command: Command, folder: Path, label: str, level: str, columns: Sequence[Column], extras: Sequence[str]
     ) -> None:
         self._extras = extras
         self.signals: ControlSignals | None = None

@@ -150,11 +150,6 @@ class Scenario(Model):
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
         """Return the aircraft with :attr:`vehicle` merged over it, and its folder; they are read and checked once.
 
-        Returns
-        -------
-        tuple of Vehicle and Path
-            The vehicle, and the folder of its aircraft.
-
         Raises
         ------
         InputError
@@ -214,7 +209,7 @@ class Scenario(Model):
         return self.count(self.duration_s, "duration_s")
 
     def count(self, seconds: float, key: str) -> int:
-        """Convert a time to a whole number of control steps.
+        """Return how many control steps a time is.
 
         Parameters
         ----------
@@ -222,11 +217,6 @@ class Scenario(Model):
             The time [s].
         key : str
             Name of the time in error messages.
-
-        Returns
-        -------
-        int
-            Steps.
 
         Raises
         ------
@@ -242,7 +232,7 @@ class Scenario(Model):
 
     @classmethod
     def load(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
-        """Read a scenario.
+        """Return the scenario of a name or a file, validated; it cannot be changed, see :meth:`replace`.
 
         Parameters
         ----------
@@ -250,11 +240,6 @@ class Scenario(Model):
             Its name in ``scenarios/``, or the path of its file.
         settings : sequence of str or mapping
             Overrides: ``KEY=VALUE`` with the value as in TOML, or values by their dotted keys.
-
-        Returns
-        -------
-        Scenario
-            Validated; it cannot be changed, see :meth:`replace`.
 
         Raises
         ------
@@ -267,7 +252,7 @@ class Scenario(Model):
 
     @classmethod
     def read(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
-        """Read a scenario without its vehicle: of an older version, or for another aircraft.
+        """Return a scenario validated but for its vehicle: of an older version, or one that will get another aircraft.
 
         Parameters
         ----------
@@ -275,11 +260,6 @@ class Scenario(Model):
             Its name in ``scenarios/``, or the path of its file.
         settings : sequence of str or mapping
             As of :meth:`load`.
-
-        Returns
-        -------
-        Scenario
-            Validated but for its vehicle.
 
         Raises
         ------
@@ -297,17 +277,12 @@ class Scenario(Model):
 
     @classmethod
     def as_filed(cls, path: Path) -> "Scenario | None":
-        """Return the scenario of a file without overrides.
+        """Return the scenario of a file without overrides; None if the file is incomplete without them.
 
         Parameters
         ----------
         path : Path
             The scenario's TOML file.
-
-        Returns
-        -------
-        Scenario or None
-            Validated; None if the file is incomplete without overrides.
         """
         try:
             return cls.from_table(read_toml(path), path.parent, str(path))
@@ -316,7 +291,7 @@ class Scenario(Model):
 
     @classmethod
     def from_table(cls, data: dict[str, Any], folder: Path, where: str, origin: "Scenario | None" = None) -> Self:
-        """Validate a parsed table.
+        """Return the validated scenario of a parsed table.
 
         Parameters
         ----------
@@ -328,11 +303,6 @@ class Scenario(Model):
             Name of the table in error messages.
         origin : Scenario or None
             The scenario as in its file, where the table differs from it; None: it does not.
-
-        Returns
-        -------
-        Scenario
-            Validated.
 
         Raises
         ------
@@ -369,17 +339,12 @@ class Scenario(Model):
         return changed
 
     def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:
-        """Return the scenario as a table to change and read again, without values that follow from its aircraft.
+        """Return its values by key, to change and read again, without those that are None or follow from its aircraft.
 
         Parameters
         ----------
         mode : {"python", "json"}
             Of pydantic: ``python`` keeps tuples, ``json`` has only types that files have.
-
-        Returns
-        -------
-        dict
-            Values by key, without those that are None.
         """
         data = self.model_dump(mode=mode, exclude_none=True)
         if "step_s" not in self.model_fields_set:
@@ -389,7 +354,7 @@ class Scenario(Model):
         return data
 
     def replace(self, **changes: Unpack[Changes]) -> Self:
-        """Return a copy with changed values.
+        """Return a validated copy with changed values.
 
         Code named in the changes is trusted (:func:`cosim.trust`), because the caller names it.
 
@@ -398,11 +363,6 @@ class Scenario(Model):
         **changes : Changes
             Values by the scenario's keys, dotted ones too (``**{"vehicle.mass_kg": 6.0}``): tables are merged
             into its own, everything else is replaced.
-
-        Returns
-        -------
-        Scenario
-            Validated.
 
         Raises
         ------
@@ -420,17 +380,12 @@ class Scenario(Model):
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Self:
-        """Return a copy with validated parts replaced; the copy counts as read from a file of its own.
+        """Return a copy with validated parts replaced; it counts as read from a file of its own and has no origin.
 
         Parameters
         ----------
         **parts : object
             Values of fields by name, as validation leaves them; they are not checked again.
-
-        Returns
-        -------
-        Scenario
-            The copy; it has no origin whose changes could be listed.
         """
         copy = self.model_copy(update=parts)
         copy._origin = None
@@ -443,11 +398,6 @@ class Scenario(Model):
         ----------
         folder : Path
             Where the files are; a relative path is seen from the working directory.
-
-        Returns
-        -------
-        Scenario
-            The copy; nothing else of it is different.
         """
         copy = self.model_copy()
         copy._folder = folder.absolute()

@@ -96,7 +96,7 @@ _bases: RecentCache[str | None] = RecentCache(32)
 def load_vehicle(
     name: str, overrides: dict[str, Any] | None = None, where: str = "vehicle", folder: Path = Path()
 ) -> tuple[Vehicle, Path]:
-    """Read an aircraft's ``vehicle.toml`` with ``overrides`` applied.
+    """Return an aircraft, ``overrides`` merged over its ``vehicle.toml``, and the folder of that file.
 
     Parameters
     ----------
@@ -108,11 +108,6 @@ def load_vehicle(
         Name of the overrides in error messages.
     folder : Path
         Folder that a relative path starts from.
-
-    Returns
-    -------
-    tuple of Vehicle and Path
-        The vehicle, and the folder of its file.
 
     Raises
     ------

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flights import Rows
 
 from cosim import fly
 from cosim.base.errors import EngineError, InputError
-from cosim.base.signals import Ambient, EngineOutput, PerJet, Sample, Unallocated
+from cosim.base.signals import Ambient, EngineOutput, PerJet, Unallocated
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples
@@ -19,16 +20,6 @@ from cosim.spec.scenario import Scenario
 
 STEP = 0.004
 GYRO_LATENCY = {"sensors": {"gyro": {"latency_samples": 3}}}
-
-
-class Rows:
-    """Keeps every sample."""
-
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
-
-    def observe(self, sample: Sample) -> None:
-        self.samples.append(sample)
 
 
 def scenario(**changes: object) -> Scenario:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flights import Rows
 
 import cosim.simulation.engines
 from cosim import fly
 from cosim.api.call.choices import engine_choices, load_scenario
 from cosim.base.errors import InputError
-from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
@@ -35,14 +35,6 @@ SQUARE = StaticCurve("square", POINTS, tuple(0.5 + 20.0 * u * u for u in POINTS)
 def scenario(**changes: Any) -> Scenario:
     base: dict[str, Any] = {"name": "test", "duration_s": 2.0, "sensor_noise": False, "controller": "baseline"}
     return Scenario.from_table(base | changes, Scenario.load("hover").folder, "test")
-
-
-class Rows:
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
-
-    def observe(self, sample: Sample) -> None:
-        self.samples.append(sample)
 
 
 # --- shares to throttles -------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from uncertain_engines import CORRELATION, NOMINAL, fan
 from cosim.base.arrays import Complex
 from cosim.base.storage.toml import read_toml
 from cosim.engine import load_engine
+from cosim.loops import loop_margins
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 from hexjet_design.design import Design, design
@@ -23,7 +24,6 @@ from hexjet_design.loop.engine_uncertainty import (
     engine_tolerances,
     gain_deviations,
 )
-from hexjet_design.loop.frequency import loop_margins
 from hexjet_design.measured.engine_range import EngineRange, range_over_engines
 from hexjet_design.measured.estimate import Bounded, Response
 from hexjet_design.result import summary_lines, to_dict, write

@@ -20,13 +20,16 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.engine import load_engine
+from cosim.loops import delayed_margins, sample_delayed
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle.rate_model import RateModel
 from hexjet_design.assessment import shipped_tuning
-from hexjet_design.loop import limit as limits
+from hexjet_design.load_limit import least_load_error
+from hexjet_design.loop import programme as programmes
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.limit import AxisLimit, Bounds, Limit, Plant, Programme, bound_prices, find_limit
+from hexjet_design.loop.limit import AxisLimit, Limit, Plant, bound_prices, find_limit
+from hexjet_design.loop.programme import Bounds, Programme
 from hexjet_design.measured.computed import find_loop_limit
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
@@ -125,8 +128,7 @@ def test_no_law_is_below_it_and_its_bounds_are_kept(name: str) -> None:
 
 @pytest.mark.long
 def test_a_finer_spline_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "KNOTS_A_DELAY", 2.0 * limits.KNOTS_A_DELAY)
-    monkeypatch.setattr(limits, "FREQUENCY_COUNT", 800)
+    monkeypatch.setattr(programmes, "KNOTS_A_DELAY", 2.0 * programmes.KNOTS_A_DELAY)
     finer = find_limit(roll(), LAWS["pid"][0])
     assert 0.97 * least("pid").load_error < finer.load_error < 1.001 * least("pid").load_error
 
@@ -183,7 +185,7 @@ def test_what_has_no_limit_is_a_line(channel: dict[str, float], bounds: Bounds, 
 
 
 def test_without_the_solver_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "find_spec", lambda name: None)
+    monkeypatch.setattr(programmes, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install clarabel"):
         find_limit(roll(), LAWS["pid"][0])
 
@@ -232,3 +234,55 @@ def test_a_loop_without_a_limit_says_why_in_margins() -> None:
     assert find_loop_limit(loop) == "roll: no limit is computed where measurements are held"
     with pytest.raises(InputError, match="is not known: the solver stopped before it was found"):
         Programme(Plant(roll(), 1000), LAWS["pid"][0]).solve(exact=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("plant", "late", "error"),
+    [
+        (([2.0], [1.0]), 2, 0.04),  # a gain: the load is there for the delay, 2 * 2 * 0.01
+        (([0.5], [1.0, -1.0]), 1, 0.015),  # an integrator, 2 steps late: 0.5, then 1.0 before a command acts
+    ],
+)
+def test_the_limit_of_a_fraction_is_what_a_load_does_before_any_command(
+    plant: tuple[list[float], list[float]], late: int, error: float
+) -> None:
+    found = least_load_error(*plant, dt=0.01, delay=0.01 * late, peak=20.0, window=0.3)
+    assert found.load_error == pytest.approx(error, rel=1e-3)
+
+
+def test_the_limit_of_a_fraction_is_below_a_controller_that_keeps_the_same_and_goes_with_the_gain() -> None:
+    """A PI of an integrator with a delay, run step by step; a plant of thrice the gain has thrice the error."""
+    dt, late, p, i = 0.01, 6, 4.0, 4.0
+    n, d = sample_delayed([1.0], [1.0, 0.0], dt, late * dt)
+    margins = delayed_margins(np.convolve(n, [p + i * dt, -p]), np.convolve(d, [1.0, -1.0]), dt)
+    load, noise = (np.zeros(4000) for _ in range(2))
+    for response, pushed, measured in ((load, 1.0, 0.0), (noise, 0.0, 1.0)):
+        y, integral, sent = 0.0, 0.0, [0.0] * late
+        for k in range(len(response)):
+            heard = y + (measured if k == 0 else 0.0)
+            integral += i * dt * heard
+            sent.append(-p * heard - integral)
+            response[k] = sent[-1] if measured else y
+            y += dt * (sent.pop(0) + pushed)
+    error, gain = float(np.abs(load).sum()) * dt, float(np.linalg.norm(noise))
+    peak = margins.peak_sensitivity or 0.0
+    one, three = (least_load_error(scale * n, d, dt, 0.0, peak, gain / scale, window=1.5) for scale in (1, 3))
+    assert 0.3 * error < one.load_error < error
+    assert one.noise <= 1.001 * gain
+    assert one.peak_sensitivity <= 1.001 * peak
+    assert three.load_error == pytest.approx(3.0 * one.load_error, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("plant", "reason"),
+    [
+        (([1.0], [1.0, -1.1], 0.01), "a pole on or outside the unit circle"),
+        (([1.0, 0.0], [1.0, -0.9], 0.01), "answers in the step of the command"),
+        (([1.0], [1.0, -0.9], 0.01, 0.015), "is not whole steps of 0.01 s; sample_delayed"),
+        (([1.0], [1.0, -0.9], 0.01, 0.01, 0.9), "peak: 0.9 and noise: inf; above 1 and above 0"),
+        (([1.0], [1.0, -0.9], 0.01, 0.05, 1.7, 1e-3), "no linear controller was found with a peak sensitivity"),
+    ],
+)
+def test_a_fraction_without_a_limit_is_a_line(plant: tuple[list[float], ...], reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        least_load_error(*plant)  # type: ignore[arg-type]

@@ -13,8 +13,9 @@ from optimal_block import Behind
 from cosim.base.errors import InputError
 from hexjet_design.assessment import predictor_model
 from hexjet_design.loop.channel import Channel
-from hexjet_design.loop.limit import Bounds, find_limit
+from hexjet_design.loop.limit import find_limit
 from hexjet_design.loop.low_order import START_POLES, LowOrder, free_weights, reduce_limit
+from hexjet_design.loop.programme import Bounds
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
 

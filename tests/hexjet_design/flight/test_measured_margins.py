@@ -21,13 +21,13 @@ from cosim.base.errors import FlightError
 from cosim.base.signals import Actuation, Ambient, Unallocated
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
+from cosim.loops import LoopMargins, loop_margins
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
-from hexjet_design.figures import Curve, bode
+from hexjet_design.figures import Curve, bode, margin_points
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import FINE_POINTS
-from hexjet_design.loop.frequency import LoopMargins, loop_margins, margin_points
 from hexjet_design.measured import margins
 from hexjet_design.measured.computed import compute_margins, find_tunings, make_plants
 from hexjet_design.measured.estimate import measured
@@ -42,19 +42,6 @@ SHORT: dict[str, Any] = {"period_s": 5.0, "periods": 3}  # the band begins at 0.
 
 
 # ---- exact
-
-
-def test_an_integrator_with_a_delay_has_the_margins_of_its_closed_form() -> None:
-    k, tau = 4.0, 0.1
-    hertz = np.geomspace(0.05, 20.0, 4000)
-    s = 2j * pi * hertz
-    found = loop_margins(k / s * np.exp(-s * tau), hertz)
-    assert found.gain_db == pytest.approx(20.0 * log10(pi / (2.0 * k * tau)), abs=1e-3)
-    assert found.gain_down_db is None
-    assert found.phase_deg == pytest.approx(90.0 - degrees(k * tau), abs=1e-3)
-    assert (found.phase_lead_deg, found.delay_less_s) == (None, None)  # the mirror of the lag, and 1 / f less the delay
-    assert found.delay_s == pytest.approx((0.5 * pi - k * tau) / k, abs=1e-6)
-    assert found.crossover_hz == pytest.approx(k / (2.0 * pi), rel=1e-5)
 
 
 def test_a_bode_plot_has_two_decades_about_the_crossover_and_marks_the_margins() -> None:
@@ -91,35 +78,22 @@ def test_a_bode_plot_names_the_margins_of_an_unstable_loop_with_their_signs() ->
     assert figure["data"][0]["name"] == f"one: {gain_db:.1f} dB, {phase_deg:.1f} deg" == "one: -2.1 dB, -24.6 deg"
 
 
-def test_a_conditionally_stable_loop_has_margins_both_ways() -> None:
-    """``2 s / (s^2 - s + 1)``: crossed at ``(1 - w^2)^2 = 3 w^2``, 60 deg from -1 either way, and stable from half the gain on."""
+def test_delay_is_taken_away_as_far_as_there_is_some() -> None:
+    """``2 s / (s^2 - s + 1)``: crossed at ``(1 - w^2)^2 = 3 w^2``, 60 deg from -1 either way, the slow one by lead."""
     hertz = np.geomspace(0.01, 10.0, 40000)
     s = 2j * pi * hertz
-    loop = 2.0 * s / (s * s - s + 1.0)
-    slow, fast = (float(np.sqrt(0.5 * (5.0 + sign * np.sqrt(21.0)))) for sign in (-1.0, 1.0))
-    found = loop_margins(loop, hertz)
-    assert found.gain_db is None
-    assert found.gain_down_db == pytest.approx(20.0 * log10(0.5), abs=1e-4)
-    assert (found.phase_deg, found.phase_lead_deg) == (pytest.approx(60.0, abs=1e-3), pytest.approx(60.0, abs=1e-3))
-    assert found.delay_s == pytest.approx(pi / 3.0 / fast, rel=1e-5)
-    assert found.delay_less_s == pytest.approx(pi / 3.0 / slow, rel=1e-5)
+    loop, slow = 2.0 * s / (s * s - s + 1.0), float(np.sqrt(0.5 * (5.0 - np.sqrt(21.0))))
+    assert loop_margins(loop, hertz).delay_less_s == pytest.approx(pi / 3.0 / slow, rel=1e-5)
     assert loop_margins(loop, hertz, transport_s=3.0).delay_less_s == pytest.approx(pi / 3.0 / slow, rel=1e-5)
     assert loop_margins(loop, hertz, transport_s=2.0).delay_less_s is None  # there is not as much to take away
-    for turn, stable in ((59.9, True), (60.1, False), (-59.9, True), (-60.1, False)):
-        poles = np.roots([1.0, 2.0 * np.exp(-1j * np.radians(turn)) - 1.0, 1.0])
-        assert bool(np.all(poles[poles.imag > 0.0].real < 0.0)) is stable
-    for factor, stable in ((0.501, True), (0.499, False), (1e6, True)):
-        assert bool(np.all(np.roots([1.0, 2.0 * factor - 1.0, 1.0]).real < 0.0)) is stable
 
 
-def test_a_sampled_loop_is_limited_at_half_its_rate() -> None:
-    """``0.2 / (z + 0.5)`` closed has its pole at ``-0.5 - 0.2 k``: on -1 with 2.5 times the gain, where no phase crosses."""
+def test_a_sampled_loop_is_real_at_half_its_rate_alone() -> None:
     step = 0.004
     hertz = np.linspace(0.1, 0.5 / step, 3000)
     loop = 0.2 / (np.exp(2j * pi * hertz * step) + 0.5)
     assert loop_margins(loop, hertz, step).gain_db == pytest.approx(20.0 * log10(2.5), abs=1e-9)
     assert loop_margins(loop[:-1], hertz[:-1], step).gain_db is None
-    assert loop_margins(3.0 * loop, hertz, step).gain_down_db == pytest.approx(20.0 * log10(2.5 / 3.0), abs=1e-9)
 
 
 def test_a_point_on_the_limit_is_crossed() -> None:
@@ -134,9 +108,7 @@ AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220", "octojet", "quadjet", "trijet
 
 
 @pytest.mark.parametrize("aircraft", long_after(1, AIRCRAFT))
-def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft: str) -> None:
-    """Of every axis: half a per cent either side of a gain margin the turns of ``1 + k L`` about 0 are other ones and
-    between are not; lag, lead and delay put a point on -1, and less of them does not.  On a grid of its own."""
+def test_the_computed_margins_are_those_of_twenty_times_as_many_frequencies(aircraft: str) -> None:
     engine = engine_of(aircraft)
     table = {"name": "x", "duration_s": 1.0, "aircraft": aircraft, "engine": engine, "controller": "smith"}
     scenario = Scenario.from_table(table, Path(), "x")
@@ -149,31 +121,11 @@ def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft
     for axis, tuning in find_tunings(plants, scenario, vehicle, ["roll", "pitch", "yaw"]).items():
         channel = plants.channels[axis]
         found = ClosedLoop(FrequencyGrid(channel, close=FINE_POINTS), tuning).margins
-        loop = ClosedLoop(FrequencyGrid(channel, z=z), tuning).open_loop
-
-        def turns(k: float, loop: Any = loop) -> int:
-            return round(float(np.ptp(np.unwrap(np.angle((1.0 + k * loop) * (1.0 - 1.0 / z) ** 3))[[0, -1]]) / pi))
-
-        def nearest(turn: Any, loop: Any = loop) -> float:
-            return float(np.abs(1.0 + loop * np.exp(-1j * turn)).min())
-
-        for decibel in (found.gain_db, found.gain_down_db):
-            if decibel is not None:
-                k = 10.0 ** (decibel / 20.0)
-                beyond = k ** (1.0 + 0.005 / abs(np.log(k)))
-                for between in np.geomspace(1.0, k, 12)[:-1]:
-                    assert turns(float(between)) == turns(1.0), (axis, decibel)
-                assert turns(beyond) != turns(1.0), (axis, decibel)
-        if found.gain_db is None:
-            assert all(turns(float(k)) == turns(1.0) for k in np.geomspace(1.0, 1e3, 60)), axis
-        for size, turned in (
-            (None if found.phase_deg is None else np.radians(found.phase_deg), 1.0),
-            (None if found.phase_lead_deg is None else -np.radians(found.phase_lead_deg), 1.0),
-            (found.delay_s, theta / channel.step),
-        ):
-            if size is not None:
-                assert nearest(size * turned) < 2e-3, axis
-                assert min(nearest(part * size * turned) for part in np.linspace(0.0, 0.9, 40)) > 5e-3, axis
+        closely = vars(ClosedLoop(FrequencyGrid(channel, z=z), tuning).margins)
+        assert vars(found) == {
+            name: value if value is None else pytest.approx(value, rel=5e-3, abs=1e-3)
+            for name, value in closely.items()
+        }, axis
 
 
 def test_the_gain_that_the_tilts_of_the_full_scale_allow_is_measured_at_half_the_rate() -> None:

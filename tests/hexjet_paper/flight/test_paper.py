@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.loops import margins
 from cosim.spec.vehicle import RateGains
 from hexjet_paper import calibration, extensions, frozen, numbers
 from hexjet_paper.calibration import STAGES
@@ -35,7 +34,7 @@ from hexjet_paper.experiments import (
 )
 from hexjet_paper.frozen import Frozen, load
 from hexjet_paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, predictor, simulate
-from hexjet_paper.loops import LOW_END_HZ, LoopMap, gain_at, open_loop, sweep, unstable_poles
+from hexjet_paper.loops import LOW_END_HZ, LoopMap, gain_at, margins, open_loop, sweep, unstable_poles
 
 FROZEN = load()
 FOUND = FROZEN.parameters
@@ -181,21 +180,6 @@ def test_our_margins_are_python_control_s(controller: str, delay: int, gain: flo
     assert ours.gain_margin == pytest.approx(20.0 * log(theirs[0], 10), abs=2e-2)
     assert ours.phase_margin == pytest.approx(theirs[1], abs=5e-2)
     assert ours.cutoff == pytest.approx(theirs[4] / (2.0 * pi), rel=1e-3)
-
-
-def test_margins_of_a_loop_that_can_be_done_by_hand() -> None:
-    """p z^-1 / (1 - z^-1) alone: |L| = p / (2 sin(w/2)), phase -90 deg - w/2; with z^-1 once more -90 - 3w/2."""
-    p, T = 0.2, 0.01
-
-    def response(z: np.ndarray) -> np.ndarray:
-        return p * z**-2 / (1.0 - 1.0 / z)
-
-    found = margins(response, T)
-    w = 2.0 * np.arcsin(p / 2.0)
-    assert found.cutoff == pytest.approx(w / (2.0 * pi * T), rel=1e-6)
-    assert found.phase_margin == pytest.approx(90.0 - np.degrees(1.5 * w), abs=1e-4)
-    # -180 deg at w = 60 deg, where |L| = p
-    assert found.gain_margin == pytest.approx(-20.0 * np.log10(p), abs=1e-4)
 
 
 @pytest.mark.parametrize("controller", [*COMPARED, "filtered-smith", "state-model", "state-disturbance"])

@@ -556,8 +556,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
 
 
 @pytest.mark.parametrize(
-    ("aircraft", "height"),
-    [("hexjet", 3.0), *(pytest.param(each, 10.0, marks=pytest.mark.long) for each in TABLED)],
+    ("aircraft", "height"), [("hexjet", 3.0), *(pytest.param(each, 10.0, marks=pytest.mark.long) for each in TABLED)]
 )
 def test_fuel_that_runs_down_after_a_take_off_brings_the_vehicle_home(
     aircraft: str, height: float, tmp_path: Path

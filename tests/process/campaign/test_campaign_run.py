@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import io
 import json
 import shutil
@@ -17,7 +16,7 @@ from command_tools import Hexjet
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.campaign import Campaign, fly_again, open_campaign, open_study, run_campaign
+from cosim.campaign import Campaign, fly_again, open_campaign, run_campaign
 from cosim.campaign.folder import FLIGHTS, JOURNAL, RECORD, SCENARIO, STUDY
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
@@ -67,23 +66,6 @@ def test_progress_is_told_and_a_second_call_flies_what_is_left(tmp_path: Path) -
 
 def test_to_resume_what_was_never_begun_begins_it(tmp_path: Path) -> None:
     assert len(run_campaign(tools.study(1), tmp_path / "c", 1, resume=True)) == 2
-
-
-def test_the_examples_are_right(tmp_path: Path) -> None:
-    from cosim.campaign import run as campaign
-    from cosim.campaign import store
-
-    known = {
-        "folder": tmp_path / "c",
-        "open_study": open_study,
-        "run_campaign": run_campaign,
-        "open_campaign": open_campaign,
-    }
-    runner = doctest.DocTestRunner()
-    finder = doctest.DocTestFinder()
-    for example in (*finder.find(campaign.run_campaign, globs=known), *finder.find(store.open_campaign, globs=known)):
-        assert runner.run(example).failed == 0
-    assert runner.tries == 5
 
 
 # ---- again

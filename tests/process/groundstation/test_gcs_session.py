@@ -27,11 +27,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly_watched
-from cosim.groundstation.exchange import (
-    Exchange,
-    Restart,
-    Shutdown,
-)
+from cosim.groundstation.exchange import Exchange, Restart, Shutdown
 from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.groundstation.session import RecordOptions, Session, parse_place
 from cosim.results.autopilot.request_log import RequestLog, read_requests

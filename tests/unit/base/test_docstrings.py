@@ -55,13 +55,9 @@ def sections(doc: str) -> dict[str, str]:
     return dict(zip(found[1::2], found[2::2], strict=True))
 
 
-def test_there_are_some_forty() -> None:
-    assert len(EACH) > 40
-
-
 @pytest.mark.parametrize("name", EACH)
 def test_a_docstring_has_every_parameter(name: str) -> None:
-    """In order and each with a type and a sentence; likewise what is given back."""
+    """In order and each with a type and a sentence; likewise what is given back, if no summary says what it returns."""
     found = EACH[name]
     doc = inspect.getdoc(found)
     if name == "Columns.columns":
@@ -82,7 +78,8 @@ def test_a_docstring_has_every_parameter(name: str) -> None:
     assert [each for each, *_ in lines] == stated
     gives = signature.return_annotation not in ("None", None, inspect.Signature.empty)
     if stated:
-        assert ("Returns" in parts) == gives
+        summary = doc.partition("\n")[0]
+        assert ("Returns" in parts or bool(re.search(r"^Return | and return ", summary))) == gives
     assert "Raises " not in doc.replace("Raises\n", "")  # in a section of its own
 
 

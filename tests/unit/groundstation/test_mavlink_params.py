@@ -19,18 +19,8 @@ from mavlink_bench import Bench, StandInPeer, Station, as_float, as_int, mav, re
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters, table
-from cosim.control.autopilot.requests import (
-    Answer,
-    Request,
-    Result,
-    SetParameter,
-)
-from cosim.groundstation.mavlink.services.metadata import (
-    GENERAL,
-    PARAMETERS,
-    Metadata,
-    describe_parameter,
-)
+from cosim.control.autopilot.requests import Answer, Request, Result, SetParameter
+from cosim.groundstation.mavlink.services.metadata import GENERAL, PARAMETERS, Metadata, describe_parameter
 from cosim.groundstation.mavlink.services.params import ParameterService
 from cosim.groundstation.mavlink.services.service import crc32
 from cosim.groundstation.parameter_store import ParameterStore
@@ -426,10 +416,7 @@ def test_the_way_to_the_metadata() -> None:
     assert general["firmwareVersion"] == "0.1.0"
     (kind,) = general["metadataTypes"]
     assert kind == {"type": 1, "uri": f"mftp:///{PARAMETERS}", "fileCrc": bitwise(metadata.files[PARAMETERS])}
-    for number, crc, uri in (
-        (397, "file_crc", "uri"),
-        (395, "general_metadata_file_crc", "general_metadata_uri"),
-    ):
+    for number, crc, uri in ((397, "file_crc", "uri"), (395, "general_metadata_file_crc", "general_metadata_uri")):
         message = metadata.on_request[number](12)
         sent = mav.MAVLink(None).parse_buffer(message.pack(mav.MAVLink(None)))[0]
         assert getattr(sent, uri) == f"mftp:///{GENERAL}"

@@ -433,14 +433,7 @@ def test_the_page_is_whole_and_needs_nothing_else(run: Run, tmp_path: Path) -> N
 def test_the_page_says_what_there_is_to_say(run: Run, tmp_path: Path) -> None:
     text = page_of(run, tmp_path).text
     summary = run.summary
-    for word in (
-        "Roll doublet",
-        "hexjet",
-        "edf-as-flown",
-        "smith",
-        "as planned",
-        "roll overshoot",
-    ):
+    for word in ("Roll doublet", "hexjet", "edf-as-flown", "smith", "as planned", "roll overshoot"):
         assert word in text, word
     assert summary.metrics["roll"].overshoot_percent is not None
     assert f"{summary.metrics['roll'].overshoot_percent:.1f}" in text

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flights import Rows
 from scipy.integrate import solve_ivp
 
 import cosim.engine.isolated
@@ -17,7 +18,7 @@ from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
-from cosim.base.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Sample, Vector3
+from cosim.base.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Vector3
 from cosim.engine import EngineBank
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
@@ -62,14 +63,6 @@ def scenario(**changes: Any) -> Scenario:
 
 def spinning(*spins: int) -> dict[str, Any]:
     return {str(place): {"spin": spin} for place, spin in enumerate(spins)}
-
-
-class Rows:
-    def __init__(self) -> None:
-        self.samples: list[Sample] = []
-
-    def observe(self, sample: Sample) -> None:
-        self.samples.append(sample)
 
 
 def spools(spins: tuple[int, ...], inertia: float = 2e-5) -> RotorDynamics:

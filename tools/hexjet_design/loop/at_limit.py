@@ -30,9 +30,9 @@ from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM, excesses, fine_loop, is_acceptable, objective
-from hexjet_design.loop.limit import Bounds, need_solver
 from hexjet_design.loop.low_order import COARSE_POINTS, START_POLES, free_weights, reduce_limit
 from hexjet_design.loop.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
+from hexjet_design.loop.programme import Bounds, need_solver
 from hexjet_design.loop.tuning import Tuning, round_gain
 
 Pairs = Sequence[tuple[float, float]]
@@ -213,28 +213,10 @@ def _late_corners(channel: Channel, need: Requirements) -> list[Channel]:
 
 
 def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> LimitTuning:
-    """Find the law at the limit for the requirements of a channel.
+    """Find the law at the limit for the requirements of a channel, or which of them would have to be another.
 
-    Parameters
-    ----------
-    channel : Channel
-        What it flies.
-    model : RateModel
-        What it believes of that, with the delay that the controller adds.
-    fixed : Tuning
-        What the law leaves as it is.
-    need : Requirements
-        Peak sensitivity, tolerances, noise, size of a step and bandwidth.
-
-    Returns
-    -------
-    LimitTuning
-        The law, or which requirement would have to be another.
-
-    Raises
-    ------
-    InputError
-        Where the solver is not installed.
+    ``model`` is what it believes of the channel, with the delay that the controller adds, ``fixed`` what the law leaves
+    as it is.  Raises InputError where the solver is not installed.
     """
     need_solver()
     search = _Search(channel, model, fixed, need)

@@ -23,9 +23,8 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.control.lead import lead_polynomials
-from cosim.loops import pid_response, zeros_outside
+from cosim.loops import LoopMargins, loop_margins, pid_response, zeros_outside
 from hexjet_design.loop.channel import Channel, angles
-from hexjet_design.loop.frequency import LoopMargins, loop_margins
 from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 

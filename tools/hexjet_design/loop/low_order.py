@@ -22,8 +22,9 @@ from cosim.base.errors import InputError
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import window_s
-from hexjet_design.loop.limit import FREQUENCY_COUNT, Bounds, Cone, Limit, Plant, Programme, need_solver
+from hexjet_design.loop.limit import Limit, Plant
 from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
+from hexjet_design.loop.programme import FREQUENCY_COUNT, Bounds, Cone, Programme, need_solver
 
 # Where searches of poles begin: natural frequency times low-frequency delay, and damping.
 START_POLES = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
@@ -70,27 +71,10 @@ def reduce_limit(
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
 
-    Parameters
-    ----------
-    channel : Channel
-        Whose noise is counted.
-    model : RateModel
-        What the controller believes of it, with the delay that it adds itself.
-    bounds : Bounds
-        What is kept by the loop of the model.
-    lag_s : float
-        Each of the three lags of the answer to a set-point, s.
-    start : sequence of pairs
-        Natural frequency times the delay at low frequency, and damping, from which the poles are searched.
-    rounds : int
-        Of the search; 0: the poles are those of ``start``.
-    frequencies : int
-        At which the peak sensitivity is kept at last.
-
-    Raises
-    ------
-    InputError
-        Where the solver is not installed, or no such poles keep the bounds.
+    The noise is that of ``channel``; ``model`` is what the controller believes of it, with the delay that it adds
+    itself, and its loop keeps the bounds.  The answer to a set-point has three lags of ``lag_s``.  The poles are sought
+    in ``rounds`` (0: not) from ``start``, natural frequency times the delay at low frequency, and damping; at last the
+    peak is kept at so many ``frequencies``.  Raises InputError without the solver, or where none keep the bounds.
     """
     need_solver()
     identified = replace(channel, identified=model, added_delay=0)  # the model includes the added delay

@@ -1,11 +1,6 @@
 """The controller at the limit of performance, of low order: its parameters are the answers to load and set-point.
 
-With ``q = 1 / z`` and a model ``H = q^N b / a`` from command to rate, a loop is stable if it has the responses (D. C.
-Youla, H. A. Jabr and J. J. Bongiorno, IEEE Trans. Automatic Control 21 (1976) 319-338)
-
-    T_i = q^N t                                 complementary sensitivity at the form's input
-    angle / set-point = q^N (1 + q) / 2 y       with the attitude loop closed
-
+With the ``T_i = q^N t`` and ``y`` of :mod:`hexjet_design.loop.limit` and a model ``H = q^N b / a``, a loop is stable
 with ``t`` and ``y`` stable, 1 at rest, and ``1 - T_i`` 0 where angle and rate have their slow poles; twice at rest, so
 that no load leaves a lean.  ``y`` is a lag of third order.  ``t`` is a sum of orthonormal functions with few poles
 (S. Takenaka 1925, F. Malmquist 1926), found by :mod:`hexjet_design.loop.low_order`: the least error after a load that

@@ -66,11 +66,6 @@ class Tuning:
         """Whether it flies with a model of the engine."""
         return self.law is not None or PREDICTORS[self.controller].needs_model
 
-    @property
-    def is_integrating(self) -> bool:
-        """Whether it removes the effect of a constant load."""
-        return self.law is not None or bool(self.gains.i)
-
     def answer(self) -> PairResponse:
         """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
         if self.matrices is not None:

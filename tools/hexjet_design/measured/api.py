@@ -21,14 +21,8 @@ RESULT_FILES = ("margins.json", "response.csv", "report.html")  # files of measu
 class MarginsResult(FolderResult):
     """Margins of one controller on one vehicle.
 
-    ``write`` leaves ``margins.json``, ``response.csv`` and ``report.html``.
-
-    Attributes
-    ----------
-    measured : MeasuredMargins
-        Everything.
-    kept : bool or None
-        Whether no margin is worse than what ``at_least`` asked for; None where nothing was asked for.
+    ``write`` leaves ``margins.json``, ``response.csv`` and ``report.html``.  ``measured`` has everything; ``kept`` is
+    whether no margin is worse than what ``at_least`` asked for, None where nothing was asked for.
     """
 
     def __init__(self, measured: MeasuredMargins, at_least: str | None = None) -> None:

@@ -11,6 +11,7 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.engine import EngineSpec
+from cosim.loops import LoopMargins
 from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -21,7 +22,6 @@ from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels, hover_fraction
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import FINE_POINTS
-from hexjet_design.loop.frequency import LoopMargins
 from hexjet_design.loop.limit import AxisLimit, axis_limit
 from hexjet_design.loop.optimal import Optimal
 from hexjet_design.loop.tuning import Tuning

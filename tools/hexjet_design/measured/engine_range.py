@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Complex
-from hexjet_design.loop.frequency import loop_margins
+from cosim.loops import loop_margins
 from hexjet_design.measured.estimate import QUANTITIES, Response, fill
 
 PERCENTILES = (2.5, 97.5)  # ends of a 95 % range
@@ -44,7 +44,7 @@ def range_over_engines(response: Response, ratios: Complex, step: float, transpo
     """Return the ranges of a measured loop's margins where the engine's answer is each of these times the nominal.
 
     ``ratios``: a row a draw, a column a used line of the response.  ``step`` [s] and ``transport_s``: see
-    :func:`hexjet_design.loop.frequency.loop_margins`.
+    :func:`cosim.loops.loop_margins`.
     """
     lines = response.hertz[response.used]
     loop, hertz = fill(response.loop[response.used], lines)

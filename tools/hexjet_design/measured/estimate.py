@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import FlightError
-from hexjet_design.loop.frequency import LoopMargins, loop_margins
+from cosim.loops import LoopMargins, loop_margins
 
 # Points per measured interval, interpolated linearly in log gain and phase over log frequency.
 REFINEMENT = 20
@@ -52,7 +52,7 @@ class Response:
 def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> Response:
     """Estimate loop and margins from ``S`` by period and line, (periods, lines), of two periods at least.
 
-    ``step`` and ``transport_s``: see :func:`hexjet_design.loop.frequency.loop_margins`.
+    ``step`` and ``transport_s``: see :func:`cosim.loops.loop_margins`.
 
     Raises FlightError where next to nothing stands out of the noise.
     """

@@ -18,7 +18,8 @@ from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.controller_name import label, seen_from
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
 from hexjet_design.loop.engine_uncertainty import EngineSensitivity
-from hexjet_design.loop.limit import AxisLimit, need_solver
+from hexjet_design.loop.limit import AxisLimit
+from hexjet_design.loop.programme import need_solver
 from hexjet_design.measured.axis_margins import NYQUIST_HZ, AxisMargins
 from hexjet_design.measured.computed import Computed, compute_margins
 from hexjet_design.measured.engine_range import EngineRange, range_over_engines

@@ -220,17 +220,13 @@ def _bode(measured: AxisMargins) -> Figure:
 
 
 def _peak(measured: AxisMargins) -> Figure:
+    from scipy.special import stdtrit
+
     data: list[Figure] = []
     for label, colour, hertz, loop, style in _curves(measured):
         more = dict(style)
         if label == "measured":
-            wide = _wide(measured)
+            wide = stdtrit(measured.periods - 1, 0.975) * measured.response.spread
             more["error_y"] = {"type": "data", "array": wide, "thickness": 1, "width": 0}
         data.append(trace(label, colour, hertz, np.abs(1.0 / (1.0 + loop)), **more))
     return {"data": data, "layout": panels(320, "frequency [Hz]", ["|S|, with 95 % bounds"], True)}
-
-
-def _wide(measured: AxisMargins) -> Sequence[float]:
-    from scipy.special import stdtrit
-
-    return np.asarray(float(stdtrit(measured.periods - 1, 0.975)) * measured.response.spread, np.float64)  # type: ignore[return-value]

@@ -1,19 +1,9 @@
 """A design is believed when it has been flown: the loop against what was measured, then six degrees of freedom.
 
-A design rests on a linear model of the engine around hover.  What such a model does not see makes the unsafe ones: a
-response that it does not follow, a light mode above the band that was swept, an engine's controller that samples its
-throttle, a limit on its acceleration, dead times that differ up and down.  So every design ends here:
-
-1. What the model leaves of the response is in the search already (:func:`hexjet_design.loop.dynamics.with_misfit`);
-   beyond one half it is no model.
-2. The engine is swept once more, to three times the highest crossover of its loops and to where their gain stays below
-   :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
-   model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
-   sensitivity is ``1 / (1 + r L)``.
-3. Hover, roll doublets and gust are flown with noise and the engine itself, as designed, at the corners of the
-   tolerances, and with one engine off (:mod:`hexjet_design.proof.flights`); the doublets to the lean that the pilot may
-   ask for.
-4. Hover and doublets are flown with the gains that ship too, to compare (:mod:`hexjet_design.proof.comparison`).
+Its steps are in docs/control-design.md.  For the second the engine is swept again, to three times the highest crossover
+of its loops and to where their gain stays below :data:`ABOVE`.  With ``T = L / (1 + L)`` and ``r`` measured over model,
+the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its sensitivity is
+``1 / (1 + r L)``.
 
 An FMU cannot be made to answer earlier than it does: the earlier half of the delay's tolerance is left to the linear
 loop, unless the engine states a parameter for it.

@@ -12,7 +12,8 @@ from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.criteria import fine_loop
-from hexjet_design.loop.limit import AxisLimit, need_solver
+from hexjet_design.loop.limit import AxisLimit
+from hexjet_design.loop.programme import need_solver
 from hexjet_design.loop.tuning import Tuning
 from hexjet_design.measured.computed import find_loop_limit, find_tunings, make_plants
 

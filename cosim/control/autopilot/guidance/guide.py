@@ -25,12 +25,7 @@ class Guide:
     max_lead = 1.0
 
     def __init__(
-        self,
-        tracker: Tracker,
-        position: PositionController,
-        parameters: Parameters,
-        limits: HeightLimits,
-        step: float,
+        self, tracker: Tracker, position: PositionController, parameters: Parameters, limits: HeightLimits, step: float
     ) -> None:
         self.tracker = tracker
         self.limits = limits

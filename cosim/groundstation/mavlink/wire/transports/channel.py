@@ -143,12 +143,7 @@ class Connection:
     """
 
     def __init__(
-        self,
-        link: Hub,
-        name: str,
-        item: Any,
-        read: Callable[[], bytes],
-        write: Callable[[bytes], int],
+        self, link: Hub, name: str, item: Any, read: Callable[[], bytes], write: Callable[[bytes], int]
     ) -> None:
         self._link = link
         self.item = item
