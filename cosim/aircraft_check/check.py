@@ -245,7 +245,7 @@ def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
         text += (
             f"; without {', '.join(map(str, unproven))} nothing was found, which does not prove that there is nothing"
         )
-    return [*lines, Line("one engine lost", text)]
+    return [*lines, Line("one engine out", text)]
 
 
 def _models(simulation: Simulation) -> list[Line]:

@@ -218,7 +218,7 @@ class AircraftCheckResult(Result):
         meaning = _MOMENTS if self.check.is_exact else f"{_MOMENTS} {_NOT_EXACT}"
         return [
             Table("", ("checked", "what it is", "fault"), lines),
-            Table(meaning, ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
+            Table(meaning, ("engine out", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
         ]
 
 

@@ -333,7 +333,7 @@ def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
                 f"dead time, {axis}, {engine}",
                 late,
                 "s",
-                "of the identified model from command to rate, beside its lags",
+                "of the identified model from command to rate, besides its lags",
             )
 
 
@@ -375,7 +375,7 @@ def _engine(name: str) -> Iterator[Number]:
     yield Number("internal step", definition.internal_step, "s", "control steps are whole multiples of it")
     if spec.delay_samples is not None:
         delay = spec.delay_samples * definition.internal_step
-        yield Number("dead time", delay, "s", "from throttle to thrust, beside its lags")
+        yield Number("dead time", delay, "s", "from throttle to thrust, besides its lags")
     if definition.rotor_inertia:
         yield Number("rotor inertia", definition.rotor_inertia, "kg m^2", "of everything that turns")
     for variable in definition.variables:

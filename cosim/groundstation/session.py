@@ -223,7 +223,7 @@ class Session:
         for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, self.exchange.clock()):
             waiting.answer(self._serve_judged(flight, waiting, cautions, k))
         if self._restart:
-            return Ending("completed", "a restart was asked for")
+            return Ending("completed", "a restart was requested")
         return None
 
     def _serve(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:

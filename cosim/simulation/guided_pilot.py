@@ -282,7 +282,7 @@ class SplineTrack:
             asked = hypot(*self.evaluate(t)[0].acceleration)  # rows are joined by straight lines
             if asked > max_acceleration:
                 raise InputError(
-                    f"{path}: asks for {asked:.2f} m/s^2 at {t:g} s; the position law leans for "
+                    f"{path}: commands {asked:.2f} m/s^2 at {t:g} s; the position law leans for "
                     f"{max_acceleration:.2f} m/s^2 at most ([control.position] lean_rad): give it more time"
                 )
 

@@ -34,7 +34,7 @@ def make_page(design: Design) -> Page:
              lines=[f"{line}." for line in row_lines(design)]),
         *(Card(f"{axis.capitalize()}: {title}", figure=f"{name}_{axis}", is_half=True)
           for axis in design.axes for name, title in FIGURES),
-        Card("What it rests on", lines=[line for line in lines if line not in wrong]),
+        Card("Evidence", lines=[line for line in lines if line not in wrong]),
     ]  # fmt: skip
     unproved = f"{design.controller}, not proved" if design.is_written else "no acceptable design"
     return Page(

@@ -295,8 +295,8 @@ def _need_attitude_commands(flight: Stepper) -> None:
     if simulation.pilot is not None or others:
         flight.close()
         raise InputError(
-            f"scenario {flight.scenario.name}: asks for {others[0] if others else 'a place'}; an environment takes one "
-            "that asks for attitude and height"
+            f"scenario {flight.scenario.name}: commands {others[0] if others else 'a place'}; an environment takes one "
+            "that commands attitude and height"
         )
 
 

@@ -78,7 +78,7 @@ class StickPilot:
     def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
         """Return the sticks for a command.  Raises FlightError for body rates."""
         if command.rate is not None:
-            raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
+            raise FlightError("the scenario commands body rates; its sticks command angles: roll, pitch, yaw, altitude")
         now, self._steps = self._steps * self._step, self._steps + 1
         if self._landed(command.altitude, measured):
             return StickPositions()
@@ -87,7 +87,7 @@ class StickPilot:
         if now >= self._hold_from:
             if roll or pitch:
                 raise FlightError(
-                    "the scenario asks for a lean; where the autopilot holds the place its sticks ask for speed"
+                    "the scenario commands a lean; where the autopilot holds the place its sticks command speed"
                 )
             climb = clip(self._climb * (command.altitude - measured.altitude), -1.0, 1.0)
             return StickPositions(

@@ -49,7 +49,7 @@ _BOTH = ("sensor_dropout", "sensor_bias")
 _ATTITUDE = {  # reason for autopilots that estimate it
     ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _BOTH
 }
-_NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
+_NO_POSITION = "Betaflight gets no position; allowed: gyro, attitude, and barometer, which its pilot has"
 _HEIGHT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"  # reason of a refusal
 _UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # reason by autopilot, sensor and fault
     "betaflight": {("gnss", kind): _NO_POSITION for kind in _BOTH},

@@ -53,7 +53,7 @@ CORRELATED = "Correlated keys share what they explain; the partial correlation h
 NOT_RANKED = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
 SPREADS = (  # note on the spread of metrics
     "Median, the span of the middle 90 %, and of how many flights: those that completed and have the metric. Where "
-    "many are lost these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
+    "many failed these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
     "complete, or has none."
 )
 

@@ -111,7 +111,7 @@ def make_page(campaign: Campaign) -> Page:
     told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
     pages = [_unfinished_card()] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
-        Card("What the flights came to", figure="outcomes", is_half=True),
+        Card("Outcomes of the flights", figure="outcomes", is_half=True),
         success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
         *referee_cards(campaign.folder),
         Card("Stability map", content=_map()) if "map-tables" in figures else None,
@@ -170,7 +170,7 @@ def _reasons_card(campaign: Campaign, table: FlightTable, named: Sequence[str]) 
 def _keys_card(study: Study, table: FlightTable) -> Card:
     rows = [(code(r["path"]), r["drawn"], r["nominal"], r["observed"], r["unit"]) for r in key_rows(study, table)]
     asked = "; ".join(describe_correlation(correlation) for correlation in study.correlate)
-    lines = [f"Rank correlations asked for: {asked}."] if asked else []
+    lines = [f"Requested rank correlations: {asked}."] if asked else []
     settings = ", ".join(f"{key} = {value}" for key, value in study.settings.items())
     lines += [f"Set in all flights: {settings}."] if settings else []
     return Card("What varies", ("key", "drawn from", "nominal", "flown", "unit"), rows, lines=lines)
@@ -306,7 +306,7 @@ def warnings(campaign: Campaign, table: FlightTable, stops: bool = False) -> lis
     if finished < planned and not stops:
         lines.append(
             f"The study is not finished: {finished:,} of {planned:,} flights ({finished / planned:.1%}). "
-            "Flights that are lost early end early, so that the finished ones may look worse than all will."
+            "Flights that fail early end early, so that the finished ones may look worse than all will."
             + (" Of a grid only a part is here." if table.grid else "")
         )
     if table.not_flown:

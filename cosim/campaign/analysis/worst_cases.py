@@ -58,7 +58,7 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
     lost = flown & np.isin(table.kind, [KINDS.index("crashed"), KINDS.index("diverged")])
     bad = lost | (flown & (table.kind == KINDS.index("missed")))
     order = [
-        ("lost soonest", lost, table.duration),
+        ("failed first", lost, table.duration),
         ("fails nearest to the middle of the draws", bad, eccentricity(table)),
         ("failed", flown & (table.kind == KINDS.index("failed")), table.flight.astype(np.float64)),
     ]

@@ -165,23 +165,23 @@ def _loops(control: Control) -> Iterator[Parameter]:
         yield _gain(f"{name}_D", law.d, of_d, "Rate loop", f"{axis} rate, derivative gain", most)
     attitude = control.attitude
     for axis, gain, limit in zip(AXES, attitude.gain_1_s, attitude.rate_limit_rad_s, strict=True):
-        yield _gain(f"HJ_ATT_{axis.upper()}", gain, "1/s", "Attitude loop", f"{axis}: rate asked for per error")
-        text = f"{axis}: most rate that the attitude loop asks for"
+        yield _gain(f"HJ_ATT_{axis.upper()}", gain, "1/s", "Attitude loop", f"{axis}: commanded rate per error")
+        text = f"{axis}: largest rate commanded by the attitude loop"
         yield Parameter(
             f"HJ_RLIM_{axis.upper()}", "float", degrees(limit), 5.0, 720.0, "deg/s", "Attitude loop", text, decimals=1
         )
     height = control.altitude
-    yield _gain("HJ_ALT_P", height.position_1_s, "1/s", "Height", "climb rate asked for per error of height")
-    yield _gain("HJ_CLIMB_P", height.velocity_1_s, "1/s", "Height", "acceleration asked for per error of climb rate")
+    yield _gain("HJ_ALT_P", height.position_1_s, "1/s", "Height", "commanded climb rate per height error")
+    yield _gain("HJ_CLIMB_P", height.velocity_1_s, "1/s", "Height", "commanded acceleration per climb rate error")
     yield _gain("HJ_CLIMB_I", height.integral_1_s2, "1/s^2", "Height", "its integral")
     yield Parameter("HJ_SPEED_UP", "float", height.climb_limit_m_s, 0.1, 20.0, "m/s", "Height", "most climb rate")
     yield Parameter("HJ_SPEED_DN", "float", height.descent_limit_m_s, 0.1, 20.0, "m/s", "Height", "most descent rate")
 
 
 def _position(gains: PositionGains) -> Iterator[Parameter]:
-    yield _gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "speed asked for per error of position")
-    yield _gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "acceleration asked for per error of velocity")
-    text = "most lean that automatic flight asks for"
+    yield _gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "commanded speed per position error")
+    yield _gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "commanded acceleration per velocity error")
+    text = "largest lean in automatic flight"
     yield Parameter("HJ_LEAN_MAX", "float", degrees(gains.lean_rad), 2.0, 45.0, "deg", "Position", text, decimals=1)
 
 

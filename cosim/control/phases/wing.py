@@ -256,7 +256,7 @@ class WingFlight(FlightLaw):
         return (
             Column("ahead_setpoint_m_s", "m/s", "heading", "speed ahead that the law for the wing flies to now"),
             Column("ahead_m_s", "m/s", "heading", "speed ahead over the ground, as measured"),
-            Column("wing_alpha_rad", "rad", "body", "angle of attack that the law for the wing asks for"),
+            Column("wing_alpha_rad", "rad", "body", "angle of attack commanded by the wing law"),
             Column("wing_lift_N", "N", "", "lift of the wing that the law counts on; 0: another law flies"),
         )
 

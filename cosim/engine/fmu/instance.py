@@ -32,7 +32,7 @@ FAULTS = {
     "terminate": "it asked to end the simulation",
     "early": "it returned early from doStep and gets no further",
     "parts": "it does not reach the end of the step",
-    "event": "it asked for event handling, for which it has no mode",
+    "event": "it requested event handling, for which it has no mode",
     "nan": "{port} is not finite",
     "input": "{port} is not finite",
 }

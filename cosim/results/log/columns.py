@@ -98,7 +98,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "{}_setpoint_rad",
             "rad",
             _EULER,
-            "{} angle asked for; NaN while rates are commanded instead",
+            "commanded {} angle; NaN while rates are commanded instead",
             "command.attitude.{n} unless command.rate",
         ),
         *_cols(
@@ -122,7 +122,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "control.rate_predicted.{n}",
         ),
         *_cols(
-            RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "angular rate {} asked for", "control.rate_setpoint.{n}"
+            RATES, "rate_{}_setpoint_rad_s", "rad/s", "body", "commanded angular rate {}", "control.rate_setpoint.{n}"
         ),
         *_torques(
             "torque_{}",
@@ -143,7 +143,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "part of the collective that allocation did not give",
             "actuation.unallocated.collective",
         ),
-        Column("collective", "throttle", "", "mean throttle asked for, 0 to 1", "control.collective"),
+        Column("collective", "throttle", "", "commanded mean throttle, 0 to 1", "control.collective"),
         *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
         *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
         *_cols(
@@ -182,14 +182,14 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "altitude_setpoint_m",
             "m",
             "",
-            "height asked for; NaN while the collective is commanded instead",
+            "commanded height; NaN while the collective is commanded instead",
             "command.altitude unless command.collective",
         ),
         Column(
             "altitude_measured_m", "m", "", "height above the ground as the barometer gives it", "measured.altitude"
         ),
         *_cols(
-            ("north", "east"), "{}_setpoint_m", "m", "NED", "place {} asked for; NaN while none is", "command.place.{n}"
+            ("north", "east"), "{}_setpoint_m", "m", "NED", "commanded place {}; NaN while none is", "command.place.{n}"
         ),
         *_cols(_NED, "velocity_{}_m_s", "m/s", "NED", "true velocity {} over the ground", "state.velocity.{n}"),
         *_cols(_NED, "{}_measured_m", "m", "NED", "position {} as GNSS gives it", "measured.position.{n}"),

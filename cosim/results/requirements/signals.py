@@ -57,7 +57,7 @@ DERIVED: dict[str, DerivedSignal] = {  # signals computed from columns
     **{f"rate_{rate}_error_rad_s": _rate_error(rate) for rate in RATES},
     "altitude_error_m": DerivedSignal(
         ("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact"),
-        "height asked for minus height; 0 where the vehicle stands and a lower one is asked for",
+        "commanded height minus height; 0 where the vehicle stands and a lower one is commanded",
         # The rows of contact are computed first, as they take one byte per row.
         lambda log: height_error(
             contact=find_contact_rows(log), setpoint=log["altitude_setpoint_m"], altitude=log["altitude_m"]
@@ -65,7 +65,7 @@ DERIVED: dict[str, DerivedSignal] = {  # signals computed from columns
     ),
     "place_error_m": DerivedSignal(
         (*POSITION_SETPOINT, "north_m", "east_m"),
-        "distance from the place asked for, level",
+        "horizontal distance from the commanded place",
         lambda log: np.hypot(log[POSITION_SETPOINT[0]] - log["north_m"], log[POSITION_SETPOINT[1]] - log["east_m"]),
     ),
     "drift_m": DerivedSignal(("north_m", "east_m"), "distance from the start, level", _drift_from_start),

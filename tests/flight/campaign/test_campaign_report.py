@@ -573,11 +573,11 @@ def test_the_worst_are_named(tmp_path: Path) -> None:
     assert len({case.row for case in cases}) == len(cases)
     by_why = {case.why: case.row for case in reversed(cases)}  # the first of each
     lost = flown.kind >= KINDS.index("crashed")
-    assert flown.duration[by_why["lost soonest"]] == flown.duration[lost].min()
+    assert flown.duration[by_why["failed first"]] == flown.duration[lost].min()
     overshoot = flown.values["roll.overshoot_percent"]
     assert overshoot[by_why["success with the largest roll overshoot"]] == overshoot[flown.success].max()
     mild = by_why["fails nearest to the middle of the draws"]
-    others = [case.row for case in cases if case.why == "lost soonest"]
+    others = [case.row for case in cases if case.why == "failed first"]
     fails = np.setdiff1d(np.flatnonzero(~flown.success), others)
     assert eccentricity(flown)[mild] == eccentricity(flown)[fails].min()
 

@@ -205,7 +205,7 @@ def test_a_track_is_the_spline_through_its_rows(tmp_path: Path) -> None:
     [
         ("time_s,north_m\n0,0\n", r"t\.csv: line 1: no column east_m; a track has time_s, north_m and east_m"),
         ("time_s,north_m,east_m,down_m\n0,0,0,0\n", r"t\.csv: line 1: unknown column 'down_m'"),
-        ("time_s,north_m,east_m\n0,0,0\n1,9,0\n", r"t\.csv: asks for 54\.00 m/s\^2 at 0 s; .* 3\.57 m/s\^2 at most"),
+        ("time_s,north_m,east_m\n0,0,0\n1,9,0\n", r"t\.csv: commands 54\.00 m/s\^2 at 0 s; .* 3\.57 m/s\^2 at most"),
     ],
 )
 def test_a_track_that_cannot_be_flown_is_one_line(text: str, message: str, tmp_path: Path) -> None:

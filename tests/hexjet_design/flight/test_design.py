@@ -645,7 +645,7 @@ def test_the_command_writes_file_and_page(capfd: pytest.CaptureFixture[str], tmp
     assert said["file"]["vehicle"] == tomllib.loads(out.read_text(encoding="utf-8"))["vehicle"]
     page = (tmp_path / "made.html").read_text(encoding="utf-8")
     assert "Nyquist" in page
-    assert page.index("Controller: baseline") < page.index("the linear loops</h2>") < page.index("What it rests on")
+    assert page.index("Controller: baseline") < page.index("the linear loops</h2>") < page.index("Evidence</h2>")
     assert 'id="figure-nyquist_roll"' in page
 
 

@@ -53,7 +53,7 @@ def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margin
         ({"uncertainty": 0.01, "delay_s": (0.029, 0.029, 0.029)},
          "do not fly on it; worst: roll delay, more 29 ms, limit 30 ms"),
         ({"uncertainty": 0.0096, "delay_s": (0.029, 0.029, 0.029), "lost": 1},
-         "do not fly on it; worst: roll lost draws 1, limit 0"),
+         "do not fly on it; worst: roll unstable draws 1, limit 0"),
     ],
 )  # fmt: skip
 def test_the_last_line_judges_every_margin_and_names_the_worst(margins: dict[str, Any], line: str) -> None:

@@ -214,10 +214,10 @@ def test_what_cannot_be_is_one_line() -> None:
     with pytest.raises(InputError, match="render_mode = 'human': must be None or 'ansi'"):
         HexJetEnv(render_mode="human")
     rates = [{"kind": "step", "signal": "rate_p_deg_s", "start_s": 0.0, "amplitude": 1.0}]
-    with pytest.raises(InputError, match=r"asks for rate_p_deg_s; an environment takes one that asks for attitude and"):
+    with pytest.raises(InputError, match=r"commands rate_p_deg_s; an environment takes one that commands attitude and"):
         HexJetEnv(QUICK.replace(command=rates))
     place = [{"kind": "place", "start_s": 0.0, "north_m": 1.0}]
-    with pytest.raises(InputError, match="asks for a place"):
+    with pytest.raises(InputError, match="commands a place"):
         HexJetEnv(QUICK.replace(command=place))
     env = HexJetEnv(QUICK)
     env.reset(seed=0)

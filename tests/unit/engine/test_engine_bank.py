@@ -147,7 +147,7 @@ IN_FLIGHT = {
     "terminate": "it asked to end the simulation at step 812 (3.248 s)",
     "early": "it returned early from doStep and gets no further at step 812 (3.248 s)",
     "pending": "doStep returned pending at step 812 (3.248 s), which is for FMUs that step in the background; these are not supported",
-    "event": "it asked for event handling, for which it has no mode at step 812 (3.248 s)",
+    "event": "it requested event handling, for which it has no mode at step 812 (3.248 s)",
 }
 ONLY = {2: ("pending",), 3: ("terminate", "early", "event")}
 

@@ -35,7 +35,7 @@ JUDGED = {
     "delay_s": ("delay, more", "ms", 1e3, 0),
     "delay_less_s": ("delay, less", "ms", 1e3, 0),
     "peak_sensitivity": ("peak |S|", "", 1.0, 2),
-    UNSTABLE: ("lost draws", "", 1.0, 0),
+    UNSTABLE: ("unstable draws", "", 1.0, 0),
     CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
 WITH_MAXIMUM = ("peak_sensitivity", UNSTABLE)  # others have a minimum of their magnitude

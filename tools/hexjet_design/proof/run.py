@@ -69,7 +69,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
         if dynamics.misfit > max_misfit:
             why = (
                 f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
-                f"{100.0 * max_misfit:.0f} % is the most that a design rests on"
+                f"{100.0 * max_misfit:.0f} % is the most that a design allows"
             )
             return replace(proof, reason=why)
         say("the engine past the crossover")

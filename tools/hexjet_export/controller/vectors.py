@@ -24,15 +24,15 @@ from hexjet_export.controller.quantity import Quantity
 
 ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}  # numbers for the states of engines
 INPUT_QUANTITIES = (  # inputs of the exported controller
-    *(Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}") for axis in AXES),
-    Quantity("altitude_setpoint", "m", "Height above the ground asked for"),
+    *(Quantity(f"{axis}_setpoint", "rad", f"Commanded attitude: {axis}") for axis in AXES),
+    Quantity("altitude_setpoint", "m", "Commanded height above the ground"),
     *(
-        Quantity(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for where rates_commanded: {axis}")
+        Quantity(f"{axis}_rate_setpoint", "rad/s", f"Commanded body rate where rates_commanded: {axis}")
         for axis in AXES
     ),
-    Quantity("collective_setpoint", "1", "Mean throttle asked for where collective_commanded"),
-    Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude"),
-    Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height"),
+    Quantity("collective_setpoint", "1", "Commanded mean throttle where collective_commanded"),
+    Quantity("rates_commanded", "1", "1: body rates are commanded instead of an attitude"),
+    Quantity("collective_commanded", "1", "1: a mean throttle is commanded instead of a height"),
     Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off"),
     *(Quantity(f"{axis}_rate", "rad/s", f"Measured body rate: {axis}") for axis in AXES),
     Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # the start value is upright
@@ -136,10 +136,10 @@ class RecordingController:
         if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):
             raise InputError("the flight adds a signal to the controller's own; choose a scenario without one")
         if command.ahead is not None:
-            raise InputError("the flight asks for a speed ahead, which is the wing's law, and that is not exported")
+            raise InputError("the flight commands a speed ahead, flown by the wing's law, which is not exported")
         actuation = self._inner.update(command, measured, injected, engines)
         if self._inner.lost or (actuation.off and engines is not EngineState.OFF):
-            raise InputError("the flight loses an engine, and plans around lost engines are not exported")
+            raise InputError("the flight loses an engine, and allocation with a failed engine is not exported")
         row = (
             *command.attitude,
             command.altitude,

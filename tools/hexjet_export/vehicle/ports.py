@@ -144,13 +144,13 @@ class ExportedFlight:
         command = self.simulation.command_script.at(0)
         yield Quantity("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
         for axis, angle in zip(AXES, command.attitude, strict=True):
-            yield Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
-        yield Quantity("altitude_setpoint", "m", "Height above the ground asked for", command.altitude)
-        yield Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+            yield Quantity(f"{axis}_setpoint", "rad", f"Commanded attitude: {axis}", angle)
+        yield Quantity("altitude_setpoint", "m", "Commanded height above the ground", command.altitude)
+        yield Quantity("rates_commanded", "1", "1: body rates are commanded instead of an attitude")
         for axis in AXES:
-            yield Quantity(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for: {axis}")
-        yield Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
-        yield Quantity("collective_setpoint", "1", "Mean throttle asked for")
+            yield Quantity(f"{axis}_rate_setpoint", "rad/s", f"Commanded body rate: {axis}")
+        yield Quantity("collective_commanded", "1", "1: a mean throttle is commanded instead of a height")
+        yield Quantity("collective_setpoint", "1", "Commanded mean throttle")
         yield Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off")
 
     def _list_actuators(self) -> Iterator[Quantity]:
@@ -194,15 +194,15 @@ class ExportedFlight:
 
     def _list_command(self) -> Iterator[OutputGroup]:
         """List the scenario's command, for a controller outside."""
-        yield OutputGroup(_list("{}_setpoint", AXES, "rad", "Attitude asked for: {}"), lambda: self.command.attitude)
-        height = Quantity("altitude_setpoint", "m", "Height above the ground asked for")
+        yield OutputGroup(_list("{}_setpoint", AXES, "rad", "Commanded attitude: {}"), lambda: self.command.attitude)
+        height = Quantity("altitude_setpoint", "m", "Commanded height above the ground")
         yield OutputGroup([height], lambda: (self.command.altitude,))
-        flag = Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
+        flag = Quantity("rates_commanded", "1", "1: body rates are commanded instead of an attitude")
         yield OutputGroup([flag], lambda: (self.command.rate is not None,))
-        rates = _list("{}_rate_setpoint", AXES, "rad/s", "Body rate asked for: {}")
+        rates = _list("{}_rate_setpoint", AXES, "rad/s", "Commanded body rate: {}")
         yield OutputGroup(rates, lambda: self.command.rate or ZERO3)
-        flag = Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
-        mean = Quantity("collective_setpoint", "1", "Mean throttle asked for")
+        flag = Quantity("collective_commanded", "1", "1: a mean throttle is commanded instead of a height")
+        mean = Quantity("collective_setpoint", "1", "Commanded mean throttle")
         yield OutputGroup([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
     def _list_reports(self) -> Iterator[OutputGroup]:
