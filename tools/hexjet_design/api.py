@@ -42,10 +42,7 @@ class DesignResult(FolderResult):
 
     @property
     def fly_command(self) -> str:
-        """Command that flies the design with its aircraft, engine and settings; empty for an autopilot.
-
-        Empty where no controller file was written.
-        """
+        """Command that flies the design with its aircraft, engine and settings; empty for an autopilot, or no file."""
         if self.controller is None or self._autopilot is not None:
             return ""
         chosen = "".join(f" --{option} {quote(value)}" for option, value in self._chosen)

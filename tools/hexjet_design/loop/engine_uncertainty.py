@@ -10,7 +10,6 @@ first part is that of all engines together, the second that of one beside the ot
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from math import ceil, inf, log, pi
 from typing import NamedTuple
 
@@ -139,8 +138,7 @@ def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
     return max(value - width, least), min(value + width, most)
 
 
-@dataclass(frozen=True)
-class EngineTolerances:
+class EngineTolerances(NamedTuple):
     """Design tolerances from an engine's uncertainty, and words on their origin."""
 
     need: Requirements
@@ -148,13 +146,15 @@ class EngineTolerances:
 
 
 def engine_tolerances(
-    need: Requirements, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, plants: Iterable[Channel]
-) -> EngineTolerances:
+    need: Requirements, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, plants: Iterable[Channel],
+    inertia: float = 0.15,
+) -> EngineTolerances:  # fmt: skip
     """Return the requirements with the tolerances that are not stated in them as the engine's uncertainty has them.
 
     They are :data:`~cosim.engine.fmu.uncertainty.MAX_SIGMA` deviations at the frequency of each channel's pace, the
     largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with
-    all stated, the requirements are as they were.  Raises InputError as a flight.
+    all stated, the requirements are as they were.  ``inertia``: the least of the gain, which is thrust over inertia;
+    three deviations of 5 % of the second, as in a replay, of which no engine log tells.  Raises InputError as a flight.
     """
     unstated = [name for name in MAX_TOLERANCES if name not in need.model_fields_set]
     acting = [plant for plant in plants if not plant.is_by_servo]
@@ -167,7 +167,7 @@ def engine_tolerances(
     ]
     gain, delay_s = np.max([deviations for _, deviations, _ in of_one], axis=0)
     relative = max(both[1] / (max(1.0, plant.transport_samples) * plant.step) for plant, both, _ in of_one)
-    values = {"gain_tolerance": float(gain), "delay_tolerance": float(relative)}
+    values = {"gain_tolerance": max(float(gain), inertia), "delay_tolerance": float(relative)}
     said = {"gain_tolerance": f"gain {100.0 * gain:.3g} %", "delay_tolerance": f"delay {1e3 * delay_s:.3g} ms"}
     parts = [
         said[name] + (f", of which {100.0 * most:.0f} % are taken" if values[name] > most else "")
@@ -180,11 +180,13 @@ def engine_tolerances(
             f"the box around their ellipsoid of correlation {both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]):.2g}"
         )
     taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MAX_TOLERANCES[name]) for name in unstated}
+    floor = f"; {100.0 * inertia:g} % of gain are kept for the inertia, which no log of an engine tells"
+    floor = floor if gain < inertia and "gain_tolerance" in unstated else ""
     spread, uneven = _engine_spread(need, spec.uncertainty, found)
     words = (
         f"tolerances from the engine's uncertainty, {MAX_SIGMA:g} standard deviations of its parameters: "
         f"{', '.join(parts)}; source: {spec.uncertainty.source or 'not stated'}; {' and '.join(unstated)} would state "
-        f"others{uneven}"
+        f"others{floor}{uneven}"
     )
     return EngineTolerances(need.model_copy(update=taken | spread), words)
 
