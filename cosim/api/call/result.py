@@ -62,7 +62,7 @@ class Result:
     short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a table of numbers, texts and lists, SI, printed by ``--json``."""
+        """Return the result as a table of numbers, texts and lists, SI, printed by ``hexjet ... --json``."""
         raise NotImplementedError
 
     @property
