@@ -76,6 +76,9 @@ class Stepper:
     It ends as every flight does, crashed, diverged, failed or at the scenario's end; then it can be reset, restored,
     made a run of, and not stepped.  A context manager, which frees engines and airframe.
 
+    >>> with Stepper("hover") as flight:
+    ...     thrust = flight.step().thrust
+
     Parameters
     ----------
     scenario : Scenario or str or Path

@@ -152,9 +152,10 @@ def _record(node: ast.ClassDef, lines: Sequence[str]) -> str:
 
 
 def _prose(text: str) -> str:
-    """A docstring's text on one line a paragraph, its roles and literals as Markdown's code."""
+    """A docstring's text on one line a paragraph, its roles, literals and examples as Markdown's code."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text.replace("``", "`"))
-    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(text).split("\n\n")).strip()
+    parts = inspect.cleandoc(text).split("\n\n")
+    return "\n\n".join(f"```python\n{p}\n```" if p[:3] == ">>>" else " ".join(p.split()) for p in parts).strip()
 
 
 if __name__ == "__main__":

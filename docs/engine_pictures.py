@@ -11,13 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.engine import (
-    EngineBank,
-    EngineSpec,
-    build_engines,
-    list_engine_names,
-    load_engine,
-)
+from cosim.engine import EngineBank, EngineSpec, build_engines, list_engine_names, load_engine
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -79,6 +79,9 @@ def check_engine(
 
     It runs in a process of its own: if it crashes, hangs or eats memory, that is told, and nothing else happens.
 
+    >>> check_engine("edf").is_fit
+    True
+
     Parameters
     ----------
     engine : str or Path

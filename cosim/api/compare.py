@@ -133,6 +133,9 @@ def compare(
 ) -> CompareResult:
     """Lay two to eight flights over each other: metrics side by side, every signal against that of the first.
 
+    >>> compare([fly("hover", settings={"duration_s": 0.2}, seed=seed) for seed in (1, 2)]).flights[1].run.outcome
+    'completed'
+
     Parameters
     ----------
     *flights : str or Path or Run

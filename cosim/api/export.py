@@ -17,6 +17,9 @@ def export(
 ) -> Path:
     """Write the log of a run for other tools.
 
+    >>> export(fly("hover", "runs/one", settings={"duration_s": 0.2}), "csv").name
+    'flight.csv'
+
     Parameters
     ----------
     run : Run or str or Path

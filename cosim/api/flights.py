@@ -152,6 +152,9 @@ def fly(
     A crash, a divergence or a failing engine is an outcome, not an exception.  Notes become warnings,
     ``cosim.base.errors.Notice``.
 
+    >>> fly("hover", settings={"duration_s": 0.2}).outcome
+    'completed'
+
     Parameters
     ----------
     scenario : Scenario or str or Path

@@ -103,6 +103,9 @@ def identify(
 
     A chirp is added while the vehicle holds still; a pole, lags and a delay are fitted to the response.
 
+    >>> identify("engine", "edf").found
+    True
+
     Parameters
     ----------
     subject : str

@@ -88,6 +88,9 @@ def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
 
     To measure the thrust of an engine, its FMU is held at throttles until it stands still.
 
+    >>> show("edf").verdict
+    'edf, engine: Electric ducted fan'
+
     Parameters
     ----------
     name : str or Path

@@ -51,7 +51,7 @@ def run_campaign(
     what the folder holds, if it holds anything; then ``study`` may be None and is the folder's.
 
     >>> study = open_study("hover", vary=["vehicle.mass_kg=5.4:5.8"], runs=2, settings=["duration_s=0.2"])
-    >>> campaign = run_campaign(study, folder, workers=1)
+    >>> campaign = run_campaign(study, "runs/mass", workers=1)
     >>> campaign.columns["outcome"], len(campaign.columns["vehicle.mass_kg"])
     (['completed', 'completed'], 2)
 

@@ -302,9 +302,9 @@ class Campaign:
 def open_campaign(folder: Path | str) -> Campaign:
     """Open the campaign in a folder with all flights finished so far, also if it is still running or was killed.
 
-    >>> campaign = open_campaign(folder)
-    >>> campaign.columns["success"].count(True) / len(campaign)
-    1.0
+    >>> study = open_study("hover", vary=["vehicle.mass_kg=5.4:5.8"], runs=1, settings=["duration_s=0.2"])
+    >>> open_campaign(run_campaign(study, "runs/mass", workers=1).folder).columns["success"]
+    [True]
 
     None of the code that it names is run.  Raises InputError if there is none, a file cannot be read, or its study is
     not the one that its flights were judged by.

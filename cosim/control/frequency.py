@@ -80,6 +80,9 @@ def zeros_outside(values: Complex) -> int:
     """Count a function's zeros outside the unit circle, where it is analytic and constant at infinity.
 
     ``values`` along the upper half circle, closely spaced: the function's turns about 0 count its zeros.
+
+    >>> zeros_outside(1.0 - 2.0 / grid())
+    1
     """
     turn = np.unwrap(np.angle(values))
     return -round(float(turn[-1] - turn[0]) / pi)

@@ -40,6 +40,10 @@ def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: fl
     conditionally stable one may have both.  Further delay ``tau`` turns by ``omega tau``, without end, so every
     crossover limits it.  Delay taken away turns the other way, and cannot be more than there is.
 
+    >>> hertz = np.geomspace(0.01, 100.0, 5000)
+    >>> print(f"{loop_margins(4.0 / (2j * np.pi * hertz), hertz).phase_deg:.4g} deg")  # an integrator
+    90 deg
+
     Parameters
     ----------
     loop, hertz
@@ -49,12 +53,6 @@ def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: fl
     transport_s
         Transport delay in the loop, s: what can be taken away.  None: not known; counted is what turns by less than
         half a turn.
-
-    Examples
-    --------
-    >>> hertz = np.geomspace(0.01, 100.0, 5000)
-    >>> print(f"{loop_margins(4.0 / (2j * np.pi * hertz), hertz).phase_deg:.4g} deg")  # an integrator
-    90 deg
     """
     factors, _, angles, at = crossings(loop, 2.0 * pi * hertz, step)
     up, down = factors[factors > 1.0], factors[factors < 1.0]
@@ -117,6 +115,12 @@ def delayed_margins(
     Mikhailov's criterion, with a delay too), along the unit circle those outside.  Gains are in dB, phases in deg,
     delays in s, the crossover in Hz; a field that is None is no margin: that change loses no loop.
 
+    An integrator has the crossover 4 rad/s and the delay margin ``(pi / 2 - 4 delay) / 4``.
+
+    >>> found = delayed_margins([4.0], [1.0, 0.0], delay=0.1)
+    >>> print(f"{found.delay_s:.6f} s, {found.gain_db:.4f} dB, {found.phase_deg:.4f} deg")
+    0.292699 s, 11.8812 dB, 67.0817 deg
+
     Parameters
     ----------
     numerator, denominator : array_like, one dimension
@@ -135,14 +139,6 @@ def delayed_margins(
     InputError
         For a closed loop that is not stable, a fraction that is not proper, and coefficients whose digits do not tell
         the loop at its crossover: of z, with poles that are slow against ``dt``.
-
-    Examples
-    --------
-    An integrator has the crossover 4 rad/s and the delay margin ``(pi / 2 - 4 delay) / 4``.
-
-    >>> found = delayed_margins([4.0], [1.0, 0.0], delay=0.1)
-    >>> print(f"{found.delay_s:.6f} s, {found.gain_db:.4f} dB, {found.phase_deg:.4f} deg")
-    0.292699 s, 11.8818 dB, 67.0817 deg
     """
     n, d = _fraction(numerator, denominator, dt, delay)
     if dt and abs(delay / dt - round(delay / dt)) > 1e-9:
@@ -249,6 +245,12 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
 
     Both are coefficients, highest power first; a whole step of the delay is a pole at 0.
 
+    An integrator a step and a half late: half of a command acts in the second step and half in the third.
+
+    >>> numerator, denominator = sample_delayed([1.0], [1.0, 0.0], dt=1.0, delay=1.5)
+    >>> print(numerator.round(9), denominator)
+    [0.5 0.5] [ 1. -1.  0.  0.]
+
     Parameters
     ----------
     numerator, denominator : array_like, one dimension
@@ -260,14 +262,6 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
     ------
     InputError
         For what is no proper fraction, or a step that is not above 0.
-
-    Examples
-    --------
-    An integrator a step and a half late: half of a command acts in the second step and half in the third.
-
-    >>> numerator, denominator = sample_delayed([1.0], [1.0, 0.0], dt=1.0, delay=1.5)
-    >>> print(numerator.round(9), denominator)
-    [0.5 0.5] [ 1. -1.  0.  0.]
     """
     from scipy.linalg import expm
 

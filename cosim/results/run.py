@@ -282,6 +282,9 @@ def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) 
 def open_run(folder: Path | str) -> Run:
     """Return a finished run as :func:`cosim.fly` did; one that was killed is finished with all that it had written.
 
+    >>> open_run(fly("hover", "runs/one", settings={"duration_s": 0.2}).folder).summary.steps
+    50
+
     Parameters
     ----------
     folder : Path or str

@@ -93,6 +93,12 @@ def least_load_error(
     noise and ``S = 1 - T`` are convex in it (:mod:`hexjet_design.loop.limit` has the sources).  The splines of ``t``
     can only miss the least from above.
 
+    A gain of 2, three steps late: a load is there for three steps, and then T, which is z^-3, has removed it.
+
+    >>> found = least_load_error([2.0], [1.0], dt=0.01, delay=0.03, peak=2.1)
+    >>> print(f"{found.load_error:.4f} s, peak {found.peak_sensitivity:.3f}, noise {found.noise:.3f}")
+    0.0600 s, peak 2.000, noise 0.500
+
     Parameters
     ----------
     numerator, denominator : array_like, one dimension
@@ -110,14 +116,6 @@ def least_load_error(
     ------
     InputError
         Without Clarabel, for a plant that no such loop exists of here, and where no controller keeps the bounds.
-
-    Examples
-    --------
-    A gain of 2, three steps late: a load is there for three steps, and then T, which is z^-3, has removed it.
-
-    >>> found = least_load_error([2.0], [1.0], dt=0.01, delay=0.03, peak=2.1)
-    >>> print(f"{found.load_error:.4f} s, peak {found.peak_sensitivity:.3f}, noise {found.noise:.3f}")
-    0.0600 s, peak 2.000, noise 0.500
     """
     need_solver()
     n, d = (np.trim_zeros(np.atleast_1d(np.asarray(each, np.float64)), "f") for each in (numerator, denominator))

@@ -43,6 +43,9 @@ class Scenario(Model):
     """One flight: keys of a scenario's TOML as attributes, with units in their names.
 
     ``vehicle`` and ``engine_parameters`` override values of the aircraft and the engine.
+
+    >>> Scenario.load("hover").replace(duration_s=0.2).steps
+    50
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]

@@ -98,6 +98,9 @@ def load_vehicle(
 ) -> tuple[Vehicle, Path]:
     """Return an aircraft, ``overrides`` merged over its ``vehicle.toml``, and the folder of that file.
 
+    >>> load_vehicle("hexjet", {"mass_kg": 6.0})[0].mass_kg
+    6.0
+
     Parameters
     ----------
     name : str

@@ -88,14 +88,6 @@ def test_delay_is_taken_away_as_far_as_there_is_some() -> None:
     assert loop_margins(loop, hertz, transport_s=2.0).delay_less_s is None  # there is not as much to take away
 
 
-def test_a_sampled_loop_is_real_at_half_its_rate_alone() -> None:
-    step = 0.004
-    hertz = np.linspace(0.1, 0.5 / step, 3000)
-    loop = 0.2 / (np.exp(2j * pi * hertz * step) + 0.5)
-    assert loop_margins(loop, hertz, step).gain_db == pytest.approx(20.0 * log10(2.5), abs=1e-9)
-    assert loop_margins(loop[:-1], hertz[:-1], step).gain_db is None
-
-
 def test_a_point_on_the_limit_is_crossed() -> None:
     """A point of the grid that lies on the axis or the circle itself is no gap between two others."""
     loop = np.array([-2.0 - 1.0j, -0.5 + 0.0j, -0.2 + 0.1j])

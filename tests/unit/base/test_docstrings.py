@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import doctest
 import inspect
 import json
 import re
@@ -12,6 +13,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,6 +21,7 @@ from patience import PATIENCE
 from places import DOCS, ROOT
 
 import cosim
+from cosim import campaign
 from cosim.base import protocols, signals
 
 # Blocks of a flight that nobody writes from outside: a sentence a method says units and order.
@@ -47,6 +50,7 @@ def documented() -> Iterator[tuple[str, Any]]:
 
 CALLED = runpy.run_path(str(DOCS / "api.py"))["called"]
 EACH = dict(documented())
+EXAMPLES = [p for d in ("cosim", "tools") for p in sorted((ROOT / d).rglob("*.py")) if ">>> " in p.read_text()]
 
 
 def sections(doc: str) -> dict[str, str]:
@@ -103,6 +107,17 @@ def test_the_reference_is_made_of_them(made: dict[str, str]) -> None:
         assert f"## `{name}`" in "".join(made.values()), name
     for record in (signals.Measured, signals.Command, signals.Sample, protocols.Applied, protocols.Parameter):
         assert all(f"| `{field}` | `" in made["python-records.md"] for field in record._fields)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_of_a_module_are_right(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removeprefix("tools.")
+    known = {n: CALLED(n) for n in cosim.__all__} | {n: getattr(campaign, n) for n in campaign.__all__}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and (doc := ast.get_docstring(node)):
+            test = doctest.DocTestParser().get_doctest(doc, known | vars(import_module(name)), name, str(path), 0)
+            assert doctest.DocTestRunner().run(test).failed == 0
 
 
 PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]

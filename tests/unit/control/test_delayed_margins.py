@@ -44,6 +44,7 @@ def test_what_has_margins_both_ways_none_down_or_a_gain_without_end() -> None:
     sampled = sample_delayed([0.5, 1.0], [1.0, 0.0, 0.0], 0.001)
     for found in (delayed_margins([1.0, 1.0], [1.0, 0.0, 1.0]), delayed_margins(*sampled, 0.001)):
         assert found.gain_down_db is None
+    assert delayed_margins([0.2], [1.0, 0.5], 0.004).gain_db == pytest.approx(20.0 * log10(2.5), abs=1e-9)
     late = delayed_margins([0.5, 1.0], [1.0, 3.0], delay=1.0)
     assert (late.gain_db, late.peak_sensitivity) == (pytest.approx(20.0 * log10(2.0)), pytest.approx(2.0))
 
