@@ -20,9 +20,9 @@ from cosim.results.run import open_run
 from hexjet_identify.logs import Channel, FlightLog, read_flight_log
 from hexjet_identify.replay import Choices, RecordedFlight, Replay, ThrottleChannels, record_flight
 from hexjet_identify.replay import replay as fly_again
-from hexjet_identify.replay.measures import theil
+from hexjet_identify.replay.measures import MIN_TIME_WITHIN, theil
 from hexjet_identify.replay.recorded import is_simulated
-from hexjet_identify.replay.replay import EXPLAINED, NEEDED, NOT_EXPLAINED, NOT_TOLD
+from hexjet_identify.replay.replay import EXPLAINED, NOT_EXPLAINED, NOT_TOLD
 
 FEW = Choices(draws=2)
 DOUBLET = Scenario.load("roll-doublet").replace(duration_s=6.0, expect=[])
@@ -58,7 +58,7 @@ def check_explained(result: Replay) -> None:
     assert roll.theil.u < 0.02
     assert roll.rms < 1.2 * roll.noise
     assert roll.bands[0].coherence > 0.99
-    assert roll.within > NEEDED
+    assert roll.within > MIN_TIME_WITHIN
     assert roll.bands[0].gain_db == pytest.approx(0.0, abs=0.1)
 
 
@@ -143,7 +143,7 @@ def test_a_number_that_is_wrong_is_named_with_its_value(
     assert named.name == name
     assert named.value == pytest.approx(value, abs=near)
     assert named.bound is not None
-    assert named.bound < near
+    assert abs(named.value - value) < named.bound < near
     assert named.removed > 0.95
     assert result.wind.reason  # what turns it otherwise is no wind
 
@@ -166,7 +166,8 @@ def test_a_centre_of_gravity_that_is_off_is_no_engine(tmp_path: Path) -> None:
     assert result.verdict == NOT_EXPLAINED
     (named,) = result.causes.named
     assert named.name == "centre of gravity"
-    assert [part.value for part in named.parts] == pytest.approx([-0.006, -0.003], abs=0.0003)
+    for part, planted in zip(named.parts, (-0.006, -0.003), strict=True):
+        assert abs(part.value - planted) < part.bound < 0.0003
 
 
 def test_a_mass_that_is_wrong_is_named_though_nothing_moves(tmp_path: Path) -> None:
@@ -181,16 +182,11 @@ def test_a_mass_that_is_wrong_is_named_though_nothing_moves(tmp_path: Path) -> N
     assert "the log does not tell which" in result.fault
 
 
-def test_swapped_engines_are_named(doublet: Path) -> None:
-    flight = recorded(doublet)
-    result = replayed(replace(flight, throttle=flight.throttle[:, [1, 0, 2, 3, 4, 5]]))
-    assert result.verdict == NOT_EXPLAINED
-    assert [one.name for one in result.causes.named] == ["engines 1 and 2 swapped"]
-
-
-def test_a_reversed_axis_is_named(doublet: Path) -> None:
-    flight = recorded(doublet)
-    turned = np.array([-1.0, 1.0, 1.0])
+def test_swapped_engines_and_a_reversed_axis_are_named(doublet: Path) -> None:
+    flight, turned = recorded(doublet), np.array([-1.0, 1.0, 1.0])
+    swapped = replayed(replace(flight, throttle=flight.throttle[:, [1, 0, 2, 3, 4, 5]]))
+    assert swapped.verdict == NOT_EXPLAINED
+    assert [one.name for one in swapped.causes.named] == ["engines 1 and 2 swapped"]
     result = replayed(replace(flight, rate=flight.rate * turned, angles=flight.angles * turned))
     assert [one.name for one in result.causes.named] == ["roll rate and roll angle reversed"]
 
@@ -210,17 +206,9 @@ def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:
 def test_an_attitude_that_is_late_is_not_the_vehicles_fault(doublet: Path) -> None:
     flight = recorded(doublet)
     result = replayed(replace(flight, angles=np.roll(flight.angles, 8, axis=0)))
-    assert next(channel.within for channel in result.channels if channel.name == "roll") < NEEDED
+    assert next(channel.within for channel in result.channels if channel.name == "roll") < MIN_TIME_WITHIN
     assert result.verdict == EXPLAINED
     assert any(line.startswith("roll: no rate is off") for line in result.evidence)
-
-
-@pytest.mark.parametrize(("signal", "said"), [("rate", "the rates may be"), ("angles", "the attitude may be")])
-def test_degrees_beside_radians_are_refused(doublet: Path, signal: str, said: str) -> None:
-    flight = recorded(doublet)
-    wrong = replace(flight, **{signal: np.degrees(getattr(flight, signal))})
-    with pytest.raises(InputError, match=f"^flight: the attitude turns .*{said}"):
-        replayed(wrong)
 
 
 def test_a_hover_tells_nothing_and_nothing_is_named(tmp_path: Path) -> None:
@@ -242,7 +230,7 @@ def test_a_wind_comes_out_of_the_drift(tmp_path: Path) -> None:
     assert result.wind.deviation is not None
     assert abs(north) < 0.5  # drag goes with the square of each axis' speed: near none it tells little
     assert east == pytest.approx(15.0, abs=max(4.0 * result.wind.deviation, 0.5))
-    assert next(channel.within for channel in result.channels if channel.name == "specific_force_y") > NEEDED
+    assert next(channel.within for channel in result.channels if channel.name == "specific_force_y") > MIN_TIME_WITHIN
 
 
 def test_the_command_leaves_page_json_and_csv(hexjet: Hexjet, doublet: Path, tmp_path: Path) -> None:
@@ -267,9 +255,6 @@ def test_the_command_leaves_page_json_and_csv(hexjet: Hexjet, doublet: Path, tmp
     ]
     channel = next(channel for channel in data["channels"] if channel["name"] == "rate_p")
     assert np.mean(inside) == pytest.approx(channel["within"], abs=0.002)
-
-
-# ---- logs that will not do
 
 
 def log_of(seconds: float = 4.0, rate: float = 250.0, **others: np.ndarray) -> FlightLog:

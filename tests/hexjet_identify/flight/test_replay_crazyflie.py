@@ -35,10 +35,8 @@ def test_the_real_flights_are_not_explained_and_no_fault_is_made_up() -> None:
     assert not result.causes.named
     assert result.causes.reason
     bands = {channel.name: channel.bands for channel in result.channels}
-    for rate in (
-        "rate_p",
-        "rate_q",
-    ):  # 6 to 16 Hz: it turns more than the model, as the article's inertia and levers say
+    # From 6 to 16 Hz it turns more than the model, as the article's inertia and levers say.
+    for rate in ("rate_p", "rate_q"):
         quick = bands[rate][1]
         assert quick.coherence > 0.8
         assert quick.gain_db is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import combinations
 from math import exp, inf, log
 from typing import Final, NamedTuple
@@ -86,11 +87,11 @@ def _list_exchanges(jets: int, throttle: Array, most_jets: int = 10) -> Iterator
 
 def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
     for axis, letter in enumerate("xyz"):
-        yield _factor(f"{INERTIA} {letter}", _inertia(axis), inverse=True)
+        yield _factor(f"{INERTIA} {letter}", partial(_change_inertia, axis), inverse=True)
     yield _factor(MASS, lambda v: Change(mass=v), inverse=True)
     yield _factor(THRUST, lambda v: Change(thrust=v))
     for jet in range(len(model.vehicle.jets)):
-        yield _factor(f"thrust of engine {jet + 1}", _thrust(jet))
+        yield _factor(f"thrust of engine {jet + 1}", partial(_change_thrust, jet))
     step = model.scenario.step_s
     yield _delay("further delay of the engines", 0.2 * step, lambda v: Change(engines_s=v))
     yield from _list_lags(model)
@@ -99,7 +100,7 @@ def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
         yield _delay("further lag of the servos", step, lambda v: Change(servo_lag_s=v))
     for sensor, (name, here) in enumerate(zip(SENSORS, (True, flight.has_force, flight.has_angles), strict=True)):
         if here:
-            yield _delay(f"further delay of the {name}", step, _sensor(sensor))
+            yield _delay(f"further delay of the {name}", step, partial(_delay_sensor, sensor))
 
 
 def _list_centre(model: Model) -> list[Number]:
@@ -109,10 +110,6 @@ def _list_centre(model: Model) -> list[Number]:
         Number(f"{CENTRE} {letter}", "m", 0.0, -most, most, probe, _move_along_z, deviation=known, off=known)
         for letter in "xyz"
     ]
-
-
-def _move_along_z(value: float) -> Change:
-    return Change(centre=(0.0, 0.0, value))
 
 
 def _list_lags(model: Model) -> Iterator[Number]:
@@ -148,21 +145,19 @@ def _factor(name: str, change: Callable[[float], Change], inverse: bool = False)
     return Number(name, "", 1.0, 0.2, 5.0, 1e-4, change, inverse)
 
 
-def _inertia(axis: int) -> Callable[[float], Change]:
-    def change(value: float) -> Change:
-        x, y, z = (value if n == axis else 1.0 for n in range(3))
-        return Change(inertia=(x, y, z))
-
-    return change
+def _move_along_z(value: float) -> Change:
+    return Change(centre=(0.0, 0.0, value))
 
 
-def _sensor(sensor: int) -> Callable[[float], Change]:
-    def change(value: float) -> Change:
-        gyro, accelerometer, attitude = (value if n == sensor else 0.0 for n in range(3))
-        return Change(sensors_s=(gyro, accelerometer, attitude))
-
-    return change
+def _change_inertia(axis: int, value: float) -> Change:
+    x, y, z = (value if n == axis else 1.0 for n in range(3))
+    return Change(inertia=(x, y, z))
 
 
-def _thrust(jet: int) -> Callable[[float], Change]:
-    return lambda value: Change(jets={jet: value})
+def _delay_sensor(sensor: int, value: float) -> Change:
+    gyro, accelerometer, attitude = (value if n == sensor else 0.0 for n in range(3))
+    return Change(sensors_s=(gyro, accelerometer, attitude))
+
+
+def _change_thrust(jet: int, value: float) -> Change:
+    return Change(jets={jet: value})

@@ -19,16 +19,16 @@ from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.signals import AXES, Vector3
 from hexjet_identify.replay.candidates import INERTIA, Candidate, Number, list_candidates
 from hexjet_identify.replay.flown import Change, Model
-from hexjet_identify.replay.measures import EXCITED, NEEDED
+from hexjet_identify.replay.measures import MIN_EXCITATION, MIN_TIME_WITHIN
 from hexjet_identify.replay.misfit import COSTS, MOMENT, Misfit, Point, Slopes, Step
 from hexjet_identify.replay.windows import CHANNELS, Flying
 
-# A channel whose mean square is so many times that of its noise is off.
-MISFIT: Final = 1.3
-# Share of the misfit that a named cause removes at least.
-NAMED: Final = 0.5
-# Standard errors, over the windows, by which something is taken for sure.
-SURE: Final = 3.0
+# The mean square of a channel, in those of its noise, with which it is not off.
+MAX_OVER_NOISE: Final = 1.3
+# Share of the misfit that a named cause removes.
+MIN_REMOVED: Final = 0.5
+# Standard errors over the windows from which a difference is more than chance.
+MIN_STANDARD_ERRORS: Final = 3.0
 
 
 class Part(NamedTuple):
@@ -141,7 +141,7 @@ class Causes:
         """What the log would show, were it off, and what it would not."""
         parts = [part for row in self.tried for part in row.parts]
         hidden = [part.name for part in parts if not part.is_told]
-        hidden += [row.name for row in self.tried if not row.parts and row.changes < MISFIT - 1.0]
+        hidden += [row.name for row in self.tried if not row.parts and row.changes < MAX_OVER_NOISE - 1.0]
         return [part for part in parts if part.is_told], hidden
 
     def to_dict(self) -> dict[str, Any]:
@@ -175,6 +175,16 @@ def find_causes(
     return Causes(table.misfit, named, tuple(rows), reason, table.is_off)
 
 
+class _Fit(NamedTuple):
+    """Where a candidate stands: its values and their flight, what other numbers and its own do, and the next step."""
+
+    values: Array
+    point: Point
+    around: Slopes
+    slopes: Array
+    step: Step
+
+
 class _Table:
     """Fits candidates, and judges them by windows.  Channels are the sensors', then what moments and zeros cost."""
 
@@ -183,16 +193,11 @@ class _Table:
         self._margins = [ends[:, :, misfit.present] / flying.scale[misfit.present] for ends in margins]
         around = self._around = misfit.linearise(misfit.nominal)
         step = misfit.solve(misfit.nominal, around)
-        windows, rows = flying.rows.shape
-        count = step.squares.shape[1]
-        # The mean square that noise leaves of each; of three standard deviations in a zero nothing is made.
-        self._floor = np.full(count, float(rows))
-        self._floor[-COSTS:] = [2.0] * 3 + [9.0 / windows] * 3
-        off = step.squares.mean(axis=0) / self._floor
+        off = step.squares.mean(axis=0) / misfit.floor
         measured = flying.measured()[:, :, misfit.present]
         movement = np.std(measured, axis=1) / flying.scale[misfit.present]
-        self._moves: Flags = np.mean(movement**2, axis=0) > EXCITED**2
-        self.told: Flags = off > MISFIT
+        self._moves: Flags = np.mean(movement**2, axis=0) > MIN_EXCITATION**2
+        self.told: Flags = off > MAX_OVER_NOISE
         names = [name for (name, _), here in zip(CHANNELS, misfit.present, strict=True) if here]
         self.told[:-COSTS] &= self._moves
         self.told[-COSTS : -COSTS + 3] &= _is_common(flying.starts.moment)
@@ -205,62 +210,79 @@ class _Table:
             step = misfit.solve(misfit.nominal, around)
         self._nominal = step.squares
         # A channel that is not off may be left as it was.
-        self._limits = np.where(self.told, self._floor, np.maximum(self._nominal.mean(axis=0), self._floor))
+        self._limits = np.maximum(np.where(self.told, 0.0, self._nominal.mean(axis=0)), misfit.floor)
         self._start = misfit.follow(misfit.nominal, step) if self.told.any() else misfit.nominal
         self.windows = self._misfits(misfit.solve(self._start, around).squares)
 
     def _misfits(self, squares: Array) -> Array:
         """Return the misfit above the noise of each window; channels that are not off count where they get worse."""
-        over = np.where(self.told, squares - self._floor, squares - np.maximum(self._nominal, self._floor))
+        over = squares - np.maximum(np.where(self.told, 0.0, self._nominal), self._misfit.floor)
         return np.asarray(np.maximum(over * self._misfit.weights**2, 0.0).sum(axis=1))
 
     def _removed(self, squares: Array) -> float:
         before = float(np.mean(self.windows))
         return 1.0 - float(np.mean(self._misfits(squares))) / before if before > 0.0 else 0.0
 
-    def fit(self, one: Candidate, promising: float = 0.1, contends: float = 0.3, rounds: int = 8) -> Row | None:
-        """Return the row of a candidate; None where it cannot be flown.
-
-        What removes less than the share ``promising`` in a straight line is not flown again, what removes less than
-        ``contends`` when it is flown no more than once.  Of all others the slopes are those around the last value,
-        also of the windows' numbers, as long as it moves: a moment of inertia changes what a moment does.
-        """
-        misfit, point, around = self._misfit, self._start, self._around
+    def fit(self, one: Candidate) -> Row | None:
+        """Return the row of a candidate; None where it cannot be flown."""
         values = np.array([_inward(number, number.stated) for number in one.numbers])
-        deviation = np.array([number.deviation for number in one.numbers])
         try:
-            point = point if one.numbers else self._fly_case(one)
-            slopes = self._slopes(one, values, point)
+            point = self._start if one.numbers else self._fly_case(one)
+            fit = self._solve(self._misfit, one, values, point, self._around, self._slopes(one, values, point))
+            shift = (point.left - self._start.left)[:, :, self._moves]
+            fit, last = self._refine(one, fit)
         except (FlightError, EngineError, InputError):
             return None
-        shift = (point.left - self._start.left)[:, :, self._moves]
-        changes = float(np.max(np.mean(shift**2, axis=(0, 1)), initial=0.0))
-        last = step = misfit.solve(point, around, slopes, deviation)
-        if self.told.any() and self._removed(step.squares) > promising:
-            for _ in range(rounds):
-                better = self._better(one, values, point, step, around)
-                if better is not None:
-                    values, point = better
-                last = misfit.solve(point, around)
-                is_settled = better is None or bool(np.all(np.abs(step.values) < 0.1 * step.bounds))
-                if is_settled or self._removed(last.squares) < contends:
-                    break
-                around = around._replace(own=misfit.slopes_of_windows(point))
-                slopes = self._slopes(one, values, point)
-                step = misfit.solve(point, around, slopes, deviation)
-        else:
-            values = values + step.values
         parts, at_limit = [], False
-        for number, value, bound in zip(one.numbers, values.tolist(), step.bounds.tolist(), strict=True):
+        for number, value, bound in zip(one.numbers, fit.values.tolist(), fit.step.bounds.tolist(), strict=True):
             outward = _outward(number, value)
             at_limit |= outward in (number.low, number.high) and outward != number.stated
             half = bound * outward**2 if number.inverse else bound
             parts.append(Part(number.name, number.unit, number.stated, outward, half, number.off))
+        changes = float(np.max(np.mean(shift**2, axis=(0, 1)), initial=0.0))
         worst = float(np.max(last.squares.mean(axis=0) / self._limits))
         return Row(
             one.name, tuple(parts), self._removed(last.squares), self._misfits(last.squares),
             worst, self._lies_in_envelope(last.left), changes, at_limit,
         )  # fmt: skip
+
+    def _refine(self, one: Candidate, fit: _Fit, promising: float = 0.1, contends: float = 0.3) -> tuple[_Fit, Step]:
+        """Return where a candidate fits best, and what it leaves there by the weights of the table.
+
+        What removes less than the share ``promising`` in a straight line is not flown, unless all is explained and it
+        would be off by more than its bounds; what removes less than ``contends`` when it is flown, once.
+        """
+        misfit, step, is_off = self._misfit, fit.step, self.told.any()
+        if not (self._removed(step.squares) > promising if is_off else np.any(np.abs(step.values) > step.bounds)):
+            return fit._replace(values=fit.values + step.values), step
+        fit = self._advance(misfit, one, fit) or fit
+        left = misfit.solve(fit.point, fit.around).squares
+        if one.numbers and (not is_off or self._removed(left) >= contends):
+            fit = self._settle(misfit, one, fit)
+            # Weights of the search hide channels that are told well, once what was off in them is explained.
+            left = misfit.solve(fit.point, fit.around).squares
+            weighted = misfit.weighted(np.maximum(left.mean(axis=0) / misfit.floor, 1.0) ** -0.5)
+            fit = self._settle(weighted, one, fit)
+            fit = self._solve(weighted, one, fit.values, fit.point, misfit.linearise(fit.point), fit.slopes)
+        return fit, misfit.solve(fit.point, fit.around)
+
+    def _solve(
+        self, misfit: Misfit, one: Candidate, values: Array, point: Point, around: Slopes, slopes: Array
+    ) -> _Fit:
+        deviation = np.array([number.deviation for number in one.numbers])
+        return _Fit(values, point, around, slopes, misfit.solve(point, around, slopes, deviation))
+
+    def _settle(self, misfit: Misfit, one: Candidate, fit: _Fit, rounds: int = 8) -> _Fit:
+        """Step until the next step is a tenth of the bounds, or no part of it, by slopes taken anew, leaves less."""
+        fit, is_anew = self._solve(misfit, one, fit.values, fit.point, fit.around, fit.slopes), False
+        for _ in range(rounds):
+            moved = self._advance(misfit, one, fit)
+            fit = moved or fit
+            if (moved is None and is_anew) or np.all(np.abs(fit.step.values) < 0.1 * fit.step.bounds):
+                break
+            around, slopes = misfit.linearise(fit.point), self._slopes(one, fit.values, fit.point)
+            fit, is_anew = self._solve(misfit, one, fit.values, fit.point, around, slopes), True
+        return fit
 
     def _fly_case(self, one: Candidate) -> Point:
         """Fly a case, without the moments that made up for its absence."""
@@ -277,26 +299,26 @@ class _Table:
             slopes.append(self._misfit.slope(point, _change(one, moved), moved[n] - values[n]))
         return np.stack(slopes, axis=-1) if slopes else np.zeros((*point.left.shape, 0))
 
-    def _better(
-        self, one: Candidate, values: Array, point: Point, step: Step, around: Slopes
-    ) -> tuple[Array, Point] | None:
-        """Return values that leave less, by the step or a part of it, with their flight; None where no part does."""
-        before = self._misfit.solve(point, around).loss
-        for part in (1.0, 0.5, 0.25):
-            tried = values + part * step.values
-            tried = np.array([_inward(n, _outward(n, v)) for n, v in zip(one.numbers, tried.tolist(), strict=True)])
+    def _advance(self, misfit: Misfit, one: Candidate, fit: _Fit) -> _Fit | None:
+        """Return the fit after its step, or a part of it, with the slopes as they were; None where none leaves less."""
+        for part in (1.0, 0.5, 0.25, 0.125):
+            tried = (fit.values + part * fit.step.values).tolist()
+            values = np.array([_inward(n, _outward(n, v)) for n, v in zip(one.numbers, tried, strict=True)])
             try:
-                after = self._misfit.follow(point, step, _change(one, tried))
+                point = misfit.follow(fit.point, fit.step, _change(one, values), part)
             except (FlightError, EngineError, InputError):
                 continue
-            if self._misfit.solve(after, around).loss < before:
-                return tried, after
+            # Both by the rows that both have.
+            known = fit.point.known & point.known
+            before, after = (misfit.solve(at, fit.around, known=known).loss for at in (fit.point, point))
+            if after < before:
+                return self._solve(misfit, one, values, point, fit.around, fit.slopes)
         return None
 
     def _lies_in_envelope(self, left: Array) -> bool:
         low, high = self._margins
         within = np.mean((left >= low) & (left <= high), axis=(0, 1))
-        return bool(np.all(within[self._moves] >= NEEDED))
+        return bool(np.all(within[self._moves] >= MIN_TIME_WITHIN))
 
 
 def name_rows(rows: Sequence[Row], misfit: Array) -> tuple[tuple[Row, ...], str]:
@@ -304,13 +326,13 @@ def name_rows(rows: Sequence[Row], misfit: Array) -> tuple[tuple[Row, ...], str]
 
     ``rows`` begin with what removes most of the ``misfit`` of each window (w,).
     """
-    likely = [row for row in rows if row.removed >= NAMED and row.fits and not row.at_limit]
+    likely = [row for row in rows if row.removed >= MIN_REMOVED and row.fits and not row.at_limit]
     if not likely:
         return (), _explain_none(rows)
     best = likely[0]
-    if _gain(misfit, best.windows, misfit)[1] < SURE:
+    if _gain(misfit, best.windows, misfit)[1] < MIN_STANDARD_ERRORS:
         return (), f"{best.text} would remove most of it, but the windows do not agree"
-    near = [row for row in rows if row is not best and row.removed >= max(NAMED, best.removed - 0.15)]
+    near = [row for row in rows if row is not best and row.removed >= max(MIN_REMOVED, best.removed - 0.15)]
     return (best, *(row for row in near if not _is_apart(row, best, misfit))), ""
 
 
@@ -320,10 +342,10 @@ def _is_apart(worse: Row, better: Row, misfit: Array) -> bool:
     What leaves more than noise is worse than what leaves no more; else it has to be a twentieth of the misfit, by
     three standard errors.
     """
-    if better.over_noise < MISFIT < worse.over_noise:
+    if better.over_noise < MAX_OVER_NOISE < worse.over_noise:
         return True
     gain, sure = _gain(worse.windows, better.windows, misfit)
-    return gain > 0.05 and sure >= SURE
+    return gain > 0.05 and sure >= MIN_STANDARD_ERRORS
 
 
 def _inward(number: Number, value: float) -> float:
@@ -371,7 +393,7 @@ def _explain_none(rows: Sequence[Row]) -> str:
         return "nothing that was tried can be flown"
     best = rows[0]
     share = f"{best.text} removes {100.0 * max(best.removed, 0.0):.0f} %"
-    if best.removed < NAMED:
+    if best.removed < MIN_REMOVED:
         return f"nothing alone removes half of it, {share}: more at once, or something else"
     if best.at_limit:
         return f"{share}, at the end of what was tried: something else"

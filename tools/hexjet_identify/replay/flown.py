@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -25,9 +25,8 @@ from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.sensors import SensorSuite
 from hexjet_identify.replay.recorded import RecordedFlight
 
-LOWEST_M = 5.0  # at which a window begins: the ground is none of the model's business here
-UNKNOWN_M = 30.0  # where the log has no height
-_NOTHING_REFUSED = Unallocated()
+# No window begins lower: the ground is not part of the model here.
+MIN_HEIGHT_M: Final = 5.0
 
 
 class Window(NamedTuple):
@@ -39,19 +38,25 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class Change:
-    """By what a model differs from the vehicle as its files state it; see :class:`Model`."""
+    """By what a model differs from the vehicle as its files state it.
 
-    inertia: Vector3 = (1.0, 1.0, 1.0)  # factors about x, y, z
+    ``inertia`` about x, y, z, ``mass``, ``thrust`` of all engines and ``jets`` (of a jet, from 0) are factors;
+    ``centre`` is added to the centre of gravity [m, body], ``parameters`` replace those of the engines.  ``engines_s``,
+    ``servos_s`` (surfaces too) and ``sensors_s`` (gyro, accelerometer, attitude) are added to delays, ``servo_lag_s``
+    to the lag of servos and hinges.  ``order`` has the jet, from 0, whose command each jet gets.
+    """
+
+    inertia: Vector3 = (1.0, 1.0, 1.0)
     mass: float = 1.0
-    thrust: float = 1.0  # of all engines
-    jets: Mapping[int, float] = field(default_factory=dict)  # factor of a jet's thrust, from 0
-    centre: Vector3 = ZERO3  # m, body, by which the centre of gravity is elsewhere
-    engines_s: float = 0.0  # by which the engines are later
-    servos_s: float = 0.0  # by which servos and surfaces are later
-    sensors_s: Vector3 = ZERO3  # by which gyro, accelerometer and attitude are later
-    servo_lag_s: float = 0.0  # by which the lag of every servo and hinge is larger
-    order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
+    thrust: float = 1.0
+    jets: Mapping[int, float] = field(default_factory=dict)
+    centre: Vector3 = ZERO3
+    engines_s: float = 0.0
+    servos_s: float = 0.0
+    sensors_s: Vector3 = ZERO3
+    servo_lag_s: float = 0.0
+    order: tuple[int, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class Loads(NamedTuple):
@@ -79,12 +84,15 @@ class Starts(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What the model's sensors say, at the flight's rows: NaN outside the windows."""
+    """What the model's sensors say, at the flight's rows: NaN outside the windows.
 
-    rate: Array  # (n, 3) rad/s
-    force: Array  # (n, 3) m/s^2
-    angles: Array  # (n, 3) rad
-    velocity: Array  # (n, 3) m/s, NED
+    ``rate`` rad/s, ``force`` m/s^2, ``angles`` rad, ``velocity`` m/s NED; (n, 3) each.
+    """
+
+    rate: Array
+    force: Array
+    angles: Array
+    velocity: Array
 
 
 class Model:
@@ -99,7 +107,8 @@ class Model:
         self._sensors = _without_resolution(self.vehicle.sensors)
         self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
         self._loads: dict[tuple[object, ...], Loads] = {}
-        self.engine: EngineSpec | None = None  # known when its engines have run
+        # It is known when its engines have run.
+        self.engine: EngineSpec | None = None
 
     def loads(self, flight: RecordedFlight, change: Change) -> Loads:
         """Return what the engines, servos and effects do with the commands of a flight."""
@@ -120,30 +129,18 @@ class Model:
         with build(scenario) as simulation:
             self.engine = self.engine or simulation.engine
             propulsion = simulation.propulsion
-            throttle = _later(flight.throttle, change.engines_s / flight.step)
+            throttle = later(flight.throttle, change.engines_s / flight.step)
             commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
-            tilts = [tuple(row) for row in _later(flight.tilt, change.servos_s / flight.step).tolist()]
+            tilts = [tuple(row) for row in later(flight.tilt, change.servos_s / flight.step).tolist()]
             states = recorded_states(flight, self.vehicle)
             propulsion.refuel()
             propulsion.reset(commands[0], states[0], ZERO3)
-            count, jets = len(commands), len(self.vehicle.jets)
-            loads = Loads(
-                np.empty((count, jets, 3)),
-                np.empty((count, 3)),
-                np.empty((count, 3)),
-                np.empty(count),
-                np.zeros((count, len(propulsion.tilt))),
-            )
-            for k, (command, state) in enumerate(zip(commands, states, strict=True)):
-                tilt = tilts[k] or propulsion.tilt
-                forces, moment = propulsion.step(k, Actuation(command, tilt, _NOTHING_REFUSED), state)
-                loads.forces[k], loads.moments[k] = forces, moment
-                loads.momentum[k], loads.burnt[k], loads.tilt[k] = (
-                    propulsion.momentum,
-                    propulsion.burnt,
-                    propulsion.tilt,
-                )
-            return loads
+            rows = []
+            for k, (command, tilt, state) in enumerate(zip(commands, tilts, states, strict=True)):
+                action = Actuation(command, tilt or propulsion.tilt, Unallocated())
+                forces, moment = propulsion.step(k, action, state)
+                rows.append((forces, moment, propulsion.momentum, propulsion.burnt, propulsion.tilt))
+            return Loads(*(np.array(values, float) for values in zip(*rows, strict=True)))
 
     def fly(
         self,
@@ -200,27 +197,17 @@ def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:
 
 def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:
     """Return the recorded motion as states: what engines and effects see around them."""
-    angles, velocity = np.nan_to_num(flight.angles), np.nan_to_num(flight.velocity)
-    height = np.where(np.isfinite(flight.altitude), np.maximum(flight.altitude, LOWEST_M), UNKNOWN_M)
-    rate, force = np.nan_to_num(flight.rate), np.nan_to_num(flight.force)
-    rows = zip(angles.tolist(), velocity.tolist(), height.tolist(), rate.tolist(), force.tolist(), strict=True)
-    mass = vehicle.mass_kg
+    signals = (flight.angles, flight.velocity, flight.rate, flight.force)
+    rows = (map(tuple, np.nan_to_num(values).tolist()) for values in signals)
     return [
-        State(
-            (0.0, 0.0, -up),
-            tuple(v),
-            from_euler(*euler),
-            tuple(euler),
-            tuple(omega),
-            tuple(f),
-            up,
-            ZERO3,
-            mass,
-            False,
-            False,
-        )
-        for euler, v, up, omega, f in rows
+        State((0.0, 0.0, -up), v, from_euler(*euler), euler, omega, f, up, ZERO3, vehicle.mass_kg, False, False)
+        for up, euler, v, omega, f in zip(_height(flight.altitude).tolist(), *rows, strict=True)
     ]
+
+
+def _height(altitude: Array, unknown_m: float = 30.0) -> Array:
+    """Return the heights that are flown at, m."""
+    return np.where(np.isfinite(altitude), np.maximum(altitude, MIN_HEIGHT_M), unknown_m)
 
 
 def _changed(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
@@ -236,14 +223,15 @@ def _changed(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
     return loads._replace(forces=other[:, :, None] * axes, moments=moments)
 
 
-def _later(values: Array, steps: float) -> Array:
+def later(values: Array, steps: float, axis: int = 0) -> Array:
     """Return values so many rows later, in a straight line between rows; the ends go on."""
     if not steps or not values.size:
         return values
-    rows = np.clip(np.arange(float(len(values))) - steps, 0.0, len(values) - 1.0)
-    before = np.minimum(rows.astype(int), len(values) - 2)
-    part = (rows - before)[:, None]
-    return np.asarray((1.0 - part) * values[before] + part * values[before + 1])
+    count = values.shape[axis]
+    rows = np.clip(np.arange(float(count)) - steps, 0.0, count - 1.0)
+    before = np.minimum(rows.astype(int), count - 2)
+    part = np.expand_dims(rows - before, tuple(range(1, values.ndim - axis)))
+    return np.asarray((1.0 - part) * values.take(before, axis) + part * values.take(before + 1, axis))
 
 
 class _WindowFlight:
@@ -269,9 +257,9 @@ class _WindowFlight:
 
     def _start(self, row: int, rate: Array, angles: Array, wind: Vector3) -> None:
         flight, loads, before = self._flight, self._loads, max(row - 1, 0)
-        up, velocity = flight.altitude[row], flight.velocity[row]
+        velocity = flight.velocity[row]
         initial = Initial.model_construct(
-            altitude_m=max(float(up), LOWEST_M) if np.isfinite(up) else UNKNOWN_M,
+            altitude_m=float(_height(flight.altitude[row])),
             attitude_deg=tuple(np.degrees(angles).tolist()),
             velocity_ned_m_s=tuple(velocity.tolist()) if np.isfinite(velocity).all() else ZERO3,
             rate_deg_s=tuple(np.degrees(rate).tolist()),

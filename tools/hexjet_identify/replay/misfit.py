@@ -9,15 +9,16 @@ what the sensor states, is something that a number has to explain.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
-from math import ceil
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
+from cosim.base.errors import FlightError
 from cosim.base.signals import Vector3
-from hexjet_identify.replay.flown import Change, Flown, Model, Starts
+from hexjet_identify.replay.flown import Change, Model, Starts, later
 from hexjet_identify.replay.windows import Flying
 
 # Numbers of a window: rate, moment, angle and drift of the angle, about each axis.
@@ -33,7 +34,8 @@ class Point:
     """The windows flown once: how, and what is left over, ``left`` (w, n, c), in units of the noise.
 
     ``sense`` (9,): -1 for a channel that the log has the other way round.  ``own`` (w, 12) of the windows and
-    ``shared`` (5,) of the flight are estimated beside, from the flight's starts on.
+    ``shared`` (5,) of the flight are estimated beside, from the flight's starts on.  ``known`` (n, c): rows for which
+    the window has what a sensor that is later or earlier shows.
     """
 
     change: Change
@@ -41,21 +43,75 @@ class Point:
     own: Array
     shared: Array
     left: Array
+    known: Flags
+
+
+class Scores(NamedTuple):
+    """What the bounds of k numbers follow from, in a fit whose inverse hessian is ``root`` times its transpose.
+
+    ``slopes`` (w, n, c, k) of what is ``left`` (w, n, c), ``moved`` (w, 3, k) of the ``moments`` (w, 3), all weighted
+    and without what windows' own numbers make up for; ``noise`` (c + 6,) of each; ``priors`` (k, k) by what is known
+    beforehand; ``information`` (w, k, k) that each window has.
+    """
+
+    root: Array
+    slopes: Array
+    left: Array
+    moved: Array
+    moments: Array
+    noise: Array
+    priors: Array
+    information: Array
+
+    def bounds(self) -> Array:
+        """Return half of the 95 % intervals: the widest of three, as each rests on something else.
+
+        Noise that is white, and as large as what is left of each channel, beyond which no log tells; rows that are
+        alike over a quarter of a window (Newey and West, 1987); and windows that are independent, each freed of its
+        share in the fit (Bell and McCaffrey, 2002, with Student's t).
+        """
+        from scipy.stats import t
+
+        root, moved, priors = self.root, self.moved @ self.root, self.priors @ self.root
+        slopes = self.slopes @ root
+        rows, windows = np.sum(slopes * self.left[..., None], axis=2), np.sum(moved * self.moments[..., None], axis=1)
+        count, lags = len(rows), max(rows.shape[1] // 4, 1)
+        noisy = (self.noise[:-COSTS, None] * slopes).reshape(-1, root.shape[1])
+        noisy = np.concatenate([noisy, (self.noise[-COSTS:-3, None] * moved).reshape(-1, root.shape[1])])
+        by_rows = np.sum(rows.mT @ rows, axis=0) + windows.T @ windows
+        for lag in range(1, lags):
+            late = np.sum(rows[:, lag:].mT @ rows[:, :-lag], axis=0)
+            by_rows += (1.0 - lag / lags) * (late + late.T)
+        shares, axes = np.linalg.eigh(root.T @ self.information @ root)
+        whole = axes.mT @ (rows.sum(axis=1) + windows)[..., None]
+        whole = (axes @ (whole / np.sqrt(np.maximum(1.0 - shares, 1e-6))[..., None]))[..., 0]
+
+        def half(meat: Array, quantile: float) -> Array:
+            variances = np.diag(root @ (meat + priors.T @ priors) @ root.T)
+            return np.asarray(quantile * np.sqrt(np.maximum(variances, 0.0)))
+
+        by_windows = half(whole.T @ whole, float(t.ppf(0.975, count - 1)))
+        return np.asarray(np.maximum.reduce([half(noisy.T @ noisy, 1.96), half(by_rows, 1.96), by_windows]))
 
 
 class Step(NamedTuple):
-    """A step of Gauss and Newton: of ``values`` with half of their 95 % intervals, of the windows and of the flight.
+    """A step of Gauss and Newton: of ``values``, of the windows and of the flight.
 
     ``squares`` (w, c + 6) are what it leaves of each window, by channels and costs; ``loss`` is their weighted sum.
     """
 
     values: Array
-    bounds: Array
     own: Array
     shared: Array
     squares: Array
     left: Array
     loss: float
+    scores: Scores
+
+    @property
+    def bounds(self) -> Array:
+        """Half of the values' 95 % intervals."""
+        return self.scores.bounds()[: len(self.values)]
 
 
 class Slopes(NamedTuple):
@@ -80,7 +136,10 @@ class Misfit:
         self.present: Flags = np.asarray(np.isfinite(flying.measured()).all(axis=(0, 1)))
         windows, rows = flying.rows.shape
         self._time = flying.flight.step * np.arange(1.0, rows + 1.0)
-        self.weights = np.ones(int(self.present.sum()) + COSTS)
+        # The sum of squares in a window that noise leaves; of three standard deviations in a zero nothing is made.
+        self.floor = np.full(int(self.present.sum()) + COSTS, float(rows))
+        self.floor[-COSTS:] = [2.0] * 3 + [9.0 / windows] * 3
+        self.weights = np.ones(len(self.floor))
         sensor = model.vehicle.sensors.accelerometer
         along = max(float(np.hypot(sensor.bias_m_s2[2], sensor.bias_sigma_m_s2)), 1e-3)
         # Across the thrust the zero is also how straight the accelerometer stands, within some degrees.
@@ -93,7 +152,7 @@ class Misfit:
         self.nominal = self.fly(Change(), np.ones(9), np.zeros((windows, 12)), np.zeros(5))
 
     def fly(self, change: Change, sense: Array, own: Array, shared: Array) -> Point:
-        """Fly the windows.  Raises FlightError and EngineError where the model cannot."""
+        """Fly the windows.  Raises FlightError and EngineError where the model cannot, or too little is compared."""
         flying, (north, east, down) = self.flying, self._wind
         rate, angles, moment = flying.starts
         starts = Starts(
@@ -101,23 +160,21 @@ class Misfit:
         )
         wind = (north + float(shared[WIND][0]), east + float(shared[WIND][1]), down)
         flown = self._model.fly(flying.flight, flying.windows, starts, change, wind)
-        return Point(change, sense, own, shared, self._left(flown, change, sense, own, shared))
-
-    def _left(self, flown: Flown, change: Change, sense: Array, own: Array, shared: Array) -> Array:
-        flying = self.flying
         modelled = np.concatenate([flown.rate, flown.force, flown.angles], axis=1)[flying.rows]
-        for number, late in enumerate(change.sensors_s):
-            if late:
-                part = slice(3 * number, 3 * number + 3)
-                modelled[:, :, part] = _delayed(modelled[:, :, part], late / flying.flight.step)
+        rows = np.arange(modelled.shape[1])
+        known = np.ones(modelled.shape[1:], bool)
+        for number, late_s in enumerate(change.sensors_s):
+            late, part = late_s / flying.flight.step, slice(3 * number, 3 * number + 3)
+            modelled[:, :, part] = later(modelled[:, :, part], late, axis=1)
+            known[:, part] &= ((rows >= late) & (rows < len(rows) + late))[:, None]
+        if not known[len(rows) // 2].all():
+            raise FlightError("a sensor is later than half a window, of which too little is left to compare")
         error = sense * flying.measured() - modelled
         error[:, :, 6:] -= 2.0 * np.pi * np.round(error[:, :, 6:] / (2.0 * np.pi))
         error[:, :, 3:6] -= shared[ZERO]
         error[:, :, 6:] -= self._time[None, :, None] * own[:, None, DRIFT]
-        for number, late in enumerate(change.sensors_s):
-            # What the model sensed before the window is not known.
-            error[:, : max(0, ceil(late / flying.flight.step)), 3 * number : 3 * number + 3] = 0.0
-        return np.asarray((error / flying.scale)[:, :, self.present])
+        left = np.asarray((error / flying.scale)[:, :, self.present])
+        return Point(change, sense, own, shared, left, known[:, self.present])
 
     def linearise(self, point: Point) -> Slopes:
         """Return what the numbers of the windows and of the flight do around a point."""
@@ -156,61 +213,69 @@ class Misfit:
         """Return what a unit of a number does: ``change`` is the point's with the number ``by`` larger."""
         return (self.fly(change, point.sense, point.own, point.shared).left - point.left) / by
 
-    def solve(self, point: Point, around: Slopes, slopes: Array | None = None, deviation: Array | None = None) -> Step:
+    def weighted(self, weights: Array) -> Misfit:
+        """Return the same problem with other weights of channels and costs, (c + 6,)."""
+        other = copy(self)
+        other.weights = weights
+        return other
+
+    def solve(
+        self,
+        point: Point,
+        around: Slopes,
+        slopes: Array | None = None,
+        deviation: Array | None = None,
+        known: Flags | None = None,
+    ) -> Step:
         """Return the step from a point that leaves least; ``slopes`` (w, n, c, k) of the numbers that are free.
 
         ``around`` are those of the others.  ``deviation`` (k,): how far numbers are off in a vehicle, at a guess;
-        infinite where nothing is taken for known.
+        infinite where nothing is taken for known.  ``known`` (n, c): the rows that count, None for all that the point
+        has; in ``squares`` they stand for all.
         """
+        known = point.known if known is None else known
         slopes = np.zeros((*point.left.shape, 0)) if slopes is None else slopes
         windows, count = len(point.left), slopes.shape[-1]
         weights, costs = self.weights[:-COSTS], self.weights[-COSTS:]
         # Rows of all channels of a window stand in one column.
-        left = (weights * point.left).reshape(windows, -1, 1)
-        free = weights[:, None] * np.concatenate([slopes, around.shared], axis=-1)
-        own, free = (weights[:, None] * around.own).reshape(windows, -1, 12), free.reshape(windows, left.shape[1], -1)
-        known = np.concatenate([np.full(count, np.inf) if deviation is None else deviation, self._shared_deviation])
-        priors = known**-2.0
+        left = (weights * known * point.left).reshape(windows, -1, 1)
+        free = (weights * known)[..., None] * np.concatenate([slopes, around.shared], axis=-1)
+        own = ((weights * known)[..., None] * around.own).reshape(windows, -1, 12)
+        free = free.reshape(windows, left.shape[1], -1)
+        spread = np.concatenate([np.full(count, np.inf) if deviation is None else deviation, self._shared_deviation])
+        priors = spread**-2.0
         priors[count : count + 3] *= costs[3:] ** 2
         now = np.concatenate([np.zeros(count), point.shared])
-        normal, cross = own.mT @ own + self._held, own.mT @ free
-        by_free, by_left = np.linalg.solve(normal, cross), np.linalg.solve(normal, own.mT @ left)[..., 0]
+        normal = own.mT @ own + self._held
+        by_free, by_left = np.linalg.solve(normal, own.mT @ free), np.linalg.solve(normal, own.mT @ left)[..., 0]
         # A window's moment, as it follows from the numbers, is one observation more.
         size = costs[:3] / self._moment_deviation
         moments = point.sense[:3] * self.flying.starts.moment + point.own[:, MOMENT]
         moments = size * (moments - by_left[:, MOMENT])
         moved = -size[:, None] * by_free[:, MOMENT]
-        hessian = np.sum(free.mT @ free - cross.mT @ by_free + moved.mT @ moved, axis=0) + np.diag(priors)
-        score = np.sum((free.mT @ left - cross.mT @ by_left[..., None] + moved.mT @ moments[..., None])[..., 0], axis=0)
-        score += priors * now
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        inverse = np.linalg.pinv(hessian / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
-        step = -inverse @ score
+        alone = free - own @ by_free
+        information = alone.mT @ free + moved.mT @ moved
+        score = np.sum((alone.mT @ left + moved.mT @ moments[..., None])[..., 0], axis=0) + priors * now
+        root = _root_of_inverse(np.sum(information, axis=0) + np.diag(priors))
+        step = -root @ (root.T @ score)
         own_step = -by_left - by_free @ step
-        after = left[..., 0] + free @ step + (own @ own_step[..., None])[..., 0]
-        of_priors = priors**2 * np.where(np.isfinite(known), known, 0.0) ** 2
+        after = (left[..., 0] + free @ step + (own @ own_step[..., None])[..., 0]).reshape(point.left.shape)
         moments = moments + moved @ step
-        rows = ((free - own @ by_free) * after[..., None]).reshape(*slopes.shape[:3], -1).sum(axis=2)
-        after = after.reshape(point.left.shape)
-        bounds = _bounds(rows, np.einsum("wai,wa->wi", moved, moments), inverse, of_priors)[:count]
         costly = [(moments / costs[:3]) ** 2]
-        costly.append(np.tile((((now + step) / known)[count : count + 3]) ** 2 / windows, (windows, 1)))
-        squares = np.concatenate([np.sum((after / weights) ** 2, axis=1), *costly], axis=1)
-        wind = float(np.sum(((now + step) / known)[count + 3 :] ** 2))
-        loss = float(np.sum(squares * self.weights**2)) + wind
-        return Step(step[:count], bounds, own_step, step[count:], squares, after / weights, loss)
+        costly.append(np.tile((((now + step) / spread)[count : count + 3]) ** 2 / windows, (windows, 1)))
+        squares = np.sum((after / weights) ** 2, axis=1) * (len(known) / known.sum(axis=0))
+        squares = np.concatenate([squares, *costly], axis=1)
+        loss = float(np.sum(after**2) + np.sum(moments**2) + np.sum(priors * (now + step) ** 2))
+        noise = self.weights * np.sqrt(np.maximum(squares.mean(axis=0) / self.floor, 1.0))
+        known_before = np.diag(priors * np.where(np.isfinite(spread), spread, 0.0))
+        alone = alone.reshape(*point.left.shape, -1)
+        scores = Scores(root, alone, after, moved, moments, noise, known_before, information)
+        return Step(step[:count], own_step, step[count:], squares, after / weights, loss, scores)
 
-    def fit_windows(self, share: float = 1.0) -> Array:
-        """Return the step of the windows' numbers alone (w, 12) that leaves least of their first part."""
-        rows = max(round(share * len(self._time)), 8)
-        windows = len(self.nominal.left)
-        left = self.nominal.left[:, :rows].reshape(windows, -1, 1)
-        own = self.slopes_of_windows(self.nominal)[:, :rows].reshape(windows, -1, 12)
-        return np.asarray(-np.linalg.solve(own.mT @ own + self._held, own.mT @ left)[..., 0])
-
-    def follow(self, point: Point, step: Step, change: Change | None = None) -> Point:
-        """Fly the windows a step on."""
-        return self.fly(change or point.change, point.sense, point.own + step.own, point.shared + step.shared)
+    def follow(self, point: Point, step: Step, change: Change | None = None, part: float = 1.0) -> Point:
+        """Fly the windows a step on, or a part of it."""
+        own, shared = point.own + part * step.own, point.shared + part * step.shared
+        return self.fly(change or point.change, point.sense, own, shared)
 
 
 def settle(model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)) -> Flying:
@@ -221,37 +286,18 @@ def settle(model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] 
     """
     for share in shares:
         misfit = Misfit(model, flying, wind, by_axis=True)
-        own = misfit.fit_windows(share)
+        point = misfit.nominal
+        around = Slopes(misfit.slopes_of_windows(point), np.zeros((*point.left.shape, 5)))
+        rows = max(round(share * len(point.known)), 8)
+        own = misfit.solve(point, around, known=point.known & (np.arange(len(point.known)) < rows)[:, None]).own
         rate, angles, moment = flying.starts
         flying = replace(flying, starts=Starts(rate + own[:, RATE], angles + own[:, ANGLE], moment + own[:, MOMENT]))
     return flying
 
 
-def _bounds(rows: Array, windows: Array, inverse: Array, of_priors: Array) -> Array:
-    """Return half of the 95 % intervals, by scores of rows (w, n, k) and of windows (w, k), whichever is more.
-
-    Rows are taken for alike over a quarter of a window (Newey and West, 1987), windows for independent (Student's t).
-    """
-    from scipy.stats import t
-
-    count, lags = len(rows), max(rows.shape[1] // 4, 1)
-    by_rows = np.sum(rows.mT @ rows, axis=0) + windows.T @ windows
-    for lag in range(1, lags):
-        late = np.sum(rows[:, lag:].mT @ rows[:, :-lag], axis=0)
-        by_rows += (1.0 - lag / lags) * (late + late.T)
-    whole = rows.sum(axis=1) + windows
-    by_windows = whole.T @ whole * count / (count - 1.0)
-
-    def half(scores: Array, quantile: float) -> Array:
-        return quantile * np.sqrt(np.maximum(np.diag(inverse @ (scores + np.diag(of_priors)) @ inverse), 0.0))
-
-    return np.maximum(half(by_rows, 1.96), half(by_windows, float(t.ppf(0.975, count - 1))))
-
-
-def _delayed(values: Array, rows: float) -> Array:
-    """Return signals (w, n, c) later by so many rows, in a straight line between them and beyond the ends."""
-    count = values.shape[1]
-    at = np.arange(count) - rows
-    before = np.clip(np.floor(at).astype(int), 0, count - 2)
-    part = (at - before)[None, :, None]
-    return np.asarray((1.0 - part) * values[:, before] + part * values[:, before + 1])
+def _root_of_inverse(hessian: Array) -> Array:
+    """Return what, times its transpose, is the inverse of a matrix, without directions that nothing tells."""
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    told = values > 1e-12 * values[-1]
+    return np.asarray(vectors[:, told] / np.sqrt(values[told]) / scale[:, None])

@@ -10,21 +10,14 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.signals import AXES
 from cosim.base.storage.files import write_files
 from cosim.identify.page import judged_page
 from cosim.pages import Card, Page
-from cosim.results.log.columns import COLUMNS
-from cosim.results.log.recorder import MemoryLog
-from cosim.results.log.tables import TIME
-from cosim.results.report.page import Flights
 from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, Figure, axis_name, beneath, panels, trace
-from cosim.results.report.signals_data import FlightData, run_data
 from hexjet_identify.replay.replay import Replay
 from hexjet_identify.replay.windows import CHANNELS
 
-_GROUPS: Final = (("rates", "rate_"), ("forces", "specific_force_"), ("angles", ""))
-_MOST: Final = 6000  # points a curve
+# Figures of three channels each, in the order of CHANNELS.
 _TITLES: Final = {"rates": "Angular rates", "forces": "Specific force", "angles": "Angles"}
 CHANNELS_SHOWN: Final = (
     "channel", "time within", "error, rms", "movement, rms", "Theil's U", "bias / variance / covariance, %", "told",
@@ -63,7 +56,7 @@ def write(result: Replay, folder: Path) -> dict[str, Path]:
 
 def page(result: Replay) -> Page:
     """Return the page of a replay."""
-    drawn, runs = figures(result), _flights(result)
+    drawn = figures(result)
     cards = [
         Card("Channels", CHANNELS_SHOWN, channel_rows(result), _describe_comparison(result)),
         Card("What each number would explain", TABLE, cause_rows(result), CAUSES),
@@ -79,7 +72,6 @@ def page(result: Replay) -> Page:
         problems=[result.fault] if result.fault else [],
         notes=result.notes,
         source=result.log,
-        flights=Flights("replay", runs, {}) if runs else None,
     )
     return judged_page(result.judgement, shown)
 
@@ -168,20 +160,8 @@ def _shown(result: Replay) -> list[tuple[str, str, int]]:
 
 def figures(result: Replay) -> dict[str, Figure]:
     """Return the page's figures: the signals of each kind, and measured over modelled by frequency."""
-    drawn, groups = {}, _grouped(result)
-    for name, shown in groups.items():
-        if shown:
-            drawn[name] = _signals(result, shown)
-    drawn["ratio"] = _ratio(result)
-    return drawn
-
-
-def _grouped(result: Replay) -> dict[str, list[tuple[str, str, int]]]:
-    groups: dict[str, list[tuple[str, str, int]]] = {name: [] for name, _ in _GROUPS}
-    for entry in _shown(result):
-        group = next(name for name, prefix in _GROUPS if entry[0].startswith(prefix))
-        groups[group].append(entry)
-    return groups
+    kinds = {name: [entry for entry in _shown(result) if entry[2] // 3 == n] for n, name in enumerate(_TITLES)}
+    return {name: _signals(result, shown) for name, shown in kinds.items() if shown} | {"ratio": _ratio(result)}
 
 
 def _broken(values: Array) -> Array:
@@ -189,12 +169,12 @@ def _broken(values: Array) -> Array:
     return np.concatenate([values, np.full((len(values), 1), np.nan)], axis=1).ravel()
 
 
-def _signals(result: Replay, shown: Sequence[tuple[str, str, int]]) -> Figure:
+def _signals(result: Replay, shown: Sequence[tuple[str, str, int]], max_points: int = 6000) -> Figure:
+    """Return what was measured and modelled, each curve with ``max_points`` or up to twice as many."""
     flying = result.flying
     rows, measured = flying.rows, flying.measured()
-    every = slice(None, None, max(1, rows.size // _MOST))
+    every = slice(None, None, max(1, rows.size // max_points))
     times = _broken(flying.flight.times[rows])[every]
-    times = np.where(np.isfinite(times), times, np.nan)
     data = []
     for panel, (_, _, c) in enumerate(shown):
         curves: tuple[tuple[str, str, Array, dict[str, Any]], ...] = (
@@ -225,37 +205,3 @@ def _ratio(result: Replay) -> Figure:
     layout = panels(560, "frequency [Hz]", ("gain [dB]", "phase [deg]", "coherence"), log=True) | HOVER
     layout[axis_name("yaxis", 2)]["range"] = [0.0, 1.05]
     return {"data": data, "layout": layout}
-
-
-def _flights(result: Replay) -> list[tuple[dict[str, Any], dict[str, str]]]:
-    """Return the recorded and the modelled motion for the replay in three dimensions; without windows the recorded."""
-    flying, flown = result.flying, result.flown
-    flight = flying.flight
-    if not flight.has_angles:
-        return []
-    inside = np.zeros(len(flight.times), bool)
-    inside[flying.rows.ravel()] = True
-    rows = slice(flying.windows[0].first, flying.windows[-1].last + 1)
-    described = {column.name: column for column in COLUMNS}
-    height = np.nan_to_num(flight.altitude)
-    still = np.zeros_like(height)
-    shared = {
-        TIME: flight.times - flight.times[rows.start],
-        "north_m": still,
-        "east_m": still,
-        "down_m": -height,
-        "altitude_m": height,
-    }
-    runs = []
-    for label, colour, angles, rate in (
-        ("recorded", ORANGE, flight.angles, flight.rate),
-        ("model", BLUE, flown.angles, flown.rate),
-    ):
-        columns = dict(shared)
-        for c, (axis, letter) in enumerate(zip(AXES, "pqr", strict=True)):
-            columns[f"{axis}_rad"] = np.where(inside, angles[:, c], flight.angles[:, c])
-            columns[f"rate_{letter}_rad_s"] = np.where(inside, rate[:, c], flight.rate[:, c])
-        names = tuple(columns)
-        log = MemoryLog([np.stack(list(columns.values()))[:, rows]], names, tuple(described[name] for name in names))
-        runs.append(run_data(FlightData(log, label, colour, step_s=flight.step, vehicle=result.vehicle)))
-    return runs

@@ -22,13 +22,13 @@ from hexjet_identify.logs.log_columns import LEFT_AND_UP, match_columns
 
 XYZ: Final = ("x", "y", "z")
 NED: Final = ("north", "east", "down")
-SLOWEST_COMMAND_S = 0.03  # between two commands: what engines do between slower ones is not in the log
-LONGEST_GAP = 5.0  # control steps, or rows of the log, without a row: nothing is flown across a longer one
-MOST_THROTTLE = 1.5  # beyond it they are no throttles from 0 to 1
-LEAST_S = 2.0  # of commands and measurements, for a verdict of any kind
-OUTPUTS: Final = "actuator_outputs"  # of PX4: what its outputs had, in microseconds
+# Seconds of commands and measurements that a verdict of any kind needs.
+MIN_DURATION_S: Final = 2.0
+# PX4's outputs, in microseconds.
+OUTPUTS: Final = "actuator_outputs"
 MICROSECONDS: Final = (1000.0, 2000.0)
-COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log, or by the topic
+# What 0 and 1 of a throttle are, by the kind of log, or by the topic.
+COUNTS: Final = {
     OUTPUTS: MICROSECONDS,
     "Crazyflie": (0.0, 65535.0),
     "ArduPilot DataFlash": MICROSECONDS,
@@ -38,23 +38,28 @@ COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log, or by t
 # By these columns of a table, or the names of these topics, a log is known to be written by this program.
 OWN_COLUMNS: Final = {"throttle_1", "thrust_1_N", "health_1"}
 OWN_TOPICS: Final = "hexjet_"
-_FASTER: Final = {  # how a kind of log has commands oftener
+# How a kind of log has commands oftener.
+_FASTER: Final = {
     "ULog": "PX4: SDLOG_PROFILE with high rate; of ours: hexjet export --to ulog --rates all",
     "ArduPilot DataFlash": "ArduPilot writes RCOU ten times a second; hexjet identify log --axis takes RATE.ROut",
 }
-_MOTORS: Final = (  # where the command of engine n may stand; {n} from 1, {m} from 0
+# Where the command of engine n may stand; {n} from 1, {m} from 0.
+_MOTORS: Final = (
     "throttle_{n}", "hexjet_throttle.throttle[{m}]", "actuator_motors.control[{m}]", OUTPUTS + ".output[{m}]",
     "motor.m{n}", "RCOU.C{n}", "motor[{m}]", "SERVO_OUTPUT_RAW.servo{n}_raw",
 )  # fmt: skip
-_FORCES: Final = (  # m/s^2 or g; FRD but for LEFT_AND_UP
+# Specific force, in m/s^2 or _UNITS of it; FRD but for LEFT_AND_UP.
+_FORCES: Final = (
     "specific_force_{x}_measured_m_s2", "specific_force_{x}_m_s2", "sensor_combined.accelerometer_m_s2[{m}]",
     "vehicle_acceleration.xyz[{m}]", "IMU[0].Acc{X}", "IMU.Acc{X}", "acc.{x}", "SCALED_IMU.{x}acc", "RAW_IMU.{x}acc",
 )  # fmt: skip
-_GYROS: Final = (  # rad/s, FRD, where the log has not what its kind is known by
+# Rates, rad/s, FRD, where the log has not what its kind is known by.
+_GYROS: Final = (
     "vehicle_angular_velocity.xyz[{m}]", "sensor_combined.gyro_rad[{m}]", "IMU[0].Gyr{X}", "IMU.Gyr{X}",
 )  # fmt: skip
-_LIKE_MOTORS: Final = ("throttle_", "motor", "rcou", "output", "pwm")  # in the names of what may be commands
-_UNITS: Final = {"acc.": GRAVITY, "SCALED_IMU": 1e-3 * GRAVITY, "RAW_IMU": 1e-3 * GRAVITY}  # m/s^2
+# In the names of what may be commands.
+_LIKE_MOTORS: Final = ("throttle_", "motor", "rcou", "output", "pwm")
+_UNITS: Final = {"acc.": GRAVITY, "SCALED_IMU": 1e-3 * GRAVITY, "RAW_IMU": 1e-3 * GRAVITY}
 
 
 @dataclass(frozen=True)
@@ -67,15 +72,15 @@ class ThrottleChannels:
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """A log at the beginnings of control steps; NaN where it has nothing.
+    """A log at the beginnings of control steps of ``step`` s, ``times`` [s] of its clock; NaN where it has nothing.
 
     ``throttle`` (n, jets), 0 to 1, and ``tilt`` (n, servos), rad, act over the step; ``rate`` (n, 3) [rad/s, FRD],
     ``force`` (n, 3) [m/s^2, FRD], ``angles`` (n, 3) [rad], ``velocity`` (n, 3) [m/s, NED] and ``altitude`` (n,) [m] are
     measured at its beginning.  ``usable`` (n,): commands and rates are there, without a gap, and it flies.
     """
 
-    step: float  # s
-    times: Array  # s, of the log's clock
+    step: float
+    times: Array
     throttle: Array
     tilt: Array
     rate: Array
@@ -117,12 +122,18 @@ def hash_log(log: FlightLog) -> str:
 
 
 def record_flight(
-    log: FlightLog, vehicle: Vehicle, step: float, mapping: ThrottleChannels, part: tuple[float | None, float | None]
+    log: FlightLog,
+    vehicle: Vehicle,
+    step: float,
+    mapping: ThrottleChannels,
+    part: tuple[float | None, float | None],
+    max_throttle: float = 1.5,
 ) -> RecordedFlight:
     """Put a log on the clock of a vehicle's control steps, between the times ``part`` [s].
 
     A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Raises
-    InputError for a log that lacks commands of engines or rates, has slow ones, or those of another number of engines.
+    InputError for a log that lacks commands of engines or rates, has slow ones, or those of another number of engines,
+    and where they exceed ``max_throttle``: then they are no throttles from 0 to 1.
     """
     notes: list[str] = list(log.remarks)
     columns = match_columns(log) | dict(log.channels)
@@ -130,16 +141,18 @@ def record_flight(
     throttles, tilts = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle)
     clock = _clock(log, [*throttles, *gyros], step, part)
     _check_command_rate(log, throttles[0])
-    throttle, tilt = (_held(channels, clock, step) for channels in (throttles, tilts))
-    if (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
+    throttle = np.stack([_hold(channel, clock, step) for channel in throttles], axis=1)
+    tilt = np.reshape([_hold(channel, clock, step) for channel in tilts], (len(tilts), len(clock))).T
+    if (most := float(np.nanmax(throttle))) > max_throttle:
         raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are (throttle_range)")
     rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
     ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
     usable = np.isfinite(np.concatenate([throttle, rate], axis=1)).all(axis=1) & ~(ground > 0.5)
     usable &= _near_rows(throttles[0], clock, step) & _near_rows(gyros[0], clock, step)
-    if (seconds := float(np.sum(usable)) * step) < LEAST_S:
+    if (seconds := float(np.sum(usable)) * step) < MIN_DURATION_S:
         raise InputError(
-            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, in the air; {LEAST_S:g} s are needed"
+            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, in the air; {MIN_DURATION_S:g} s "
+            "are needed"
         )
     return RecordedFlight(
         step,
@@ -158,24 +171,14 @@ def record_flight(
 
 def _gyros(log: FlightLog, columns: Table[str, Channel], notes: list[str]) -> list[Channel]:
     """Return the measured rates.  Raises InputError where one is missing."""
-    rates = [
-        _find(
-            columns,
-            (f"rate_{r}_measured_rad_s", f"rate_{r}_rad_s", *(p.format(m=m, X="XYZ"[m]) for p in _GYROS)),
-            notes,
-        )
-        for m, r in enumerate(RATES)
-    ]
-    if any(rate is None for rate in rates):
-        have = ", ".join(sorted(log.channels)[:12])
-        raise InputError(f"{log.path}: no angular rates, such as rate_p_measured_rad_s; it has {have}"[:400])
-    return [rate for rate in rates if rate is not None]
-
-
-def _held(channels: Sequence[Channel], clock: Array, step: float) -> Array:
-    """Return commands at each control step, (n, channels)."""
-    held = [_hold(channel, clock, step) for channel in channels]
-    return np.stack(held, axis=1) if held else np.zeros((len(clock), 0))
+    rates = []
+    for m, r in enumerate(RATES):
+        names = (f"rate_{r}_measured_rad_s", f"rate_{r}_rad_s", *(p.format(m=m, X="XYZ"[m]) for p in _GYROS))
+        if (rate := _find(columns, names, notes)) is None:
+            have = ", ".join(sorted(log.channels)[:12])
+            raise InputError(f"{log.path}: no angular rates, such as rate_p_measured_rad_s; it has {have}"[:400])
+        rates.append(rate)
+    return rates
 
 
 def _motor(log: FlightLog, n: int, mapping: ThrottleChannels) -> str | None:
@@ -201,13 +204,14 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
             f"{log.path}: {what}, and {vehicle.name} has {jets}; say throttle N=CHANNEL; of that kind it has "
             f"{have or 'nothing'}"[:400]
         )
-    # of the same kind: the two tilts' outputs may stand behind those of the engines
+    # Of the same kind, the two tilts' outputs may stand behind those of the engines.
     has_tilts = vehicle.servo is not None and str(names[-1]).startswith(("RCOU.", "SERVO_OUTPUT_RAW.", OUTPUTS))
     behind = jets + (2 if has_tilts else 0)
     further = next(
         (kind.format(n=behind + 1, m=behind) for kind in _MOTORS if kind.format(n=jets, m=jets - 1) == names[-1]), ""
     )
-    if further in log.channels and _varies(log.channels[further]):
+    others = log.channels[further].values if further in log.channels else np.zeros(0)
+    if np.unique(others[np.isfinite(others)]).size > 1:
         raise InputError(
             f"{log.path}: commands of more engines ({further}) than the {jets} of {vehicle.name}: another aircraft?"
         )
@@ -219,11 +223,6 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
         notes.append(f"{first} and the like: {low:g} is taken for throttle 0 and {high:g} for 1, as {kind} has it")
     channels = [_clean(log.signal(str(name)), str(name), notes) for name in names]
     return [channel._replace(values=(channel.values - low) / (high - low)) for channel in channels]
-
-
-def _varies(channel: Channel) -> bool:
-    values = channel.values[np.isfinite(channel.values)]
-    return len(values) > 1 and float(np.ptp(values)) > 0.0
 
 
 def _tilts(columns: Table[str, Channel], vehicle: Vehicle) -> list[Channel]:
@@ -241,7 +240,8 @@ def _tilts(columns: Table[str, Channel], vehicle: Vehicle) -> list[Channel]:
         )
         channel = _find(columns, choices, [])
         fraction = _find(columns, (f"actuator_servos.control[{number}]",), []) if surface < 0 else None
-        if channel is None and fraction is not None and vehicle.servo is not None:  # PX4's, of the banks' whole range
+        if channel is None and fraction is not None and vehicle.servo is not None:
+            # PX4's are fractions of the banks' whole range.
             channel = fraction._replace(values=vehicle.servo.range_rad * fraction.values)
         if channel is None:
             raise InputError(f"no command of the {name} servo of {vehicle.name}: a column {choices[0]} is needed")
@@ -252,10 +252,7 @@ def _tilts(columns: Table[str, Channel], vehicle: Vehicle) -> list[Channel]:
 def _find(columns: Table[str, Channel], names: Sequence[str], notes: list[str]) -> Channel | None:
     """Return the first channel that is there with finite values, without those that are not."""
     for name in names:
-        channel = columns.get(name)
-        if channel is None:
-            continue
-        if np.isfinite(channel.values).any():
+        if (channel := columns.get(name)) is not None and np.isfinite(channel.values).any():
             return _clean(channel, name, notes)
     return None
 
@@ -283,18 +280,20 @@ def _clock(log: FlightLog, channels: Sequence[Channel], step: float, part: tuple
     if part[1] is not None:
         end = min(end, part[1])
     steps = int(np.floor((end - begin) / step + 1e-6)) if end > begin else 0
-    if steps * step < LEAST_S:
-        raise InputError(f"{log.path}: {max(end - begin, 0.0):.2g} s of commands and rates; {LEAST_S:g} s are needed")
+    if steps * step < MIN_DURATION_S:
+        seconds = max(end - begin, 0.0)
+        raise InputError(f"{log.path}: {seconds:.2g} s of commands and rates; {MIN_DURATION_S:g} s are needed")
     return np.asarray(begin + step * np.arange(steps + 1), np.float64)
 
 
-def _check_command_rate(log: FlightLog, command: Channel) -> None:
+def _check_command_rate(log: FlightLog, command: Channel, max_apart_s: float = 0.03) -> None:
+    """Raise InputError for commands that are further apart: what engines do between them is not in the log."""
     apart = float(np.median(np.diff(command.times)))
-    if apart > SLOWEST_COMMAND_S:
+    if apart > max_apart_s:
         # How commands are logged oftener, where that is known of a kind of log.
         hint = f" ({_FASTER[log.kind]})" if log.kind in _FASTER else ""
         raise InputError(
-            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * SLOWEST_COMMAND_S:g} ms tell "
+            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * max_apart_s:g} ms tell "
             f"what they did{hint}"
         )
 
@@ -328,11 +327,11 @@ def _mean(times: Array, values: Array, begin: Array, end: Array) -> Array:
     return np.asarray(np.where(count > 0, mean, between), np.float64)
 
 
-def _near_rows(channel: Channel, clock: Array, step: float) -> Flags:
-    """Return where a row of the channel is near in time."""
+def _near_rows(channel: Channel, clock: Array, step: float, max_gap: float = 5.0) -> Flags:
+    """Return where the channel has no gap of more than ``max_gap`` control steps, or rows: none is flown across."""
     after = np.clip(np.searchsorted(channel.times, clock), 1, len(channel.times) - 1)
     apart = channel.times[after] - channel.times[after - 1]
-    return np.asarray(apart <= LONGEST_GAP * max(step, float(np.median(np.diff(channel.times)))))
+    return np.asarray(apart <= max_gap * max(step, float(np.median(np.diff(channel.times)))))
 
 
 def _optional(columns: Table[str, Channel], names: Sequence[str], clock: Array, step: float) -> Array:

@@ -18,63 +18,55 @@ from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
 from hexjet_identify.replay.causes import Causes, Part, find_causes
 from hexjet_identify.replay.flown import Change, Flown, Model
-from hexjet_identify.replay.gyro import without_gyro_offset
-from hexjet_identify.replay.measures import (
-    LEVEL,
-    NEEDED,
-    Band,
-    ChannelMeasures,
-    measure_channels,
-)
+from hexjet_identify.replay.measures import LEVEL, MIN_TIME_WITHIN, Band, ChannelMeasures, measure_channels
 from hexjet_identify.replay.misfit import settle
 from hexjet_identify.replay.recorded import RecordedFlight
 from hexjet_identify.replay.wind import Wind, estimate_wind
-from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut
+from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, without_gyro_offset
 
-FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
-SPREAD: Final = 2.0  # standard deviations of the noise around the draws
-SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
-ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
-# Standard deviation of the centre of gravity, as a share of the span.
-CENTRE_SHARE: Final = 0.005
-ENGINES: Final = "of the engines"
-USELESS: Final = 0.5  # Theil's U from where on a model that is coherent in no band does not do what was measured
-FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
+# Gain of measured over modelled up to which the one may be an answer to the other.
+MAX_GAIN_DB: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Choices:
-    """How a flight is replayed; tolerances are standard deviations, as shares of the value."""
+    """How a flight is replayed; ``inertia``, ``mass`` and ``thrust`` are standard deviations, as shares of the value.
 
-    window_s: float | None = None  # None: a second for the Hex-Jet, other sizes by the root of theirs
+    ``window_s`` None: by the vehicle's size.  ``thrust`` is of engines that state no uncertainty.
+    """
+
+    window_s: float | None = None
     draws: int = 20
     inertia: float = 0.05
     mass: float = 0.02
-    thrust: float = 0.03  # of engines that state no uncertainty
+    thrust: float = 0.03
     seed: int = 1
 
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay says."""
+    """What a replay says.
+
+    ``modelled``, ``low`` and ``high``, the envelope, are (w, n, 9), by CHANNELS.  ``draws_engine``: by an
+    [uncertainty] of the engine.  ``simulated``: the log is of this program, so that no flight was recorded.
+    """
 
     log: str
     vehicle: Vehicle
     engine: str
     choices: Choices
     flying: Flying
-    modelled: Array  # (w, n, 9), by CHANNELS
-    low: Array  # the envelope
+    modelled: Array
+    low: Array
     high: Array
-    flown: Flown
     channels: tuple[ChannelMeasures, ...]
     wind: Wind
     causes: Causes
-    draws_engine: bool  # by an [uncertainty] of the engine
+    draws_engine: bool
     tolerances: tuple[str, ...]
     notes: tuple[str, ...]
     log_sha256: str = ""
-    simulated: bool = False  # the log is of this program, so that no flight was recorded
+    simulated: bool = False
 
     @property
     def window_s(self) -> float:
@@ -110,7 +102,9 @@ class Replay:
     @property
     def _off(self) -> list[ChannelMeasures]:
         """The channels that move and are outside the envelope, but for an attitude's own error."""
-        return [c for c in self.channels if c.excited and c.within < NEEDED and not is_estimate(c, self.causes)]
+        return [
+            c for c in self.channels if c.excited and c.within < MIN_TIME_WITHIN and not is_estimate(c, self.causes)
+        ]
 
     @property
     def evidence(self) -> tuple[str, ...]:
@@ -118,7 +112,7 @@ class Replay:
         flying = self.flying
         count, window = len(flying.windows), self.window_s
         lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, each started from the recorded state"]
-        outside = [c for c in self.channels if c.excited and c.within < NEEDED]
+        outside = [c for c in self.channels if c.excited and c.within < MIN_TIME_WITHIN]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
         moved = [c for c in self.channels if c.excited]
         estimates = ", ".join(c.name for c in outside if is_estimate(c, self.causes))
@@ -191,12 +185,12 @@ class Replay:
         }
 
 
-def _describe_band(name: str, band: Band) -> str:
+def _describe_band(name: str, band: Band, min_db: float = 1.0, min_deg: float = 10.0) -> str:
     """Return how measured differs from modelled in a band where both are coherent; empty where they are alike."""
     gain, phase = band.gain_db, band.phase_deg
-    if gain is None or phase is None or (abs(gain) < ALIKE[0] and abs(phase) < ALIKE[1]):
+    if gain is None or phase is None or (abs(gain) < min_db and abs(phase) < min_deg):
         return ""
-    if abs(gain) > FAR_DB:
+    if abs(gain) > MAX_GAIN_DB:
         return (
             f"{name}, {band.low_hz:.2g} to {band.high_hz:.2g} Hz: coherent, but measured is {gain:+.0f} dB beside the "
             "model: noise that the controller fed back, or what the model lacks"
@@ -211,16 +205,18 @@ def replay(
     flight: RecordedFlight,
     choices: Choices,
     tell: Callable[[str, int, int], None] = lambda part, done, of: None,
+    noise_deviations: float = 2.0,
 ) -> Replay:
     """Fly a recorded flight again with its engines' commands.
 
     The start of each window, and a constant moment of the air on it, are fitted to what was recorded.  Then the vehicle
-    is drawn, and each of its numbers is fitted.  Raises InputError and FlightError.
+    is drawn, with ``noise_deviations`` of the log's noise around it as envelope, and each of its numbers is fitted.
+    Raises InputError and FlightError.
     """
     model, count = Model(scenario), choices.draws + 2
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
-    flying = without_gyro_offset(cut(model, flight, length), log)
+    flying = without_gyro_offset(cut(model, flight, length))
     wind = estimate_wind(model, flying)
     flying = settle(model, flying, wind.velocity)
     flight = flying.flight
@@ -228,24 +224,23 @@ def replay(
     def fly(change: Change) -> Flown:
         return model.fly(flight, flying.windows, flying.starts, change, wind.velocity)
 
-    flown = fly(Change())
-    modelled = flying.modelled(flown)
+    modelled = flying.modelled(fly(Change()))
     zero = np.zeros(len(CHANNELS))
-    zero[FORCES] = accelerometer_zero((flying.measured() - modelled)[:, :, FORCES], model.vehicle)
+    zero[3:6] = accelerometer_zero((flying.measured() - modelled)[:, :, 3:6], model.vehicle)
     modelled = modelled + zero
     low = high = modelled
     for number, change in enumerate(draw(model, choices)):
         tell("draws", number + 1, count)
         drawn = flying.modelled(fly(change)) + zero
         low, high = np.minimum(low, drawn), np.maximum(high, drawn)
-    low, high = low - SPREAD * flying.scale, high + SPREAD * flying.scale
+    low, high = low - noise_deviations * flying.scale, high + noise_deviations * flying.scale
     channels = measure_channels(flying, modelled, low, high)
     tell("causes", count - 1, count)
     causes = find_causes(model, flying, wind.velocity, (low - modelled, high - modelled))
     engine = model.engine
     assert engine is not None
     return Replay(
-        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels,
+        log, model.vehicle, engine.name, choices, flying, modelled, low, high, channels,
         wind, causes, engine.uncertainty is not None,
         _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip
@@ -253,7 +248,7 @@ def replay(
 
 def are_explained(channels: Sequence[ChannelMeasures], causes: Causes) -> bool:
     """Return whether every channel that moves is inside the envelope; an angle whose rates are as modelled need not."""
-    return all(c.within >= NEEDED or is_estimate(c, causes) for c in channels if c.excited)
+    return all(c.within >= MIN_TIME_WITHIN or is_estimate(c, causes) for c in channels if c.excited)
 
 
 def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
@@ -261,11 +256,14 @@ def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
     return channel.unit == "rad" and causes.finds_nothing
 
 
-def is_foreign(channel: ChannelMeasures) -> bool:
-    """Return whether a channel moves, and the commands neither make the model do so nor anything alike."""
-    alike = any(band.gain_db is not None and abs(band.gain_db) <= FAR_DB for band in channel.bands)
+def is_foreign(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
+    """Return whether a channel moves, and the commands neither make the model do so nor anything alike.
+
+    Beyond a Theil's U of ``max_u`` a model that is coherent in no band does not do what was measured.
+    """
+    alike = any(band.gain_db is not None and abs(band.gain_db) <= MAX_GAIN_DB for band in channel.bands)
     is_level = channel.name == LEVEL and channel.theil.bias > 0.5  # thrust over mass
-    return channel.theil.u > USELESS and not is_level and not alike
+    return channel.theil.u > max_u and not is_level and not alike
 
 
 def are_beyond(causes: Causes, choices: Choices, draws_engine: bool, span_m: float) -> bool:
@@ -279,12 +277,13 @@ def are_beyond(causes: Causes, choices: Choices, draws_engine: bool, span_m: flo
 
 
 def _is_drawn(part: Part, choices: Choices, draws_engine: bool, span_m: float) -> bool:
-    if part.name.endswith(SENSORS[2]) or (draws_engine and (ENGINES in part.name or part.name == THRUST)):
+    if part.name.endswith(SENSORS[2]) or (draws_engine and ("of the engines" in part.name or part.name == THRUST)):
         return True
     deviations = {MASS: choices.mass, THRUST: choices.thrust}
     deviation = deviations.get(part.name, choices.inertia if INERTIA in part.name else 0.0)
     if CENTRE in part.name:
-        deviation = CENTRE_SHARE * span_m
+        # The centre of gravity is taken to be known to half a percent of the span.
+        deviation = 0.005 * span_m
     return abs(part.value - part.stated) <= 2.0 * deviation
 
 
@@ -306,8 +305,11 @@ def _join(names: Sequence[str]) -> str:
 
 
 def usual_window(vehicle: Vehicle) -> float:
-    """Return the length of a window, s: times of vehicles that are alike go with the root of their size (Froude)."""
-    return float(round(min(max((vehicle.aero.span_m / SPAN_M) ** 0.5, 0.3), 3.0), 1))
+    """Return the length of a window, s: times of vehicles that are alike go with the root of their size (Froude).
+
+    It is a second for the Hex-Jet with its span of 0.4 m.
+    """
+    return float(round(min(max((vehicle.aero.span_m / 0.4) ** 0.5, 0.3), 3.0), 1))
 
 
 def draw(model: Model, choices: Choices) -> Iterator[Change]:

@@ -11,15 +11,11 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.results.log.columns import RATES
 from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.flown import Change, Flown, Loads, Model, Starts, Window
 from hexjet_identify.replay.recorded import RecordedFlight
 
-SETTLING_S: Final = 0.5  # at the beginning: what was commanded before the log is not known
-LEAST_LIFT: Final = 0.4  # of the weight, by the model's engines: with less it stands, or falls
-SMOOTH_S: Final = 0.03  # over which the start's rates are smoothed, by a parabola (Savitzky and Golay)
-LEAST_WINDOWS: Final = 2
-HARDEST_G: Final = 6.0  # specific force beyond which it has hit something
 CHANNELS: Final = (
     *((f"rate_{rate}", "rad/s") for rate in "pqr"),
     *((f"specific_force_{axis}", "m/s^2") for axis in "xyz"),
@@ -66,16 +62,17 @@ class Flying:
         return replace(self, windows=tuple(self.windows[n] for n in chosen), starts=starts)
 
 
-def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
+def cut(model: Model, flight: RecordedFlight, length_s: float, settling_s: float = 0.5) -> Flying:
     """Cut a flight into windows in which its engines carry it.
 
-    The rates of a start are smoothed, and taken as much later as the gyro's filter and latency are.  Raises InputError
-    where it has no two windows.
+    The first ``settling_s`` are left out: what was commanded before the log is not known.  The rates of a start are
+    smoothed, and taken as much later as the gyro's filter and latency are.  Raises InputError where it has no two
+    windows.
     """
     loads = model.loads(flight, Change())
     flies = flight.usable & _carried(model, loads) & ~_hit(flight)
     rows = max(round(length_s / flight.step), 4)
-    first = round(SETTLING_S / flight.step)
+    first = round(settling_s / flight.step)
     windows = []
     while first + rows < len(flies):
         grounded = np.flatnonzero(~flies[first : first + rows + 1])
@@ -84,10 +81,10 @@ def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
             continue
         windows.append(Window(first, first + rows))
         first += rows
-    if len(windows) < LEAST_WINDOWS:
+    if len(windows) < 2:
         raise InputError(
-            f"{len(windows)} windows of {length_s:g} s in which the engines carry the vehicle; {LEAST_WINDOWS} are "
-            "needed: another engine or throttle range, or a shorter window_s"
+            f"{len(windows)} windows of {length_s:g} s in which the engines carry the vehicle; 2 are needed: "
+            "another engine or throttle range, or a shorter window_s"
         )
     starts = [window.first for window in windows]
     smooth = _smoothed(flight.rate, flight.step)
@@ -98,15 +95,15 @@ def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
     return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
 
 
-def _carried(model: Model, loads: Loads) -> Flags:
-    """Return at which steps the engines carry the weight, as they have to; a while before too."""
+def _carried(model: Model, loads: Loads, min_share: float = 0.4) -> Flags:
+    """Return at which steps the engines carry ``min_share`` of the weight: with less it stands, or falls."""
     lift = np.linalg.norm(loads.forces.sum(axis=1), axis=1)
-    return np.asarray(lift > LEAST_LIFT * model.vehicle.mass_kg * GRAVITY)
+    return np.asarray(lift > min_share * model.vehicle.mass_kg * GRAVITY)
 
 
-def _hit(flight: RecordedFlight) -> Flags:
-    """Return where something was hit: within a tenth of a second of an impossible specific force."""
-    hard = np.linalg.norm(np.nan_to_num(flight.force), axis=1) > HARDEST_G * GRAVITY
+def _hit(flight: RecordedFlight, max_g: float = 6.0) -> Flags:
+    """Return where something was hit: within a tenth of a second of a specific force beyond ``max_g``."""
+    hard = np.linalg.norm(np.nan_to_num(flight.force), axis=1) > max_g * GRAVITY
     reach = 2 * round(0.1 / flight.step) + 1
     return np.asarray(np.convolve(hard, np.ones(reach), "same") > 0.0)
 
@@ -117,8 +114,9 @@ def _smoothed(values: Array, step: float) -> Array:
     return np.asarray(savgol_filter(np.nan_to_num(values), _smoothing_rows(step), 2, axis=0))
 
 
-def _smoothing_rows(step: float) -> int:
-    return max(5, 2 * round(0.5 * SMOOTH_S / step) + 1)
+def _smoothing_rows(step: float, seconds: float = 0.03) -> int:
+    """Return over how many rows a parabola is laid (Savitzky and Golay)."""
+    return max(5, 2 * round(0.5 * seconds / step) + 1)
 
 
 def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Array:
@@ -126,11 +124,12 @@ def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Array:
     from scipy.signal import savgol_coeffs
 
     rows = _smoothing_rows(flight.step)
-    left = float(np.sqrt(1.0 - savgol_coeffs(rows, 2)[rows // 2]))  # of white noise
+    # Of white noise the parabola leaves this share, and the gyro's filter lets pass the one of ``passed``.
+    left = float(np.sqrt(1.0 - savgol_coeffs(rows, 2)[rows // 2]))
     sensors = model.vehicle.sensors
     stated = (sensors.gyro.noise_rad_s, sensors.accelerometer.noise_m_s2, sensors.attitude.noise_rad)
     gain = 1.0 - np.exp(-flight.step / sensors.gyro.filter_s) if sensors.gyro.filter_s > 0.0 else 1.0
-    passed = (float(np.sqrt(gain / (2.0 - gain))), 1.0, 1.0)  # of white noise by the gyro's filter
+    passed = (float(np.sqrt(gain / (2.0 - gain))), 1.0, 1.0)
     levels = []
     for values, least, share in zip((flight.rate, flight.force, flight.angles), stated, passed, strict=True):
         rest = (values - _smoothed(values, flight.step))[flies]
@@ -151,7 +150,33 @@ def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
     return np.array([x, y, np.clip(z, -most, most)])
 
 
-def slopes(error: Array, step: float) -> Array:
-    """Return the slope (w, 3), 1/s, of errors (w, n, 3) within each window."""
-    time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
-    return np.asarray(np.einsum("n,wnc->wc", time, error) / float(time @ time))
+def without_gyro_offset(flying: Flying) -> Flying:
+    """Return the flight without the constant by which its rates differ from how its attitude turns, and note that.
+
+    It is more than chance from three standard errors over the windows on, and from the attitude's noise on.
+    """
+    from scipy.stats import t
+
+    flight, angles = flying.flight, flying.flight.angles[flying.rows]
+    if not np.isfinite(angles).all():
+        return flying
+    roll, pitch = np.moveaxis(angles[:, :, :2], 2, 0)
+    at_roll, at_pitch, at_yaw = np.moveaxis(np.gradient(angles, flight.step, axis=1), 2, 0)
+    across = np.cos(pitch) * at_yaw
+    turned = (
+        at_roll - np.sin(pitch) * at_yaw,
+        np.cos(roll) * at_pitch + np.sin(roll) * across,
+        np.cos(roll) * across - np.sin(roll) * at_pitch,
+    )
+    offsets = (np.nan_to_num(flight.rate[flying.rows]) - np.stack(turned, axis=2)).mean(axis=1)
+    count, offset = len(offsets), offsets.mean(axis=0)
+    chance = float(t.ppf(0.99865, count - 1)) * np.std(offsets, axis=0, ddof=1) / np.sqrt(count)
+    off = np.abs(offset) > np.maximum(chance, flying.scale[6:] / (flight.step * angles.shape[1]))
+    if not off.any():
+        return flying
+    offset = np.where(off, offset, 0.0)
+    told = ", ".join(f"{r} by {value:.3g}" for r, value, here in zip(RATES, offset.tolist(), off, strict=True) if here)
+    note = f"the gyro is off, as the attitude of the log says: {told} rad/s; taken off before the model is compared"
+    corrected = replace(flight, rate=flight.rate - offset, notes=(*flight.notes, note))
+    starts = flying.starts._replace(rate=flying.starts.rate - offset)
+    return replace(flying, flight=corrected, starts=starts)
