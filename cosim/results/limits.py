@@ -19,7 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.metrics import POSITION_SETPOINT, Record, commands_position
-from cosim.results.steadiness import MIN_GAIN_1_S, AxisLimitInputs, axis_limits, noise_floor
+from cosim.results.steadiness import MIN_GAIN_1_S, AxisLimitInputs, Known, axis_limits, noise_floor
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -107,8 +107,10 @@ def note_small_steps(scenario: Scenario, measure: LimitInputs) -> list[str]:
     ]
 
 
-def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
+def flight_limits(measure: LimitInputs, log: Columns, step_s: float, known: Known | None = None) -> dict[str, float]:
     """Return the most that each limited metric may be in this flight, by the metric's name.
+
+    ``known`` keeps what flights share that begin alike and have the same commands, disturbances and wind.
 
     The height's error may be ``MAX_HEIGHT_SPANS`` beyond what the height law leaves by itself; drift and speed
     ``MAX_DRIFT_SPANS`` and ``MAX_FROUDE_SPEEDS`` beyond what the commanded leans explain.  There is none
@@ -116,16 +118,17 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
     # One function each, so that no columns are held while another reads its own: an hour's are 7 MB each.
+    known, law = known or Known(32), measure.height_law
+    lag = known.get(law, lambda: height_lag(log["altitude_setpoint_m"], log["altitude_m"], law, step_s))
     merged: dict[str, float | None] = {
-        "height_error_m": MAX_HEIGHT_SPANS * measure.span_m
-        + height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s),
+        "height_error_m": MAX_HEIGHT_SPANS * measure.span_m + lag,
         "saturated_percent": MAX_SATURATED_PERCENT,
         "alternating_percent": MAX_ALTERNATING_PERCENT,
-        **_motion_limits(measure, log, step_s),
+        **known.get((measure.span_m, measure.piloted), lambda: _motion_limits(measure, log, step_s)),
         **measure.stated,
     }
     named = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
-    return named | axis_limits(measure.axes, log, step_s, measure.span_m, measure.stated)
+    return named | axis_limits(measure.axes, log, step_s, measure.span_m, measure.stated, known)
 
 
 def _motion_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:

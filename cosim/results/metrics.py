@@ -6,12 +6,15 @@ of its changes.  A set-point that differs from the attitude at the start of the 
 
 What is said of an axis at the end is the mean over the last second; of height, place and speed, that of the last row.
 docs/metrics.md has every definition.
+
+Columns may be tables of many flights, a line for each or one that all share, and metrics are arrays then: of whole
+flights in the air all the time, whose columns have a number everywhere or nowhere.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,7 @@ from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
+R = TypeVar("R", bound="Record")
 # Chosen by us: smaller offsets at the start are trim or noise and not a command.
 MIN_STEP_RAD = 1e-3
 SETTLING_BAND = 0.05  # of the step's size, as is common
@@ -128,21 +132,24 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     Without ``reach`` only what allocation refused counts as saturation.
     """
     axes = {axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)}
-    contact = find_contact_rows(log)
-    altitude = log["altitude_m"]
-    return Metrics(
+    contact, jets = find_contact_rows(log), jets_in(log.columns)
+    saturated, flying = saturation_in_flight(log, reach), np.count_nonzero(~contact)
+    altitude, speed = log["altitude_m"], np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])
+    return _record(
+        Metrics,
         axes=axes,
         altitude=altitude_metrics(log["altitude_setpoint_m"], altitude, contact),
         touchdown_m_s=touchdown(contact, altitude, log["velocity_down_m_s"]),
         position=_position_of(log),
-        speed=speed_metrics(np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])),
-        effort=EffortMetrics(
-            saturated_percent=share_percent(saturation_in_flight(log, reach), ~contact),
+        speed=_record(SpeedMetrics, max_m_s=_largest(speed), final_m_s=_at_end(speed)),
+        effort=_record(
+            EffortMetrics,
+            saturated_percent=_plain(100.0 * np.count_nonzero(saturated, axis=-1) / flying) if flying else None,
             alternating_percent=alternating_percent(_ranges(log, reach), step_s),
-            throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets_in(log.columns))), step_s),
+            throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets)), step_s),
             tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
         ),
-        fuel_burnt_kg=_fuel_of(log, step_s),
+        fuel_burnt_kg=fuel_burnt(log["fuel_kg"], (log[name] for name in _of_jets(FLOW, jets)), step_s),
     )
 
 
@@ -186,25 +193,33 @@ def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
 
 
 def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
-    setpoint, angle, rate_setpoint, true_rate = _axis_columns(axis, rate)
-    return axis_metrics(log[setpoint], log[angle], _rms(log[rate_setpoint] - log[true_rate]), step_s)
-
-
-def axis_metrics(setpoint: Array, angle: Array, rate_rmse: float | None, step_s: float) -> AxisMetrics:
-    """Return the metrics of one axis from its columns (rad); ``rate_rmse`` is of its rate (rad/s)."""
+    setpoint, angle, rate_setpoint, true_rate = (log[name] for name in _axis_columns(axis, rate))
     error = wrap(setpoint - angle)
-    last = _last(error, step_s)
-    steps = find_steps(setpoint, angle, step_s)
-    return AxisMetrics(
+    last = _known(error[..., -round(FINAL_WINDOW_S / step_s) :])
+    steps, percent, seconds = _answer_steps(setpoint, angle, error, step_s)
+    return _record(
+        AxisMetrics,
         commanded=bool(steps) or bool(np.any(np.diff(setpoint[np.isfinite(setpoint)]) != 0.0)),
         rmse_rad=_rms(error),
         max_abs_error_rad=_largest(np.abs(error)),
-        overshoot_percent=_worst([overshoot(error[s.first : s.end], s.size) for s in steps]),
-        settling_time_s=_worst([settling_time(error[s.first : s.end], s.size, step_s) for s in steps]),
-        rate_rmse_rad_s=rate_rmse,
-        final_error_rad=float(np.mean(np.abs(last))) if last.size else None,
-        oscillation_rad=float(0.5 * np.ptp(last)) if last.size else None,
+        overshoot_percent=percent,
+        settling_time_s=seconds,
+        rate_rmse_rad_s=_rms(rate_setpoint - true_rate),
+        final_error_rad=_plain(np.mean(np.abs(last), axis=-1)) if last.size else None,
+        oscillation_rad=_plain(0.5 * np.ptp(last, axis=-1)) if last.size else None,
     )
+
+
+def _answer_steps(setpoint: Array, angle: Array, error: Array, step_s: float) -> tuple[list[Step], Any, Any]:
+    """Return the steps of a set-point, and the worst overshoot and settling time of the answers to them."""
+    if error.ndim > 1 and not (len(setpoint) == 1 and np.all(angle[:, 0] == angle[0, 0])):
+        tables = np.broadcast_arrays(setpoint, angle, error)
+        each = [_answer_steps(a, b, c, step_s)[1:] for a, b, c in zip(*tables, strict=True)]
+        return [], *np.array(each, dtype=float).T
+    steps = find_steps(np.ravel(setpoint), np.ravel(angle[..., :1]), step_s)
+    answers = [(error[..., first:end], size) for first, end, size in steps]
+    over = _worst([overshoot(answer, size) for answer, size in answers])
+    return steps, over, _worst([settling_time(answer, size, step_s) for answer, size in answers])
 
 
 def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2) -> list[Step]:
@@ -229,46 +244,31 @@ def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2
     ]
 
 
-def overshoot(error: Array, size: float) -> float | None:
+def overshoot(error: Array, size: float) -> Any:
     """Return how far a response runs past its target, in percent of the step's size; None without a number.
 
     ``error`` is target minus response, one value a row; ``size`` is the step's, in the same unit.
     """
     past = _largest(-error * np.sign(size))
-    return None if past is None else max(0.0, 100.0 * past / abs(size))
+    return None if past is None else _plain(np.maximum(100.0 * past / abs(size), 0.0))
 
 
-def settling_time(error: Array, size: float, step_s: float) -> float | None:
+def settling_time(error: Array, size: float, step_s: float) -> Any:
     """Return the time [s] from a step until the error stays within 5 % of its size.
 
     None if the last row is outside.
     """
-    outside = np.flatnonzero(~(np.abs(error) <= SETTLING_BAND * abs(size)))
-    settled = int(outside[-1]) + 1 if outside.size else 0
-    return None if settled == error.size else settled * step_s
+    outside, rows = ~(np.abs(error) <= SETTLING_BAND * abs(size)), error.shape[-1]
+    settled = np.where(np.any(outside, axis=-1), rows - np.argmax(outside[..., ::-1], axis=-1), 0)
+    times = np.where(settled == rows, np.nan, settled * step_s)
+    return times if error.ndim > 1 else None if settled == rows else float(times)
 
 
 def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_] | None = None) -> AltitudeMetrics:
     """Return the metrics of the height error (m), over the rows that have a set-point."""
     error = height_error(setpoint, altitude, contact)
     size = np.abs(error)
-    return AltitudeMetrics(rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
-
-
-def position_metrics(drift: Array, off: Array) -> PositionMetrics:
-    """Return the metrics of distances (m) to start and commanded position, NaN if there is none."""
-    return PositionMetrics(
-        drift_m=_largest(drift),
-        final_drift_m=_at_end(drift),
-        rmse_m=_rms(off),
-        max_abs_error_m=_largest(off),
-        final_error_m=_at_end(off),
-    )
-
-
-def speed_metrics(speed: Array) -> SpeedMetrics:
-    """Return the metrics of the horizontal speed (m/s)."""
-    return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
+    return _record(AltitudeMetrics, rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
@@ -282,16 +282,16 @@ def saturation(log: Columns, reach: Reach | None, tolerance: float = 1e-9) -> ND
     Actuators are throttles, tilts, hinges and surfaces.  A jet that the monitor has given up, whose throttle is closed
     for that, does not count.  ``tolerance``: throttle, rad: rounding between a limit and a command that was cut there.
     """
-    rows = np.zeros(log["on_ground"].size, dtype=np.bool_)
+    rows = np.zeros(log["on_ground"].shape, dtype=np.bool_)
     for name in REFUSED:
-        rows |= np.abs(log[name]) > 0.0
+        rows = rows | (np.abs(log[name]) > 0.0)
     if reach is None:
         return rows
     for jet, (least, most) in enumerate(reach.throttle, 1):
         throttle, is_failed = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
-        rows |= ((throttle <= least + tolerance) | (throttle >= most - tolerance)) & ~is_failed
+        rows = rows | (((throttle <= least + tolerance) | (throttle >= most - tolerance)) & ~is_failed)
     for command, least, most in _servo_ranges(log, reach):
-        rows |= (command <= least + tolerance) | (command >= most - tolerance)
+        rows = rows | (command <= least + tolerance) | (command >= most - tolerance)
     return rows
 
 
@@ -324,23 +324,18 @@ def alternating_percent(
     """
     rows, worst = round(FINAL_WINDOW_S / step_s), None
     for command, least, most in commands:
-        if most <= least or command.size < rows + 2 or not np.all(np.isfinite(command)):
+        if np.all(most <= least) or command.shape[-1] < rows + 2 or not np.all(np.isfinite(command)):
             continue
         change = np.diff(command)
         change /= most - least
-        turns = change[1:] * change[:-1] < 0.0
+        turns = change[..., 1:] * change[..., :-1] < 0.0
         np.abs(change, out=change)
-        turns &= np.minimum(change[1:], change[:-1]) > reversal
-        count = np.zeros(turns.size + 1, dtype=np.int32)
-        np.cumsum(turns, out=count[1:])
-        worst = max(worst or 0.0, 100.0 * float(np.max(count[rows:] - count[:-rows])) / rows)
+        turns &= np.minimum(change[..., 1:], change[..., :-1]) > reversal
+        count = np.zeros((*turns.shape[:-1], turns.shape[-1] + 1), dtype=np.int32)
+        np.cumsum(turns, axis=-1, out=count[..., 1:])
+        own = 100.0 * np.max(count[..., rows:] - count[..., :-rows], axis=-1) / rows
+        worst = _plain(own if worst is None else np.maximum(worst, own))
     return worst
-
-
-def share_percent(rows: NDArray[np.bool_], of: NDArray[np.bool_]) -> float | None:
-    """Return how many of some rows are among ``rows``, in percent of them; None of none."""
-    count = int(np.count_nonzero(of))
-    return 100.0 * int(np.count_nonzero(rows & of)) / count if count else None
 
 
 def activity(commands: Iterable[Array], step_s: float) -> float | None:
@@ -349,43 +344,40 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
     It is the common measure of a control signal's effort.  A command without a number is left out.
     """
     values = [
-        float(np.sum(np.abs(np.diff(command)))) / ((command.size - 1) * step_s)
+        _plain(np.sum(np.abs(np.diff(command)), axis=-1)) / ((command.shape[-1] - 1) * step_s)
         for command in commands
-        if command.size > 1 and np.all(np.isfinite(command))
+        if command.shape[-1] > 1 and np.all(np.isfinite(command))
     ]
     return sum(values) / len(values) if values else None
 
 
-def fuel_burnt(fuel: Array, flows: Iterable[Array], step_s: float) -> float | None:
+def fuel_burnt(fuel: Array, flows: Iterable[Array], step_s: float) -> Any:
     """Return the fuel (kg) burnt: lost from the tank, or reported by the engines.
 
     None where no engine reports its flow: a tank stays full then, whatever is burnt.
     """
     reported = [flow for flow in flows if flow.size and np.any(np.isfinite(flow))]
     if reported and fuel.size and np.all(np.isfinite(fuel)):
-        return float(fuel[0] - fuel[-1])
-    burnt = [float(np.sum(flow[:-1])) for flow in reported if np.all(np.isfinite(flow))]
+        return _plain(fuel[..., 0] - fuel[..., -1])
+    burnt = [_plain(np.sum(flow[..., :-1], axis=-1)) for flow in reported if np.all(np.isfinite(flow))]
     return sum(burnt) * step_s if burnt else None
 
 
 def _position_of(log: Columns) -> PositionMetrics:
     north, east = log["north_m"], log["east_m"]
-    drift = np.hypot(north - north[:1], east - east[:1]) if north.size else north
+    drift = np.hypot(north - north[..., :1], east - east[..., :1]) if north.size else north
+    ends = {"drift_m": _largest(drift), "final_drift_m": _at_end(drift)}
     if not commands_position(log):
-        return position_metrics(drift, np.empty(0))
-    setpoint_north, setpoint_east = (log[name] for name in POSITION_SETPOINT)
-    position = position_metrics(drift, np.hypot(setpoint_north - north, setpoint_east - east))
+        return _record(PositionMetrics, **ends)
+    off = np.hypot(log[POSITION_SETPOINT[0]] - north, log[POSITION_SETPOINT[1]] - east)
     remaining = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
-    return position.model_copy(update={"waypoints_left": remaining})
+    errors = {"rmse_m": _rms(off), "max_abs_error_m": _largest(off), "final_error_m": _at_end(off)}
+    return _record(PositionMetrics, **ends, **errors, waypoints_left=remaining)
 
 
 def commands_position(log: Columns) -> bool:
     """Return whether a position is commanded at any time."""
     return POSITION_SETPOINT[0] in log.columns and bool(np.any(np.isfinite(log[POSITION_SETPOINT[0]])))
-
-
-def _fuel_of(log: Columns, step_s: float) -> float | None:
-    return fuel_burnt(log["fuel_kg"], (log[name] for name in _of_jets(FLOW, jets_in(log.columns))), step_s)
 
 
 def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array, flight_m: float = 0.2) -> float | None:
@@ -418,18 +410,19 @@ def flatten(metrics: Metrics) -> dict[str, float | None]:
     """Return every metric under the name that an expectation uses, such as ``roll.overshoot_percent``."""
     flat: dict[str, float | None] = {}
     for axis, of_axis in metrics.axes.items():
-        flat |= {f"{axis}.{name}": value for name, value in of_axis.model_dump(exclude={"commanded"}).items()}
-    flat |= {f"altitude.{name}": value for name, value in metrics.altitude.model_dump().items()}
+        flat |= {f"{axis}.{name}": value for name, value in of_axis if name != "commanded"}
+    flat |= {f"altitude.{name}": value for name, value in metrics.altitude}
     flat["touchdown_m_s"] = metrics.touchdown_m_s
     for part in ("position", "speed", "effort"):
-        flat |= {f"{part}.{name}": value for name, value in getattr(metrics, part).model_dump().items()}
+        flat |= {f"{part}.{name}": value for name, value in getattr(metrics, part)}
     return flat | {"fuel_burnt_kg": metrics.fuel_burnt_kg}
 
 
-def metric_names() -> list[str]:
+@cache
+def metric_names() -> tuple[str, ...]:
     """Return every name that an expectation may use."""
     nothing = AxisMetrics(commanded=False)
-    return list(flatten(Metrics(axes=dict.fromkeys(AXES, nothing), altitude=AltitudeMetrics())))
+    return tuple(flatten(Metrics(axes=dict.fromkeys(AXES, nothing), altitude=AltitudeMetrics())))
 
 
 def check_expectations(flat: Mapping[str, float | None], expected: Mapping[str, Range]) -> list[str]:
@@ -454,31 +447,44 @@ def _span(low: float | None, high: float | None) -> str:
     return f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
 
 
-def _last(values: Array, step_s: float) -> Array:
-    """Return the finite values of the last second."""
-    last = values[-round(FINAL_WINDOW_S / step_s) :]
-    return last[np.isfinite(last)]
+def _record(kind: type[R], **values: Any) -> R:
+    """Return a record; one of many flights has arrays, which are not checked."""
+    is_of_many = any(isinstance(value, np.ndarray) for value in values.values())
+    return kind.model_construct(**values) if is_of_many else kind(**values)
 
 
-def _at_end(values: Array) -> float | None:
+def _plain(value: Any) -> Any:
+    """Return the number of one flight as Python's, those of many as an array."""
+    return value if np.ndim(value) else float(value)
+
+
+def _known(values: Array) -> Array:
+    """Return the finite values of a flight; those of many are finite everywhere or nowhere."""
+    return values if values.ndim > 1 else values[np.isfinite(values)]
+
+
+def _at_end(values: Array) -> Any:
+    if values.ndim > 1:
+        return values[..., -1]
     return float(values[-1]) if values.size and np.isfinite(values[-1]) else None
 
 
-def _rms(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    largest = max(float(np.max(finite, initial=0.0)), -float(np.min(finite, initial=0.0)))
-    if not largest:
-        return 0.0 if finite.size else None
-    finite /= largest  # scaled so that no square overflows
-    return largest * float(np.sqrt(np.mean(np.square(finite, out=finite))))
+def _rms(values: Array) -> Any:
+    finite = _known(values)
+    if not finite.size:
+        return None
+    largest = np.maximum(np.max(finite, axis=-1), -np.min(finite, axis=-1))
+    # Scaled, so that no square overflows.
+    scale = np.where(largest > 0.0, largest, 1.0)[..., None]
+    scaled = np.divide(finite, scale, out=None if finite is values else finite)
+    return _plain(largest * np.sqrt(np.mean(np.square(scaled, out=scaled), axis=-1)))
 
 
-def _largest(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(np.max(finite)) if finite.size else None
+def _largest(values: Array) -> Any:
+    finite = _known(values)
+    return _plain(np.max(finite, axis=-1)) if finite.size else None
 
 
-def _worst(values: list[float | None]) -> float | None:
+def _worst(values: list[Any]) -> Any:
     """Return the largest; None if there are none or one is None."""
-    numbers = [value for value in values if value is not None]
-    return max(numbers) if numbers and len(numbers) == len(values) else None
+    return _plain(np.max(values, axis=0)) if values and all(value is not None for value in values) else None

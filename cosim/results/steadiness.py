@@ -9,7 +9,9 @@ limit on the swing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from math import hypot, radians, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
+from cosim.base.storage.cache import RecentCache
 from cosim.results.contacts import find_contact_rows
 from cosim.results.metrics import (
     FINAL_WINDOW_S,
@@ -33,11 +36,11 @@ from cosim.results.metrics import (
 
 # An attitude law slower than a quarter of an hour is no attitude law.
 MIN_GAIN_1_S = 1e-3
-
-
 # Half peak-to-peak that an axis may have if the wind changes until the end. Chosen by us: gusts of shipped scenarios
 # cause less than 1 deg.
 MAX_SWING_IN_WIND_RAD = radians(10.0)
+
+Known = RecentCache[Any]
 
 
 class AxisLimitInputs(Record):
@@ -103,23 +106,23 @@ def axis_limits(
     step_s: float,
     span_m: float,
     chosen: Mapping[str, float | None],
+    known: Known,
     wind_change: float = 0.05,
 ) -> dict[str, float]:
     """Return the limits of every axis by metric; ``chosen`` are those of the scenario by key, None for no limit.
 
-    ``wind_change``: change of the wind, in Froude speeds sqrt(g span), from which on an axis counts as disturbed.  0.1
-    m/s on the prototype.
+    ``known``: see :func:`cosim.results.limits.flight_limits`; ``wind_change``: change of the wind, in Froude speeds
+    sqrt(g span), from which on an axis counts as disturbed.  0.1 m/s on the prototype.
     """
-    upsets = Upsets(log, wind_change * sqrt(GRAVITY * span_m))
+    upsets = known.get(span_m, lambda: Upsets(log, wind_change * sqrt(GRAVITY * span_m)))
     limits: dict[str, float | None] = {}
     for axis, name in zip(axes, AXES, strict=False):
         setpoint, angle = log[f"{name}_setpoint_rad"], log[f"{name}_rad"]
-        steps = find_steps(setpoint, angle, step_s)
-        error = wrap(setpoint - angle)
+        steps = known.get(name, partial(find_steps, setpoint, angle, step_s))
         if "settling_s" in chosen:
             limits[f"{name}.settling_time_s"] = chosen["settling_s"] if steps else None
         else:
-            limits[f"{name}.settling_time_s"] = _settling(axis, steps, error, upsets, step_s)
+            limits[f"{name}.settling_time_s"] = _settling(axis, steps, wrap(setpoint - angle), upsets, step_s)
         if "oscillation_rad" in chosen:
             limits[f"{name}.oscillation_rad"] = chosen["oscillation_rad"]
         else:

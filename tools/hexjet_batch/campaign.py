@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.cache import RecentCache
-from cosim.results.limits import make_limit_inputs
+from cosim.results.limits import find_exceeded, flight_limits, make_limit_inputs
 from cosim.results.log.columns import logged_vehicle
-from cosim.results.metrics import Reach, columns, metric_names
+from cosim.results.metrics import columns, flatten, flight_metrics, metric_names
+from cosim.results.requirements import FlightSignals, Lost, RequirementResult, flight_requirements
 from cosim.results.requirements.signals import event_times
-from cosim.results.requirements.stated import columns_of
+from cosim.results.requirements.stated import columns_of, stated_requirements
 from cosim.results.resolved_scenario import resolve
-from cosim.results.run import Run
 from cosim.results.setup import make_setup
-from cosim.results.summary import Setup, summarize
+from cosim.results.summary import Setup
 from cosim.simulation.build import build
 from cosim.studies import (
     Flight,
@@ -32,8 +37,10 @@ from cosim.studies import (
     with_values,
     worker_name,
 )
-from hexjet_batch.fly import BatchFlight, fly_batch
+from hexjet_batch.fly import Group, fly_groups
+from hexjet_batch.log import FlightLog
 from hexjet_batch.make import read_flight
+from hexjet_batch.numbers import Numbers
 from hexjet_batch.referee import judge
 
 if TYPE_CHECKING:
@@ -42,7 +49,11 @@ if TYPE_CHECKING:
 __all__ = ["BatchWorkers", "check", "judge"]
 
 BATCH, JSBSIM = "batch", "jsbsim"
+Metrics = dict[str, float | None]
+Known = RecentCache[Any]
 _setups: RecentCache[Setup] = RecentCache(16)
+# The tables of the last flights: new memory costs more than what is done in it.
+_memory: dict[str, Array] = {}
 
 
 def check(study: Study) -> None:
@@ -88,7 +99,8 @@ class BatchWorkers:
         under_way: dict[int, Chunk] = {}
         lost: list[Flight] = []
         together = self._together or min(1024, max(1, 2_560_000 // study.base().steps))
-        for row in self._workers.fly(study, _chunks(iter(flights), under_way, together)):
+        chunks = (under_way.setdefault(chunk.number, chunk) for chunk in _chunks(flights, together))
+        for row in self._workers.fly(study, chunks):
             chunk, rows = under_way.pop(int(row["flight"] or 0)), row.get("rows")
             if rows is None:
                 lost += chunk.flights
@@ -97,33 +109,20 @@ class BatchWorkers:
         for row in self._workers.fly(study.changed(batch=False), lost):
             yield row | {"by": JSBSIM}
 
-    def close(self) -> None:
-        """End every process."""
-        self._workers.close()
 
-    def __enter__(self) -> BatchWorkers:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-def _chunks(flights: Iterator[Flight], under_way: dict[int, Chunk], together: int) -> Iterator[Chunk]:
-    """Yield chunks of one controller each, which fly together best, and note them by their numbers."""
-    waiting: dict[str, list[Flight]] = {}
+def _chunks(flights: Iterable[Flight], together: int) -> Iterator[Chunk]:
+    """Yield chunks of one controller each, which fly together best, numbered like their first flights."""
+    waiting: dict[str, list[Flight]] = defaultdict(list)
     for flight in flights:
-        group = waiting.setdefault(flight.controller, [])
-        group.append(flight)
-        if len(group) == together:
-            yield _chunk(waiting.pop(flight.controller), under_way)
-    for group in waiting.values():
-        yield _chunk(group, under_way)
+        waiting[flight.controller].append(flight)
+        if len(waiting[flight.controller]) == together:
+            yield _chunk(waiting.pop(flight.controller))
+    yield from map(_chunk, waiting.values())
 
 
-def _chunk(flights: Sequence[Flight], under_way: dict[int, Chunk]) -> Chunk:
+def _chunk(flights: Sequence[Flight]) -> Chunk:
     first = flights[0]
-    chunk = Chunk(first.number, first.draw, first.controller, first.seed, {}, tuple(flights))
-    return under_way.setdefault(chunk.number, chunk)
+    return Chunk(first.number, first.draw, first.controller, first.seed, {}, tuple(flights))
 
 
 def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
@@ -136,10 +135,7 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
     for place, flight in enumerate(flights):
         with suppress(InputError):  # JSBSim says why nothing flies it
             scenarios[place] = scenario_of(study, flight)
-    try:
-        rows = _fly(study, flights, scenarios)
-    except InputError:  # one is not covered, which is rare
-        rows = _fly(study, flights, {place: each for place, each in scenarios.items() if _is_covered(each)})
+    rows = _fly(study, flights, scenarios)
     seconds = (time.perf_counter() - begin) / max(len(rows), 1)
     alone = study.changed(batch=False)
     return [
@@ -148,50 +144,86 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
     ]
 
 
-def _is_covered(scenario: Scenario) -> bool:
-    try:
-        read_flight(scenario)
-    except InputError:
-        return False
-    return True
-
-
 def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenario]) -> dict[int, Row]:
     """Return the rows of the flights that a batch judges, by their places."""
     places, stated = list(scenarios), study.base().model_dump_json()
     blank = failed_row(study, flights[0], "")
+    same = {"worker": worker_name(), "by": BATCH, "log_sha256": None}
     rows: dict[int, Row] = {}
-    for flown in fly_batch(list(scenarios.values())):
-        place = places[flown.number]
-        if flown.ending is not None:
-            flight = flights[place]
-            own = {"flight": flight.number, "draw": flight.draw, "seed": flight.seed, **flight.values}
-            rows[place] = blank | own | _outcome(study, stated, flight.controller, scenarios[place], flown)
+    for group in fly_groups(list(scenarios.values()), memory=_memory):
+        known = Known(64) if group.log.is_alike() else None
+        for i, flat in _measure(group):
+            place = places[group.numbers[i]]
+            flight, setup = flights[place], _setup_of(stated, scenarios[place])
+            own: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller}
+            own |= {"seed": flight.seed, **flight.values}
+            rows[place] = {**blank, **own, **_judge(study, setup, group, i, flat, known), **same}
     return rows
 
 
-def _outcome(study: Study, stated: str, controller: str, scenario: Scenario, flown: BatchFlight) -> Row:
-    """Return what a row says of a flight, measured by the functions that measure every flight."""
+def _measure(group: Group, together: int = 16) -> Iterator[tuple[int, Metrics]]:
+    """Yield the metrics of the flights of a group that are judged, by their places in it.
+
+    ``together``: flights that are measured at once, so that their columns stay in the cache.
+    """
+    alone = [i for i, (_, ending, _, _) in group.endings.items() if ending is not None]
+    for first in range(0, len(group.numbers), together):
+        own = [i for i in range(len(group.numbers))[first : first + together] if i not in group.endings]
+        log = FlightLog(group.log.tables, own, group.rows)
+        if own and log.has_numbers:
+            found = flatten(flight_metrics(log, group.n.step, _reach(group.n, np.array(own)[:, None])))
+            values = [
+                np.broadcast_to(np.nan if value is None else value, len(own)).tolist() for value in found.values()
+            ]
+            for i, row in zip(own, zip(*values, strict=True), strict=True):
+                yield i, {name: None if value != value else value for name, value in zip(found, row, strict=True)}
+        else:
+            alone += own
+    for i in alone:
+        yield i, flatten(flight_metrics(group.flight(i).log, group.n.step, _reach(group.n, i)))
+
+
+def _reach(n: Numbers, own: Any) -> Any:
+    """Return the ranges of throttles and tilts as metrics read them: numbers, or what some flights have of arrays."""
+
+    def column(value: Any) -> Any:
+        return value[own] if isinstance(value, np.ndarray) else value
+
+    ends = zip(map(column, n.reach[0]), map(column, n.reach[1]), strict=True)
+    tilt = None if n.servo is None else column(n.servo.range_rad)
+    return SimpleNamespace(throttle=tuple(ends), tilt_rad=tilt, servos=None)
+
+
+def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, known: Known | None) -> Row:
+    """Return what a row says of a flight with these metrics, by the functions that judge every flight."""
+    scenario, flown, step = group.scenarios[i], group.flight(i), group.n.step
     assert flown.ending is not None
-    vehicle = scenario.resolved_vehicle()[0]
-    key = (stated, controller, scenario.aircraft, scenario.engine)
-    setup = _setups.get(key, lambda: _setup(scenario)).model_copy(update={
-        "seed": scenario.seed,
-        "planned_s": scenario.duration_s,
-        "reach": Reach(
-            throttle=tuple(zip(*flown.numbers.reach, strict=True)),
-            tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
-        ),
-        "yardstick": make_limit_inputs(scenario, vehicle),
-        "event_times_s": event_times(scenario) if scenario.require else {},
-    })  # fmt: skip
-    log: Any = flown.log  # its columns are all that metrics read
-    summary = summarize(setup, log, flown.ending.outcome, flown.ending.reason, None)
-    outcome = outcome_row(study, Run(summary, log, None, scenario), "")
-    return outcome | {"controller": controller, "worker": worker_name(), "log_sha256": None, "by": BATCH}
+    steps, log = len(flown.log), cast(Any, flown.log)  # its columns are all that is read
+    lost = None if flown.ending.outcome == "completed" else Lost(steps * step, scenario.duration_s)
+    limits = flight_limits(make_limit_inputs(scenario, scenario.resolved_vehicle()[0]), log, step, known)
+    signals = FlightSignals(log, step, flat, event_times(scenario) if scenario.require else {})
+    required = flight_requirements(limits, {}, stated_requirements(scenario))
+    results = [RequirementResult.of(each.assess(signals, lost)) for each in required]
+    summary = SimpleNamespace(
+        **dict(setup) | {"planned_s": scenario.duration_s},
+        outcome=flown.ending.outcome,
+        reason=flown.ending.reason,
+        beyond=find_exceeded(limits, flat),
+        requirements=results,
+        requirements_kept=all(result.kept for result in results if result.source == "require"),
+        steps=steps,
+        duration_s=steps * step,
+        flat_metrics=flat,
+    )
+    return outcome_row(study, cast(Any, SimpleNamespace(summary=summary, log=log, scenario=scenario)), "")
 
 
-def _setup(scenario: Scenario) -> Setup:
+def _setup_of(stated: str, scenario: Scenario) -> Setup:
     """Return what is known of a flight beforehand, most of which those of one study share."""
-    with build(scenario, with_ledger=False) as simulation:
-        return make_setup(simulation, resolve(simulation)[0], notes=False)
+    key = (stated, scenario.controller, scenario.aircraft, scenario.engine)
+
+    def make() -> Setup:
+        with build(scenario, with_ledger=False) as simulation:
+            return make_setup(simulation, resolve(simulation)[0], notes=False)
+
+    return _setups.get(key, make)

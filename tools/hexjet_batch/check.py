@@ -22,6 +22,7 @@ from cosim.results.metrics import flatten, flight_metrics
 from cosim.results.wording import DIGITS, metric
 from cosim.spec.scenario import Scenario
 from hexjet_batch.fly import fly_batch
+from hexjet_batch.log import FlightLog
 
 PLACE = ("north_m", "east_m", "altitude_m")
 # Of every sample: the columns of a quantity, its unit and what the two may differ by.
@@ -50,11 +51,8 @@ class Difference(NamedTuple):
     @property
     def cells(self) -> tuple[str, ...]:
         """What a table shows of it."""
-        values = ["" if value is None else f"{value:.6g}" for value in (self.batch, self.jsbsim)]
-        return (self.label, self.unit, *values, f"{self.apart:.2g}", f"{self.allowed:.2g}")
-
-
-COLUMNS = ("", "unit", "batch", "JSBSim", "apart", "allowed")
+        ends = ["" if value is None else f"{value:.6g}" for value in (self.batch, self.jsbsim)]
+        return (self.label, self.unit, *ends, f"{self.apart:.2g}", f"{self.allowed:.2g}")
 
 
 class CheckResult(Result):
@@ -68,8 +66,8 @@ class CheckResult(Result):
         That of each metric.
     """
 
-    def __init__(self, scenario: Scenario, endings: tuple[str, str], logs: tuple[Any, Any], runs: int) -> None:
-        self.scenario, self.endings, self.runs, self._logs = scenario, endings, runs, logs
+    def __init__(self, scenario: Scenario, endings: tuple[str, str], logs: tuple[Any, Any]) -> None:
+        self.scenario, self.endings, self._logs = scenario, endings, logs
         self.samples: list[Difference] = []
         self.metrics: list[Difference] = []
         self.files = {}
@@ -81,13 +79,13 @@ class CheckResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet batch check --json`` prints."""
+        both = {"samples": self.samples, "metrics": self.metrics}
         return {
             "scenario": self.scenario.name,
             "same": self.is_same,
             "outcomes": self.endings,
-            "jsbsim_runs": self.runs,
-            "samples": [one._asdict() for one in self.samples],
-            "metrics": [one._asdict() for one in self.metrics],
+            "jsbsim_runs": self.scenario.substeps,
+            **{name: [one._asdict() for one in found] for name, found in both.items()},
         }
 
     def lines(self) -> list[str]:
@@ -98,41 +96,36 @@ class CheckResult(Result):
         off = [
             f"{one.label} by {one.apart:.2g} {one.unit}" for one in (*self.samples, *self.metrics) if not one.is_within
         ]
-        by = f"JSBSim at {self.runs} runs a step"
+        by = f"JSBSim at {self.scenario.substeps} runs a step"
         return [f"not as {by}: {', '.join(off)}" if off else f"the same flight as by {by}, {outcome}"]
 
     def tables(self) -> list[Table]:
         """Return the largest differences of the samples, and those of the metrics."""
-        return [
-            Table("Samples", COLUMNS, [one.cells for one in self.samples]),
-            Table("Metrics", COLUMNS, [one.cells for one in self.metrics]),
-        ]
-
-    def _figures(self) -> Mapping[str, Any]:
-        here, there = self._logs
-        shown, time = ("roll_rad", "pitch_rad", "altitude_m"), np.arange(len(there["roll_rad"])) * self.scenario.step_s
-        curves = []
-        for panel, name in enumerate(shown):
-            factor = degrees(1.0) if name.endswith("_rad") else 1.0
-            curves += [
-                trace("JSBSim", ORANGE, time, factor * np.asarray(there[name]), panel, **beneath(ORANGE)),
-                trace("batch", BLUE, time[: len(here[name])], factor * here[name], panel),
-            ]
-        titles = ["roll [deg]", "pitch [deg]", "height [m]"]
-        return {"flight": {"data": curves, "layout": panels(560, "t [s]", titles, log=False)}}
+        columns = ("", "unit", "batch", "JSBSim", "apart", "allowed")
+        named = ("Samples", self.samples), ("Metrics", self.metrics)
+        return [Table(name, columns, [one.cells for one in found]) for name, found in named]
 
     def write(self, folder: Path) -> None:
         """Write the page and its numbers.  Raises FlightError if a file cannot be written."""
         self.files = {"report": folder / "report.html", "json": folder / "check.json"}
         write_files({self.files["json"]: json.dumps(self.to_dict(), indent=2) + "\n"})
+        s, (here, there), curves = self.scenario, self._logs, []
+        for panel, (name, factor) in enumerate(
+            (("roll_rad", degrees(1.0)), ("pitch_rad", degrees(1.0)), ("altitude_m", 1.0))
+        ):
+            time = s.step_s * np.arange(len(there[name]))
+            curves += [
+                trace("JSBSim", ORANGE, time, factor * there[name], panel, **beneath(ORANGE)),
+                trace("batch", BLUE, time[: len(here[name])], factor * here[name], panel),
+            ]
+        layout = panels(560, "t [s]", ["roll [deg]", "pitch [deg]", "height [m]"], log=False)
         cards = [Card("Both flights", figure="flight")]
         cards += [Card(table.title, table.columns, table.rows, is_half=True) for table in self.tables()]
-        s = self.scenario
         verdict, badge = ("the same", "met") if self.is_same else ("not the same", "unmet")
         heading = f"{s.name}: {s.controller} on {s.aircraft}, engine {s.engine}"
-        Page("a batch beside JSBSim", heading, cards, self._figures(), verdict, badge, self.lines()).write(
-            self.files["report"]
-        )
+        figures = {"flight": {"data": curves, "layout": layout}}
+        page = Page("a batch beside JSBSim", heading, cards, figures, verdict, badge, self.lines())
+        page.write(self.files["report"])
 
 
 @checked()
@@ -185,7 +178,7 @@ def check(
         raise InputError(f"scenario {flown.name}: {flight.reason}: not flown in a batch; fly it without batch")
     run = fly(flown, report=False)
     there = {name: np.asarray(run.log[name]) for name in flight.log.columns}
-    result = CheckResult(flown, (flight.ending.outcome, run.outcome), (flight.log, there), runs)
+    result = CheckResult(flown, (flight.ending.outcome, run.outcome), (flight.log, there))
     result.samples = compare_samples(flight.log, there)
     numbers = flatten(flight_metrics(flight.log, flown.step_s, run.summary.reach))
     result.metrics = compare_metrics(numbers, run.summary.flat_metrics)
@@ -194,7 +187,7 @@ def check(
     return result
 
 
-def compare_samples(here: Mapping[str, Array], there: Mapping[str, Array]) -> list[Difference]:
+def compare_samples(here: FlightLog, there: Mapping[str, Array]) -> list[Difference]:
     """Return the largest difference of each quantity; of a place 0.5 % of the way flown is allowed too."""
     moves = [np.diff(there[name]) for name in PLACE]
     way = float(np.sum(np.sqrt(sum(move * move for move in moves))))
@@ -205,7 +198,7 @@ def compare_samples(here: Mapping[str, Array], there: Mapping[str, Array]) -> li
             rows = min(len(here[name]), len(there[name]))
             apart = factor * np.abs(here[name][:rows] - there[name][:rows])
             at = int(np.argmax(apart))
-            ends = [float(factor * log[name][at]) for log in (here, there)]
+            ends = [float(factor * column[at]) for column in (here[name], there[name])]
             found.append(Difference(metric(name).label, unit, ends[0], ends[1], float(apart[at]), allowed))
     return found
 

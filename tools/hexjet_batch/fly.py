@@ -20,55 +20,87 @@ from cosim.spec.vehicle import Limits
 from cosim.vehicle.airframe import start_height
 from hexjet_batch.log import BatchLog, FlightLog, state_values
 from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import Numbers, flatten, is_absent, stack
+from hexjet_batch.numbers import Numbers, flatten, is_absent, stack, stack_rows
 from hexjet_batch.script import Script, find_mode
 from hexjet_batch.stages.airframe import Motion
-from hexjet_batch.stages.rotations import Vector, to_euler
+from hexjet_batch.stages.rotations import to_euler
 from hexjet_batch.stages.sensors import Noise
 from hexjet_batch.stages.step import altitude_of, start, step
 
 
 class BatchFlight(NamedTuple):
-    """A flight of a batch: its number in what was asked for, its numbers, how it ended and its log.
+    """A flight of a batch: its number in what was asked for, how it ended and its log.
 
     ``ending`` is None where it is not to be judged here, for the ``reason``: it is to be flown by JSBSim.
     """
 
     number: int
-    numbers: Numbers
     ending: Ending | None
     log: FlightLog
     reason: str = ""
 
 
-def fly_batch(
-    scenarios: Sequence[Scenario], together: int = 1024, further: Sequence[str] = ()
-) -> Iterator[BatchFlight]:
+class Group(NamedTuple):
+    """Flights that flew together: their numbers in what was asked for, scenarios, numbers by name, rows and log.
+
+    ``endings`` has those that did not fly to the end: rows, ending, values of one more row, and the reason.
+    """
+
+    numbers: Sequence[int]
+    scenarios: Sequence[Scenario]
+    n: Numbers
+    rows: int
+    log: BatchLog
+    endings: dict[int, tuple[int, Ending | None, Any, str]]
+
+    def flight(self, i: int) -> BatchFlight:
+        """Return one of them."""
+        completed = self.rows, Ending("completed", f"flew {self.rows} steps"), None, ""
+        rows, ending, last, why = self.endings.get(i, completed)
+        return BatchFlight(self.numbers[i], ending, FlightLog(self.log.tables, i, rows, last), why)
+
+
+def fly_batch(scenarios: Sequence[Scenario], together: int = 1024) -> Iterator[BatchFlight]:
     """Fly scenarios on arrays and yield each flight, in the order of those that can be flown together.
 
-    ``together``: flights in the memory at once, enough for the overhead of a step to vanish; ``further``: columns of
-    the logs beside those that metrics read.  Raises InputError for what a batch does not cover.
+    ``together``: flights in the memory at once, enough for the overhead of a step to vanish.  Raises InputError for
+    what a batch does not cover.
+    """
+    for group in fly_groups(scenarios, together):
+        yield from map(group.flight, range(len(group.numbers)))
+
+
+def fly_groups(scenarios: Sequence[Scenario], together: int = 1024, memory: Any = None) -> Iterator[Group]:
+    """Yield what :func:`fly_batch` flies, group by group.
+
+    With a ``memory`` the logs of one last until the next, and what is not covered is left out.
     """
     if together < 1:
         raise InputError(f"together = {together}: a batch has at least 1 flight")
-    groups: dict[Any, list[tuple[int, Scenario, Numbers]]] = {}
+    groups: dict[Any, list[tuple[int, Scenario, Numbers, list[float]]]] = {}
     known: dict[Any, Any] = {}
     for number, scenario in enumerate(scenarios):
-        own, limits = read_flight(scenario, known), scenario.resolved_vehicle()[0].limits
-        key = (flatten(own, []), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
-        groups.setdefault(key, []).append((number, scenario, own))
+        row: list[float] = []
+        try:
+            own, limits = read_flight(scenario, known), scenario.resolved_vehicle()[0].limits
+        except InputError:
+            if memory is None:
+                raise
+            continue
+        key = (flatten(own, row), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
+        groups.setdefault(key, []).append((number, scenario, own, row))
         if len(groups[key]) == together:
-            yield from _fly_group(groups.pop(key), further)
+            yield _fly_group(groups.pop(key), memory)
     for group in groups.values():
-        yield from _fly_group(group, further)
+        yield _fly_group(group, memory)
 
 
-def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence[str]) -> Iterator[BatchFlight]:
+def _fly_group(group: Sequence[Any], memory: Any) -> Group:
     """Fly scenarios of one structure."""
-    numbers_asked, scenarios, flights = zip(*group, strict=True)
-    n, script, noise, heights, lowest, limits, motion = prepare(scenarios, flights)
+    numbers_asked, scenarios, flights, values = zip(*group, strict=True)
+    n, script, noise, heights, lowest, limits, motion = prepare(scenarios, stack_rows(flights[0], values))
     rows = scenarios[0].steps
-    log = BatchLog(scenarios, rows + 1, n.jets.channels, further)
+    log = BatchLog(scenarios, rows, n.jets, memory)
     flies = np.ones(len(group), dtype=np.bool_)
     endings: dict[int, tuple[int, Ending | None, Any, str]] = {}
     with np.errstate(all="ignore"):  # lost flights go on to infinity
@@ -78,7 +110,7 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
             if noise is not None:
                 inputs = inputs._replace(draws=noise.at(k))
             state, outputs = step(n, state, inputs)
-            log.add(k, command, inputs, outputs)
+            log.add(command, inputs, outputs)
             altitude = altitude_of(state)
             burns = ~np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
             goes_on = is_within(limits, state.motion) & (altitude > lowest) & burns
@@ -91,20 +123,18 @@ def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence
                     endings[i] = k + 1, *_find_ending(state.motion, altitude[i], i, limits, (k + 1) * n.step), ""
             if not flies.any():
                 break
-    log.finish(k + 1)
-    for i, (number, own) in enumerate(zip(numbers_asked, flights, strict=True)):
-        end, ending, last, why = endings.get(i, (rows, Ending("completed", f"flew {rows} steps"), None, ""))
-        yield BatchFlight(number, own, ending, log.of(i, end, last), why)
+    log.finish()
+    return Group(numbers_asked, scenarios, n, rows, log, endings)
 
 
 def prepare(
-    scenarios: Sequence[Scenario], numbers: Sequence[Numbers] | None = None
+    scenarios: Sequence[Scenario], numbers: Numbers | None = None
 ) -> tuple[Numbers, Script, Noise | None, Any, Any, Limits, Motion]:
-    """Return what flies scenarios of one structure; ``numbers``: of the flights, where they are known.
+    """Return what flies scenarios of one structure; ``numbers``: of all, where they are known.
 
     After the noise: the heights of the start, those below which a flight is not judged [m], limits, first motion.
     """
-    n: Numbers = stack([read_flight(scenario) for scenario in scenarios] if numbers is None else numbers)
+    n = stack([read_flight(scenario) for scenario in scenarios]) if numbers is None else numbers
     vehicles = [scenario.resolved_vehicle()[0] for scenario in scenarios]
     heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
     noise = None
@@ -126,20 +156,12 @@ def is_within(limits: Limits, motion: Motion) -> Flags:
 
 def _start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
     """Return the motion of the flights at their start."""
-    initial = [scenario.initial for scenario in scenarios]
-
-    def columns(values: list[tuple[float, ...]]) -> Vector:
-        return tuple(np.array(column) for column in zip(*values, strict=True))
-
-    zero = np.zeros(len(scenarios))
-    return Motion(
-        (zero, zero, -np.array(heights)),
-        columns([at.velocity_ned_m_s for at in initial]),
-        columns([from_euler(*map(radians, at.attitude_deg)) for at in initial]),
-        columns([tuple(map(radians, at.rate_deg_s)) for at in initial]),
-        (zero, zero, zero),
-        (zero, zero, zero - GRAVITY),
-    )
+    flights = [
+        ((0.0, 0.0, -height), at.velocity_ned_m_s, from_euler(*map(radians, at.attitude_deg)),
+         tuple(map(radians, at.rate_deg_s)), (0.0, 0.0, 0.0), (0.0, 0.0, -GRAVITY))
+        for at, height in zip((scenario.initial for scenario in scenarios), heights, strict=True)
+    ]  # fmt: skip
+    return Motion(*(tuple(np.array(part).T) for part in zip(*flights, strict=True)))
 
 
 def _find_ending(motion: Motion, altitude: float, i: int, limits: Limits, now: float) -> tuple[Ending, dict[str, Any]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,145 +11,166 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES, Command
 from cosim.results.log.columns import RATES, logged_vehicle
-from cosim.results.metrics import REFUSED, WIND, columns
+from cosim.results.metrics import FLOW, HEALTH, REFUSED, THROTTLE, TILT, UPSETS, WIND, columns
 from cosim.spec.scenario import Scenario
+from hexjet_batch.numbers import Numbers
 from hexjet_batch.stages.rotations import add, to_euler
 from hexjet_batch.stages.step import Inputs, Outputs
 
-NED = ("north", "east", "down")
+SETPOINTS = ("altitude_setpoint_m", *(f"{axis}_setpoint_rad" for axis in AXES))
+STILL = ("fault_", "on_ground", "hull_contact")
+BEGINS = ("altitude_m", "velocity_north_m_s", "velocity_east_m_s", *(f"{axis}_rad" for axis in AXES))
 
 
-class FlightLog(Mapping[str, Array]):
-    """The columns of one flight, as :class:`cosim.results.log.recorder.Log` gives them."""
+class FlightLog:
+    """The columns of a flight, as :class:`cosim.results.log.recorder.Log` gives them, or tables of several flights.
 
-    def __init__(self, values: Mapping[str, Array], rows: int) -> None:
-        self._values, self._rows = values, rows
+    ``last``: values of one more row, of the state that ended a flight; empty: it has no numbers.
+    """
+
+    def __init__(
+        self, tables: Mapping[str, Array], flight: int | list[int], rows: int, last: Mapping[str, Any] | None = None
+    ) -> None:
+        self._tables, self._flight, self._rows, self._last = tables, flight, rows, last
+        self._known: dict[int, Array] = {}
 
     @property
     def columns(self) -> tuple[str, ...]:
         """The names."""
-        return tuple(self._values)
+        return tuple(self._tables)
 
     def __getitem__(self, name: str) -> Array:
-        return self._values[name][: self._rows]
+        table = self._tables[name]
+        if isinstance(self._flight, list):
+            if id(table) not in self._known:
+                self._known[id(table)] = (table if len(table) == 1 else table[self._flight])[:, : self._rows]
+            return self._known[id(table)]
+        column = table[min(self._flight, len(table) - 1), : self._rows]
+        if self._last is None:
+            return column
+        return np.append(column, self._last.get(name, column[-1]) if self._last else np.nan)
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
+    @property
+    def has_numbers(self) -> bool:
+        """Whether each column has a number everywhere or nowhere."""
+        finite = [np.isfinite(self[name]) for name in self._tables]
+        return all(np.all(each) or not np.any(each) for each in finite)
 
     def __len__(self) -> int:
-        return self._rows
+        return self._rows + (self._last is not None)
 
 
 class BatchLog:
-    """The recording of a batch: rows of numbers that all flights share, blocks of those that differ.
+    """The recording of a batch: after ``finish`` its ``tables`` have a line a flight, or one that all share, by column.
 
-    ``channels``: the row of each jet's throttle; ``further`` columns beside those of the metrics; ``block``: steps that
-    are turned from rows of steps to rows of flights at once.
+    ``rows``: at most; ``jets``: the rows of throttles and engines; ``memory``: where tables are kept, which the next
+    batch with the same takes over; ``block``: steps that are turned into lines of flights at once, in the cache.
     """
 
     def __init__(
         self,
         scenarios: Sequence[Scenario],
         rows: int,
-        channels: Sequence[int],
-        further: Sequence[str] = (),
+        jets: Numbers,
+        memory: dict[str, Array] | None = None,
         block: int = 64,
     ) -> None:
         self._vehicle = logged_vehicle(scenarios[0].resolved_vehicle()[0])
-        self._names = dict.fromkeys((*columns(self._vehicle), *further))
-        # Jets of one channel have one throttle, which is kept once.
-        self._first = {f"throttle_{jet}": f"throttle_{channels.index(of) + 1}" for jet, of in enumerate(channels, 1)}
-        self._channels = channels
-        self._flights, self._size, self._rows = len(scenarios), rows, block
-        self._varied: dict[str, Array] = {}
-        self._block: dict[str, Array] = {}
-        self._shared: dict[str, Array] = defaultdict(lambda: np.full(rows, np.nan))
+        self._columns = columns(self._vehicle)
+        # Nothing fails, nor touches the ground.
+        still = dict.fromkeys([name for name in self._columns if name.startswith(STILL)], 0.0)
+        self._usual = still | {HEALTH.format(jet): 1.0 for jet in range(1, self._vehicle.jets + 1)}
+        # What jets of one channel or one engine share is kept once.
+        self._first = {name.format(jet): name.format(rows.index(row) + 1)
+                       for name, rows in ((THROTTLE, jets.channels), (FLOW, jets.engines))
+                       for jet, row in enumerate(rows, 1)}  # fmt: skip
+        self._flights, self._jets, self._block = len(scenarios), jets, block
+        self._memory = {} if memory is None else memory
+        self._rows: list[list[Any]] = []
+        self._turned = 0
+        self.tables = {name: np.empty((1, rows)) for name in self._columns if self._first.get(name, name) == name}
 
-    def add(self, k: int, command: Command, inputs: Inputs, outputs: Outputs) -> None:
-        """Record step ``k``."""
-        row = k % self._rows
-        for name, value in self._values(command, inputs, outputs).items():
-            if value is None or name not in self._names:
-                continue
-            if isinstance(value, np.ndarray) and value.ndim and name not in self._varied:
-                self._vary(name)
-            if name in self._varied:
-                self._block[name][row] = value
-            else:
-                self._shared[name][k] = value
-        if row == self._rows - 1:
-            self._turn(k - row, self._rows)
+    def add(self, command: Command, inputs: Inputs, outputs: Outputs) -> None:
+        """Record a step."""
+        values = self._usual | self._values(command, inputs, outputs)
+        self._rows.append([values.get(name, np.nan) for name in self.tables])
+        if len(self._rows) == self._block:
+            self._turn()
 
-    def _vary(self, name: str) -> None:
-        """Keep a column for each flight from now on."""
-        self._varied[name] = np.full((self._flights, self._size), np.nan)
-        self._block[name] = np.full((self._rows, self._flights), np.nan)
-        if name in self._shared:
-            before = self._shared.pop(name)
-            self._varied[name][:] = before
-            self._block[name][:] = before[:1]
+    def _turn(self) -> None:
+        rows = slice(self._turned, self._turned + len(self._rows))
+        for name, values in zip(self.tables, zip(*self._rows, strict=True), strict=True):
+            varies = [isinstance(value, np.ndarray) and value.ndim > 0 for value in values]
+            if any(varies):
+                if len(self.tables[name]) < self._flights:
+                    self._widen(name)
+                same = () if all(varies) else [np.broadcast_to(value, self._flights) for value in values]
+                values = (np.concatenate(same or values),)
+            self.tables[name][:, rows] = np.reshape(values, (len(self._rows), -1)).T
+        self._turned += len(self._rows)
+        self._rows.clear()
 
-    def _turn(self, first: int, rows: int) -> None:
-        for name, block in self._block.items():
-            self._varied[name][:, first : first + rows] = block[:rows].T
+    def _widen(self, name: str) -> None:
+        """Give a column a line for each flight from now on."""
+        shared = self.tables[name]
+        size = self._flights * shared.size
+        if name not in self._memory or self._memory[name].size < size:
+            self._memory[name] = np.empty(size)
+        self.tables[name] = self._memory[name][:size].reshape(self._flights, -1)
+        self.tables[name][:, : self._turned] = shared[:, : self._turned]
 
-    def finish(self, rows: int) -> None:
-        """Turn the last block; call it after the last of ``rows`` steps."""
-        if left := rows % self._rows:
-            self._turn(rows - left, left)
+    def finish(self) -> None:
+        """Complete the tables after the last step."""
+        if self._rows:
+            self._turn()
+        self.tables = {name: self.tables[self._first.get(name, name)] for name in self._columns}
 
-    def of(self, flight: int, rows: int, last: Mapping[str, Any] | None = None) -> FlightLog:
-        """Return the log of a flight of so many rows; ``last``: values of one more, of the state that ended it."""
-        nothing = np.full(self._size, np.nan)
-        values = {name: self._shared.get(name, nothing) for name in self._names}
-        values |= {name: array[flight] for name, array in self._varied.items()}
-        values |= {name: values[first] for name, first in self._first.items()}
-        for name in values if last is not None else ():
-            column = values[name][: rows + 1].copy()
-            column[rows] = last.get(name, column[rows - 1]) if last else np.nan
-            values[name] = column
-        return FlightLog(values, rows if last is None else rows + 1)
+    def is_alike(self) -> bool:
+        """Return whether all flights begin alike, are asked the same, and are disturbed at the same times."""
+        begins = [self.tables[name][:, 0] for name in BEGINS]
+        acts = [np.diff(table) != 0.0 for name, table in self.tables.items() if name.startswith(UPSETS)]
+        is_asked_alike = all(len(self.tables[name]) == 1 for name in (*WIND, *SETPOINTS))
+        return is_asked_alike and all(np.all(each == each[0]) for each in (*begins, *acts))
 
     def _values(self, command: Command, inputs: Inputs, o: Outputs) -> dict[str, Any]:
         """Return what a step has in each column."""
         jets, xyz = range(1, self._vehicle.jets + 1), "xyz"
-        setpoints = (np.nan,) * 3 if command.rate is not None else command.attitude
         values = {
             **state_values(o.motion, o.altitude),
-            **_named("{}_setpoint_rad", AXES, setpoints),
+            **_named("{}_setpoint_rad", AXES, () if command.rate is not None else command.attitude),
             **_named("rate_{}_setpoint_rad_s", RATES, o.rate_setpoint),
-            **_named("torque_{}", AXES, o.torque),
             **_named("{}", REFUSED, o.unallocated),
             "altitude_setpoint_m": np.nan if command.collective is not None else command.altitude,
-            "collective": o.collective,
-            "on_ground": 0.0,
-            "hull_contact": 0.0,
             **_named("{}", WIND, inputs.wind),
-            **{name: o.throttle[self._channels[int(name[9:]) - 1]] for name in set(self._first.values())},
-            **{f"health_{jet}": 1.0 for jet in jets},
+            **_named(THROTTLE, jets, [o.throttle[row] for row in self._jets.channels]),
             "payload_kg": 0.0 if inputs.payload is None else inputs.payload[0],
-            "fuel_kg": o.fuel,
+            "fuel_kg": np.nan if o.fuel is None else o.fuel,
             **_named("disturbance_force_{}_N", xyz, inputs.force),
             **_named("disturbance_moment_{}_N_m", xyz, inputs.moment),
             **_named("disturbance_torque_{}", AXES, add(inputs.torque_command, inputs.torque_output)),
-            **{name: 0.0 for name in self._names if name.startswith("fault_")},
+            **_named(TILT, self._vehicle.servos, o.tilt_command or (0.0, 0.0)),
         }
         if np.ndim(o.report.fuel):
-            rows = range(len(jets)) if len(o.report.fuel) == len(jets) else self._channels
-            values |= _named("fuel_flow_{}_kg_s", jets, [o.report.fuel[row] for row in rows])
-        return values | _named("tilt_{}_command_rad", self._vehicle.servos, o.tilt_command or (0.0, 0.0))
+            values |= _named(FLOW, jets, [o.report.fuel[row] for row in self._jets.engines])
+        return values
 
 
 def state_values(motion: Any, altitude: Any) -> dict[str, Any]:
     """Return what a state has in each column."""
+    ned = ("north", "east", "down")
     return {
         **_named("{}_rad", AXES, to_euler(motion.attitude, np)),
         **_named("rate_{}_rad_s", RATES, motion.rate),
-        **_named("{}_m", NED, motion.position),
-        **_named("velocity_{}_m_s", NED, motion.velocity),
+        **_named("{}_m", ned, motion.position),
+        **_named("velocity_{}_m_s", ned, motion.velocity),
         "altitude_m": altitude,
     }
 
 
 def _named(name: str, parts: Sequence[Any], values: Any) -> dict[str, Any]:
-    return {name.format(part): value for part, value in zip(parts, values, strict=False)}
+    return dict(zip(_format(name, parts), values, strict=False))
+
+
+@cache
+def _format(name: str, parts: Sequence[Any]) -> list[str]:
+    return [name.format(part) for part in parts]

@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
+from cosim.base.geodesy import gravity
 from cosim.base.signals import AXES
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.lead import Lead
@@ -27,7 +28,7 @@ from cosim.spec.vehicle import Schedule, Vehicle, load_vehicle
 from cosim.vehicle.airframe import start_height
 from cosim.vehicle.atmosphere import standard_density
 from hexjet_batch.numbers import Numbers, name_values
-from hexjet_batch.stages.airframe import earth_rate, normal_gravity
+from hexjet_batch.stages.airframe import earth_rate
 from hexjet_batch.stages.engines import P220, DelayedLag, Fitted, P220Of2025
 from hexjet_batch.stages.loops import ScheduleNumbers
 from hexjet_batch.stages.predictors import read_predictor
@@ -76,23 +77,21 @@ REFUSED: dict[str, Callable[[Scenario, Vehicle], Any]] = {
 }
 
 
-def check_covered(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Raise InputError, which names what it is, where a batch does not fly a scenario."""
-    for what, is_there in REFUSED.items():
-        if is_there(scenario, vehicle):
-            raise InputError(f"scenario {scenario.name}: {what}: not flown in a batch; fly it without batch")
-
-
 def read_flight(scenario: Scenario, known: dict[Any, Any] | None = None) -> Numbers:
     """Return the numbers of a flight; ``known`` keeps what flights share.  Raises InputError for what is refused."""
-    vehicle, _ = scenario.resolved_vehicle()
-    check_covered(scenario, vehicle)
-    flown, where = apply_mismatch(vehicle, scenario.mismatch), f"scenario {scenario.name}"
+    vehicle, where = scenario.resolved_vehicle()[0], f"scenario {scenario.name}"
+    for what, is_there in REFUSED.items():
+        if is_there(scenario, vehicle):
+            raise InputError(f"{where}: {what}: not flown in a batch; fly it without batch")
+    flown = apply_mismatch(vehicle, scenario.mismatch)
     factors, late = compute_engine_mismatch(scenario.mismatch, len(vehicle.jets))
     engine, engines, thrust_map, predictors = _believe(scenario, vehicle, {} if known is None else known)
-    hover = thrust_map.fraction(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
-    _check_hover(scenario, vehicle, engine, hover, thrust_map.low + thrust_map.span)
+    weight = vehicle.mass_kg * GRAVITY
+    hover = thrust_map.fraction(weight / len(vehicle.jets))
     step, control, servo = scenario.step_s, vehicle.control, vehicle.servo
+    lift = (thrust_map.low + thrust_map.span) * len(vehicle.jets)
+    if not (control.allocation.throttle_min < hover < control.allocation.throttle_max and lift > weight):
+        raise InputError(f"{where}: engine {engine.name} does not hold {vehicle.name} up")
     # JSBSim's flight has the same tables: they keep their names.
     tables = name_values(vehicle.model_dump(include={"sensors", "servo", "airflow"}))
     gains = name_values(control.model_dump(include={"attitude", "rate", "altitude", "allocation"}))
@@ -167,16 +166,6 @@ def _believe(scenario: Scenario, vehicle: Vehicle, known: dict[Any, Any]) -> Any
     return known[key]
 
 
-def _check_hover(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, hover: float, most: float) -> None:
-    """Refuse engines that do not hold the vehicle up, as a flight does."""
-    limits = vehicle.control.allocation
-    if not limits.throttle_min < hover < limits.throttle_max or most * len(vehicle.jets) <= vehicle.mass_kg * GRAVITY:
-        raise InputError(
-            f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
-            f"outside {limits.throttle_min:g} to {limits.throttle_max:g}"
-        )
-
-
 def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
     """Return the rigid body that flies, where it flies."""
     place, fuel = scenario.environment, flown.fuel
@@ -191,7 +180,7 @@ def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
         centre_m=flown.aero.centre_m,
         damping_n_m_s=flown.aero.damping_n_m_s,
         density=standard_density(height),
-        gravity=normal_gravity(place.latitude_deg, height),
+        gravity=gravity(place.latitude_deg, height),
         earth_rate=earth_rate(place.latitude_deg),
         ground_m=place.ground_m,
     )
@@ -233,17 +222,26 @@ def _lead(settings: Any, step: float) -> tuple[float, ...] | None:
     return Lead(settings, step).constants if settings else None
 
 
+# What a batch does not fly of an ECU, with the values that state that there is none.
+_NOTHING = {"command_interval": 1.0} | dict.fromkeys(
+    ("command_resolution", "command_dead_band", "command_rate", "speed_dead_band", "fuel_gain"), 0.0
+)
+
+
 def _engine(engines: Sequence[EngineSpec], step: float, late: int, where: str) -> Numbers:
     """Return the kind of the engines with their parameters."""
     first = engines[0]
     name = first.path.stem.removesuffix("-fmi2")
-    if any(engine.path != first.path or engine.parameters != first.parameters for engine in engines):
+    others = [engine for engine in engines if engine is not first]
+    if any(engine.path != first.path or engine.parameters != first.parameters for engine in others):
         raise InputError(f"{where}: engines that differ by station: not flown in a batch; fly it without batch")
     if name not in KINDS or not _is_of_library(first, name):
         raise InputError(f"{where}: engine {first.name}, which is not the library's: fly it without batch")
     if first.internal_step is not None and abs(first.internal_step - step) > 1e-9:
         raise InputError(f"{where}: engine {first.name} takes several steps in one of control: fly it without batch")
     numbers = {key: float(value) for key, value in first.parameters.items()}
+    if stated := [key for key, nothing in _NOTHING.items() if numbers.get(key, nothing) != nothing]:
+        raise InputError(f"{where}: engine {first.name}: {stated[0]}: not flown in a batch; fly it without batch")
     if "pressure_ratio" in numbers:
         ratio = numbers["pressure_ratio"] ** (2.0 / 7.0)
         numbers["full_rise"] = (ratio - 1.0) / numbers["compressor_efficiency"]

@@ -36,9 +36,16 @@ def stack(values: Sequence[Any]) -> Any:
     structures = [flatten(value, row) for value, row in zip(values, rows, strict=True)]
     if any(structure != structures[0] for structure in structures):
         raise ValueError("flights of one batch differ in structure")
+    return stack_rows(values[0], rows)
+
+
+def stack_rows(value: Any, rows: Sequence[Sequence[float]]) -> Any:
+    """Return the values of the flights as one, from one of them and the numbers of each by :func:`flatten`."""
+    if len(rows) == 1:
+        return value
     table = np.ascontiguousarray(np.array(rows, dtype=np.float64).T)
     is_shared = np.all(table == table[:, :1], axis=1).tolist()
-    return _build(values[0], iter([x if same else row for x, row, same in zip(rows[0], table, is_shared, strict=True)]))
+    return _build(value, iter([x if same else row for x, row, same in zip(rows[0], table, is_shared, strict=True)]))
 
 
 def flatten(value: Any, numbers: list[float]) -> Any:
@@ -49,7 +56,8 @@ def flatten(value: Any, numbers: list[float]) -> Any:
     if isinstance(value, tuple):
         return tuple([flatten(entry, numbers) for entry in value])
     if isinstance(value, Numbers):
-        return tuple([(key, flatten(entry, numbers)) for key, entry in vars(value).items()])
+        own = vars(value)
+        return (*own, *[flatten(entry, numbers) for entry in own.values()])
     return value.tobytes() if isinstance(value, np.ndarray) else value
 
 
@@ -67,7 +75,11 @@ def _build(value: Any, numbers: Iterator[Any]) -> Any:
 
 def is_absent(*values: Any) -> bool:
     """Return whether no flight has what these numbers are of: each is the plain number 0."""
-    return all(isinstance(value, (int, float)) and value == 0 for value in values)
+    return all(map(_is_zero, values))
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, (int, float)) and value == 0
 
 
 def _is_number(value: Any) -> bool:

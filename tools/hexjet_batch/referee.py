@@ -39,6 +39,13 @@ class Off(NamedTuple):
         """Whether these cannot be the same flights."""
         return self.half > HALF_WITHIN or self.most > MOST_WITHIN
 
+    @property
+    def cells(self) -> list[str]:
+        """What a table shows of it."""
+        of, shares = metric(self.name), [f"{100.0 * share:.2g}" for share in (self.half, self.most)]
+        another = "another flight" if self.is_another else ""
+        return [of.label, f"{of.factor * self.largest:.3g}", of.unit, str(self.flight), *shares, another]
+
 
 def judge(folder: Path, workers: Workers, nearest: int = 10, share: float = 0.01) -> None:
     """Fly some flights of a campaign's folder again by JSBSim, and write into it what differs.
@@ -92,7 +99,7 @@ def compare(campaign: Campaign, rows: Mapping[int, Row], again: Mapping[int, Row
         "flights": len(campaign),
         "confirmed": not otherwise and not others,
         "says": list(_say(campaign, rows, random, otherwise, others)),
-        "metrics": [_metric_row(found) for found in sorted(off, key=lambda found: -found.half)],
+        "metrics": [found.cells for found in sorted(off, key=lambda found: -found.half)],
         "verdicts": [
             [str(number), short_name(str(rows[number]["controller"])), _ending(rows[number]), _ending(again[number]),
              f"{rows[number]['margin']:.3g}", f"{again[number]['margin']:.3g}"]
@@ -153,12 +160,6 @@ def _say(
         more = f" and {len(others) - 3} more" if len(others) > 3 else ""
         lines.append(f"JSBSim does not fly the same flights: a tenth of them is off in {named}{more}")
     return [*lines, f"{flown}{alone}"]
-
-
-def _metric_row(found: Off) -> list[Any]:
-    of = metric(found.name)
-    return [of.label, f"{of.factor * found.largest:.3g}", of.unit, str(found.flight), f"{100.0 * found.half:.2g}",
-            f"{100.0 * found.most:.2g}", "another flight" if found.is_another else ""]  # fmt: skip
 
 
 def _ending(row: Row) -> str:

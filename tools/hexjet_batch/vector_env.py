@@ -27,20 +27,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
     All flights of an episode end together, at the scenario's end, and the step after begins the next episode.  One that
     was lost before stays where that was, with a reward of 0, and is terminated then; the others are truncated.
 
-    Parameters
-    ----------
-    num_envs : int
-        Flights.
-    scenario : Scenario or str or Path
-        Asks for attitude and height, and disturbs.
-    act : str
-        ``rates``: body rates and collective; ``attitude``: angles and height; flown by the scenario's controller.
-    hold : int
-        Control steps that an action is held.
-    memory : int
-        Control steps of which an observation has throttles and tilts, the last first.
-    vary : callable or None
-        From the scenario and a generator to what flies next.
+    ``num_envs``: flights; the other parameters are those of ``HexJetEnv``, but for actuators as actions.
 
     Raises
     ------

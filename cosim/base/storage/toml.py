@@ -45,25 +45,19 @@ class Model(BaseModel, metaclass=_OwnNames):
 
     @model_validator(mode="before")
     @classmethod
-    def _numbers_are_numbers(cls, data: Any) -> Any:
-        """Refuse ``"2"`` and ``true`` as numbers, alone or in a list, although Python accepts them."""
-        numeric = _numeric(cls)
-        for name, value in data.items() if isinstance(data, dict) else ():
-            if name in numeric:
+    def _read_table(cls, data: Any) -> Any:
+        """Merge list indices into a list's default; refuse ``"2"`` and ``true`` as numbers, alone or in a list."""
+        if not isinstance(data, dict):
+            return data
+        lists, numeric = _lists(cls), _numeric(cls)
+        if by_index := {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}:
+            data = {**data, **merge({name: lists[name] for name in by_index}, by_index)}
+        for name, value in data.items():
+            if name in numeric and type(value) is not float:
                 for number in value if isinstance(value, list) else [value]:
                     if isinstance(number, (str, bool)):
                         raise ValueError(f"{name} = {number!r}: must be a number")
         return data
-
-    @model_validator(mode="before")
-    @classmethod
-    def _merge_indices_into_defaults(cls, data: Any) -> Any:
-        """Merge a table whose keys are list indices into the list's default value."""
-        if not isinstance(data, dict):
-            return data
-        lists = _lists(cls)
-        by_index = {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}
-        return {**data, **merge({name: lists[name] for name in by_index}, by_index)} if by_index else data
 
 
 @cache

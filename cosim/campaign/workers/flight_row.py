@@ -77,7 +77,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     have a value.
     """
     varied = {name: _column_type(study, name) for name in study.drawn}
-    measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
+    measured = dict.fromkeys([*metric_names(), *(custom_metric_names(study) if custom is None else custom)], float)
     flown = {"autopilot": str, **study.autopilot.columns} if study.autopilot is not None else {}
     by: Kinds = {"by": str} if study.batch else {}
     return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | by | _plugin_kinds(study) | flown
@@ -254,11 +254,6 @@ def _machine_trouble(error: BaseException | None) -> OSError | None:
     while error is not None and not (isinstance(error, OSError) and error.errno in RESOURCE_ERRNOS):
         error = error.__cause__ or error.__context__
     return error
-
-
-@cache
-def _metrics() -> tuple[str, ...]:
-    return tuple(metric_names())
 
 
 @cache

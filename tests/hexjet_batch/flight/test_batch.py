@@ -19,14 +19,8 @@ TOLERANCES = {"{}_rad": 3.5e-5, "rate_{}_rad_s": 1.7e-4, "{}_m": 0.05}
 NAMES = {"{}_rad": ("roll", "pitch", "yaw"), "rate_{}_rad_s": "pqr", "{}_m": ("north", "east", "altitude")}
 TURBINE = {"aircraft": "hexjet-100", "engine": "turbine-100", "controller": "baseline"}
 PAYLOAD = {"kind": "payload", "start_s": 0.0, "duration_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, 0.02, 0.1]}
-GUST = {
-    "kind": "gust",
-    "start_s": 1.0,
-    "rise_s": 1.0,
-    "hold_s": 0.5,
-    "fall_s": 0.5,
-    "velocity_ned_m_s": [4.0, 2.0, 1.0],
-}
+GUST = {"kind": "gust", "start_s": 1.0, "rise_s": 1.0, "hold_s": 0.5, "fall_s": 0.5,
+        "velocity_ned_m_s": [4.0, 2.0, 1.0]}  # fmt: skip
 MISMATCH = {"mass_factor": 1.1, "centre_m": [0.004, 0.002, 0.0], "delay_samples": 1, "thrust_factor_2": 0.95}
 
 
@@ -60,11 +54,13 @@ def test_flights_are_the_same_alone_and_together() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("waypoints", "waypoints"), ("fault-flame-out", "faults"), ("gust", "turbulence")]
-)
-def test_what_is_not_covered_is_refused_by_name(name: str, said: str) -> None:
+    ("name", "settings", "said"),
+    [("waypoints", [], "waypoints"), ("fault-flame-out", [], "faults"), ("gust", [], "turbulence"),
+     ("full-scale-hover", ["engine_parameters.command_rate=1"], "p220.*: command_rate")],
+)  # fmt: skip
+def test_what_is_not_covered_is_refused_by_name(name: str, settings: list[str], said: str) -> None:
     with pytest.raises(InputError, match=f"{said}.*; fly it without batch"):
-        list(fly_batch([Scenario.load(name)]))
+        list(fly_batch([Scenario.load(name, settings)]))
 
 
 def test_the_page_lists_what_is_refused() -> None:

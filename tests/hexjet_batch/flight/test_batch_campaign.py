@@ -10,14 +10,16 @@ from typing import Any
 import pytest
 from campaign_tools import without_chance
 
-from cosim import InputError
+from cosim import InputError, Scenario
 from cosim.campaign import open_study, run_campaign
 from cosim.campaign.analysis.statistics import proportion
 from cosim.campaign.run import extend_campaign
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
-from hexjet_batch.campaign import BatchWorkers
+from cosim.results.metrics import flatten, flight_metrics
+from hexjet_batch.campaign import BatchWorkers, _measure, _reach
+from hexjet_batch.fly import fly_groups
 
 pytestmark = pytest.mark.flight
 
@@ -59,6 +61,13 @@ def test_rows_are_those_of_jsbsim_and_of_any_chunk() -> None:
                 assert again[number][name] == pytest.approx(found[number][name], rel=1e-9, abs=1e-12), name
             elif name in ("outcome", "success", "reason", "beyond", "decided_by", "steps", "controller", "seed"):
                 assert found[number][name] == again[number][name] == value, name
+
+
+def test_the_metrics_of_many_are_those_of_each_bit_for_bit() -> None:
+    base = Scenario.load("roll-doublet", ["duration_s=2.2"]).replace(expect=[])
+    (group,) = fly_groups([base.replace(seed=seed, vehicle={"mass_kg": 5.0 + 0.1 * seed}) for seed in range(3)])
+    for i, found in _measure(group):
+        assert found == flatten(flight_metrics(group.flight(i).log, base.step_s, _reach(group.n, i)))
 
 
 def test_what_a_batch_does_not_fly_is_flown_by_jsbsim() -> None:

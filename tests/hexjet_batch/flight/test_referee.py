@@ -46,13 +46,11 @@ def fly(folder: Path, runs: int = 12, **options: Any) -> Campaign:
 
 def shifted(**values: Callable[[Scenario], Any]) -> Any:
     """What flies a batch of scenarios in which these keys are otherwise."""
-    fly_batch = on_arrays.fly_batch
+    fly_groups = on_arrays.fly_groups
 
-    def fly(scenarios: list[Scenario]) -> Any:
-        return fly_batch([
-            with_values(scenario, {key.replace("__", "."): value(scenario) for key, value in values.items()})
-            for scenario in scenarios
-        ])  # fmt: skip
+    def fly(scenarios: list[Scenario], **memory: Any) -> Any:
+        changed = ({key.replace("__", "."): value(each) for key, value in values.items()} for each in scenarios)
+        return fly_groups([with_values(*both) for both in zip(scenarios, changed, strict=True)], **memory)
 
     return fly
 
@@ -84,7 +82,7 @@ PLANTED = {
 
 @pytest.mark.parametrize("planted", PLANTED.values(), ids=PLANTED)
 def test_a_planted_difference_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, planted: Any) -> None:
-    monkeypatch.setattr(on_arrays, "fly_batch", planted)
+    monkeypatch.setattr(on_arrays, "fly_groups", planted)
     flown = fly(tmp_path / "c")
     assert not flown.referee["confirmed"]
     assert SweepResult(flown, flown.folder).lines()[0].startswith("JSBSim does not fly the same flights")
@@ -94,7 +92,7 @@ def test_a_verdict_that_differs_is_line_one_and_counted(
     honest: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A step of delay more overshoots by 3 % of the step more: what fails on arrays succeeds by JSBSim, whose verdict counts."""
-    monkeypatch.setattr(on_arrays, "fly_batch", PLANTED["a delay one step off"])
+    monkeypatch.setattr(on_arrays, "fly_groups", PLANTED["a delay one step off"])
     most = max(float(value or 0.0) for value in honest.columns["roll.overshoot_percent"])
     flown = fly(tmp_path / "c", success=[f"roll.overshoot_percent<={most + 0.1}"])
     rows = [bool(row) for row in flown.columns["success"]]

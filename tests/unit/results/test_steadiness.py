@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
+from cosim.base.storage.cache import RecentCache
 from cosim.results.limits import MAX_ALTERNATING_PERCENT, describe_exceedance, find_exceeded
 from cosim.results.metrics import alternating_percent, settling_time
 from cosim.results.steadiness import AxisLimitInputs, axis_limits, noise_floor, settling_limit
@@ -46,7 +47,7 @@ def response(size_deg: float, rate_1_s: float, seconds: float = 10.0) -> Array:
 
 
 def limits(log: Rows, **stated: float | None) -> dict[str, float]:
-    return axis_limits((AXIS,), log, STEP, SPAN, stated)
+    return axis_limits((AXIS,), log, STEP, SPAN, stated, RecentCache(8))
 
 
 def test_the_noise_floor_is_what_the_sensors_noise_moves() -> None:
@@ -164,9 +165,9 @@ def test_what_acts_anew_at_the_end_disturbs_it(name: str, by: float, counts: boo
 def test_an_axis_without_a_set_point_and_a_short_flight_have_none() -> None:
     assert limits(flight(np.full(at(10.0), np.nan), np.zeros(at(10.0)))) == {}
     assert limits(flight(np.zeros(at(4.9)))) == {}
-    assert axis_limits((), flight(np.zeros(at(10.0))), STEP, SPAN, {}) == {}
+    assert axis_limits((), flight(np.zeros(at(10.0))), STEP, SPAN, {}, RecentCache(8)) == {}
     idle = AxisLimitInputs(gain_1_s=0.0, noise_rad=0.001, rate_noise_rad_s=0.005)
-    assert axis_limits((idle,), flight(step(10.0)), STEP, SPAN, {}) == {}
+    assert axis_limits((idle,), flight(step(10.0)), STEP, SPAN, {}, RecentCache(8)) == {}
 
 
 def test_none_is_beyond_where_a_step_could_have_settled() -> None:

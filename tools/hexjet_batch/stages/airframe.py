@@ -6,7 +6,7 @@ by the mean rate with its bend, velocity by the forces turned with the attitude 
 
 from __future__ import annotations
 
-from math import cos, radians, sin, sqrt
+from math import cos, radians, sin
 from typing import Any, NamedTuple
 
 from cosim.base.constants import GRAVITY
@@ -46,17 +46,6 @@ class Motion(NamedTuple):
     rate: Vector
     acceleration: Vector
     force: Vector
-
-
-def normal_gravity(latitude_deg: float, height: float) -> float:
-    """Return the acceleration [m/s^2] of what falls freely, at a height [m] above the WGS 84 ellipsoid.
-
-    Somigliana's formula, and its change with height to the first order.
-    """
-    square = sin(radians(latitude_deg)) ** 2
-    surface = 9.7803253359 * (1.0 + 0.00193185265241 * square) / sqrt(1.0 - 0.00669437999014 * square)
-    flattening, ratio = 1.0 / 298.257223563, 0.00344978650684
-    return surface * (1.0 - 2.0 * height / 6378137.0 * (1.0 + flattening + ratio - 2.0 * flattening * square))
 
 
 def earth_rate(latitude_deg: float, rate: float = 7.292115e-5) -> tuple[float, float]:

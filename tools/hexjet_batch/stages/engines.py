@@ -10,8 +10,6 @@ from collections.abc import Callable
 from math import inf, pi
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hexjet_batch.numbers import Numbers, is_absent
 from hexjet_batch.stages.delays import make_ring, push
 
@@ -33,44 +31,6 @@ class Report(NamedTuple):
     speed: Any = 0.0  # rad/s
     fuel: Any = 0.0  # kg/s
     out: Any = 0.0
-
-
-class Command(NamedTuple):
-    """The state of an ECU's input: delay, and what was read, taken and led to."""
-
-    ring: Any
-    read: Any
-    taken: Any
-    out: Any
-
-
-def start_command(n: Numbers, throttle: Any) -> Command:
-    """Return the state as if the throttle had stood there for ever."""
-    taken = _resolve(n, throttle)
-    return Command(make_ring(n.delay, throttle, n.xp), throttle, taken, taken)
-
-
-def step_command(n: Numbers, c: Command, k: Any, throttle: Any) -> Command:
-    """Return the state after a step: delay, reading now and then, resolution, dead band, limit of the rate."""
-    xp = n.xp
-    ring, read = push(c.ring, k, n.delay, xp.clip(throttle, 0.0, 1.0), xp)
-    if np.any(np.asarray(n.command_interval) > 1.0):
-        read = xp.where(k % n.command_interval == 0, read, c.read)
-    taken = _resolve(n, read)
-    if not is_absent(n.command_dead_band):
-        taken = xp.where(xp.abs(taken - c.taken) <= n.command_dead_band, c.taken, taken)
-    out = taken
-    if not is_absent(n.command_rate):
-        most = n.step * or_infinite(n.command_rate, xp)
-        out = c.out + xp.clip(taken - c.out, -most, most)
-    return Command(ring, read, taken, out)
-
-
-def _resolve(n: Numbers, throttle: Any) -> Any:
-    if is_absent(n.command_resolution):
-        return throttle
-    steps = n.xp.floor(throttle / n.command_resolution + 0.5)
-    return n.xp.clip(n.command_resolution * steps, 0.0, 1.0)
 
 
 def or_infinite(limit: Any, xp: Any) -> Any:
@@ -179,18 +139,17 @@ class P220:
         return Report(thrust, speed, self.IDLE_FUEL + (self.FULL_FUEL - self.IDLE_FUEL) * load)
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
-        command = start_command(n, throttle)
-        thrust = self._at_rest(self._input(n, command.out), n.xp)
-        return (command, thrust, 0.0 * thrust), self._report(thrust, n.xp)
+        thrust = self._at_rest(self._input(n, throttle), n.xp)
+        return (make_ring(n.delay, throttle, n.xp), thrust, 0.0 * thrust), self._report(thrust, n.xp)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
-        command, thrust, rate = s
-        command = step_command(n, command, k, throttle)
-        v = self._input(n, command.out)
+        ring, thrust, rate = s
+        ring, u = push(ring, k, n.delay, n.xp.clip(throttle, 0.0, 1.0), n.xp)
+        v = self._input(n, u)
         thrust, rate = runge_kutta(
             lambda at, slope: (slope, self._acceleration(at, slope, v)), thrust, rate, n.step / n.time_factor
         )
-        return (command, thrust, rate), self._report(thrust, n.xp)
+        return (ring, thrust, rate), self._report(thrust, n.xp)
 
 
 class P220Of2025(P220):

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from hexjet_batch.numbers import is_absent
+
 # Three and four numbers, or arrays over the flights.
 Vector = tuple[Any, ...]
 Quaternion = tuple[Any, ...]
@@ -63,7 +65,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 def add(a: Vector, b: Vector, factor: Any = 1.0) -> Vector:
     """Return ``a + factor b``; ``b`` may be the plain zero of all flights."""
-    if all(isinstance(value, float) and value == 0.0 for value in b):
+    if is_absent(*b):
         return a
     if isinstance(factor, float) and factor == 1.0:
         return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

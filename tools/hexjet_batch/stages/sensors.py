@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +63,8 @@ class Noise:
 def fade(step: float, lag: Any, xp: Any) -> Any:
     """Return the share of a first-order lag [s] that is made up in a step, 1 without a lag."""
     if isinstance(lag, (int, float)):
-        return 1.0 - exp(-step / lag) if lag > 0.0 else 1.0
+        # The exponential of one flight is that of many.
+        return 1.0 - float(np.exp(-step / lag)) if lag > 0.0 else 1.0
     return xp.where(lag > 0.0, 1.0 - xp.exp(-step / xp.where(lag > 0.0, lag, 1.0)), 1.0)
 
 

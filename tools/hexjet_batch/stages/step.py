@@ -12,10 +12,19 @@ from typing import Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from hexjet_batch.numbers import Numbers, is_absent
 from hexjet_batch.stages.airframe import Mass, Motion, air_at, change_mass, drag_of, mass_with, move
-from hexjet_batch.stages.allocation import Allocated, allocate_banks, allocate_rotors
 from hexjet_batch.stages.delays import make_ring, push
 from hexjet_batch.stages.engines import Air, Report
-from hexjet_batch.stages.loops import RateState, apply_schedule, start_rate, update_attitude, update_height, update_rate
+from hexjet_batch.stages.loops import (
+    Allocated,
+    RateState,
+    allocate_banks,
+    allocate_rotors,
+    apply_schedule,
+    start_rate,
+    update_attitude,
+    update_height,
+    update_rate,
+)
 from hexjet_batch.stages.rotations import Quaternion, Vector, add, cross, rotate_back
 from hexjet_batch.stages.sensors import Measured, SensorState, fade, sample, start_sensors
 

@@ -8,16 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hexjet_batch.numbers import Numbers, is_absent
-from hexjet_batch.stages.engines import (
-    RPM,
-    Air,
-    Report,
-    bisect,
-    or_infinite,
-    runge_kutta,
-    start_command,
-    step_command,
-)
+from hexjet_batch.stages.delays import make_ring, push
+from hexjet_batch.stages.engines import RPM, Air, Report, bisect, or_infinite, runge_kutta
 
 R_AIR, CP_AIR, CP_GAS = 287.0, 3.5 * 287.0, 4.0 * 287.0  # J/(kg K)
 P_STD, T_STD = 101325.0, 288.15  # Pa, K
@@ -109,36 +101,27 @@ class Turbine:
         return n.xp.where(hot, cool, richest)
 
     def _fuel_command(self, n: Numbers, a: Inlet, s: Any) -> tuple[Any, Any, Any]:
-        """Return the fuel asked for, the integral and the error; by an integral, by a gain, or by both."""
+        """Return the fuel asked for, the integral and the error: by one integral or the other."""
         xp = n.xp
         _, w, _, reference, integral, asked, last = s
         error = (reference - w) / (n.full_speed * RPM)
-        if not is_absent(n.speed_dead_band):
-            error = xp.sign(error) * xp.maximum(xp.abs(error) - n.speed_dead_band, 0.0)
         low, speed = n.leanest_command * self._air_flow(n, a, w), w / (n.full_speed * RPM)
-        if is_absent(n.fuel_integral, n.fuel_gain):
+        if is_absent(n.fuel_integral):
             command = integral - self._damping(n, w)
             high = self._most_fuel(n, a, w, command)
             free = ((command > low) | (error > 0.0)) & ((command < high) | (error < 0.0))
             integral = integral + xp.where(free, n.step * n.integral_gain * error, 0.0)
             return xp.clip(command, low, high), integral, last
-        least = or_infinite(n.fuel_fall, xp)
-        if not is_absent(n.fuel_integral):
-            gain = n.step * n.fuel_integral * speed**n.fuel_integral_exponent
-            change = gain * error + n.fuel_response * (error - last)
-            change = xp.clip(change, -n.step * asked * least, n.step * or_infinite(n.fuel_ramp, xp))
-        else:
-            share = xp.where(error > 0.0, n.fuel_rise_share, 1.0)
-            ramp = xp.clip(share * n.fuel_gain * speed * error, -least, or_infinite(n.fuel_rise, xp))
-            change = n.step * asked * ramp + share * n.fuel_response * (error - last)
-            change = xp.maximum(change, -n.step * asked * least)
-        command = asked + change
+        gain = n.step * n.fuel_integral * speed**n.fuel_integral_exponent
+        change = gain * error + n.fuel_response * (error - last)
+        least, most = or_infinite(n.fuel_fall, xp), or_infinite(n.fuel_ramp, xp)
+        command = asked + xp.clip(change, -n.step * asked * least, n.step * most)
         return xp.clip(command, low, self._most_fuel(n, a, w, command)), integral, error
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
         """Return engines in equilibrium at their throttle: the speed demanded, or the nearest that mixtures allow."""
-        xp, command, a = n.xp, start_command(n, throttle), self._inlet(n, air)
-        demand = self._demanded(n, command.out) + 0.0 * throttle
+        xp, a = n.xp, self._inlet(n, air)
+        demand = self._demanded(n, throttle) + 0.0 * throttle
 
         def speeds_up(w: Any, fuel: Any) -> Any:
             return self._acceleration(n, a, w, fuel) > 0.0
@@ -156,24 +139,24 @@ class Turbine:
         w = xp.where(speeds_up(demand, lean(demand)), faster, w)
         richest = n.richest_command * self._air_flow(n, a, w)
         fuel = bisect(lambda f: self._acceleration(n, a, w, f) < 0.0, lean(w), richest, xp)
-        state = (command, w, fuel, demand, fuel + self._damping(n, w), fuel, 0.0 * fuel)
+        state = (make_ring(n.delay, throttle, xp), w, fuel, demand, fuel + self._damping(n, w), fuel, 0.0 * fuel)
         return state, self._report(n, a, w, fuel)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
-        command, w, fuel, reference, *governor = s
+        ring, w, fuel, reference, *governor = s
         xp, a, h = n.xp, self._inlet(n, air), n.step
-        command = step_command(n, command, k, throttle)
+        ring, u = push(ring, k, n.delay, xp.clip(throttle, 0.0, 1.0), xp)
         fall, rise = h * n.deceleration * reference, h * n.acceleration * reference
         if not is_absent(n.reference_fall):
             fall = xp.minimum(fall, h * RPM * or_infinite(n.reference_fall, xp))
         if not is_absent(n.reference_rise):
             rise = xp.minimum(rise, h * RPM * or_infinite(n.reference_rise, xp))
-        reference = reference + xp.clip(self._demanded(n, command.out) - reference, -fall, rise)
-        asked, integral, last = self._fuel_command(n, a, (command, w, fuel, reference, *governor))
+        reference = reference + xp.clip(self._demanded(n, u) - reference, -fall, rise)
+        asked, integral, last = self._fuel_command(n, a, (ring, w, fuel, reference, *governor))
         w, fuel = runge_kutta(
             lambda w, f: (self._acceleration(n, a, w, f), (asked - f) / n.pump_time_constant), w, fuel, h
         )
-        return (command, w, fuel, reference, integral, asked, last), self._report(n, a, w, fuel)
+        return (ring, w, fuel, reference, integral, asked, last), self._report(n, a, w, fuel)
 
     def _report(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> Report:
         out = fuel < n.lean_limit * self._air_flow(n, a, w)
