@@ -39,7 +39,7 @@ class Noise:
     AHRS, three of the accelerometer, by a generator of their own.
     """
 
-    def __init__(self, seeds: Sequence[int], with_force: bool, block: int = 256) -> None:
+    def __init__(self, seeds: Sequence[int], with_force: bool, block: int = 64) -> None:
         self._sets = []
         for key, draws in enumerate((13, 3) if with_force else (13,)):
             generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,))) for seed in seeds]
