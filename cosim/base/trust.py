@@ -117,7 +117,7 @@ def remember_written(folder: Path, made: Collection[Path] = ()) -> None:
     only if it was without them.
     """
     entries = _entries(folder.resolve()) or set()
-    own = {_entry(path) for path in made}
+    own = {_hash_line(path) for path in made}
     for arguments in {"", *(key[-1] for key in _decision.accepted)} if entries else ():
         was_trusted = _digest(entries - own, arguments) in _read_remembered() | _decision.hashes
         if was_trusted or entries <= own | _decision.contents:
@@ -278,12 +278,12 @@ def _entries(folder: Path, *, max_files: int = 50_000, max_mb: float = 256.0) ->
             size += sum(path.stat().st_size for path in files if path.is_file())
             if seen > max_files or size > max_mb * 2**20:
                 return None
-        return set(map(_entry, counted))
+        return set(map(_hash_line, counted))
     except (OSError, InputError):
         return None
 
 
-def _entry(path: Path) -> str:
+def _hash_line(path: Path) -> str:
     return f"{hashlib.sha256(read_file(path)).hexdigest()} {path.name}"
 
 
@@ -300,7 +300,7 @@ def _hash(code: Code, entries: set[str] | None) -> str | None:
         return None
     named = [code.path, *(code.path.parent / word for word in code.arguments.split())]
     with suppress(InputError):
-        return _digest(entries | {_entry(path) for path in named if path.is_file()}, code.arguments)
+        return _digest(entries | {_hash_line(path) for path in named if path.is_file()}, code.arguments)
     return None
 
 

@@ -326,7 +326,7 @@ def _explain_differences(row: Row, run: Run) -> list[str]:
     """Return why a flight may differ now from the recorded one."""
     then, now = parse_json(str(row["inputs"]), "inputs"), parse_json(inputs(run), "inputs")
     differences = [
-        f"{name} was {_short(then[kind].get(name))} and is {_short(now[kind].get(name))}"
+        f"{name} was {_short_digest(then[kind].get(name))} and is {_short_digest(now[kind].get(name))}"
         for kind in ("versions", "sha256")
         for name in sorted({*then[kind], *now[kind]})
         if then[kind].get(name) != now[kind].get(name)
@@ -342,5 +342,5 @@ def _explain_differences(row: Row, run: Run) -> list[str]:
     ]
 
 
-def _short(text: str | None) -> str:
+def _short_digest(text: str | None) -> str:
     return "not there" if text is None else text[:12]

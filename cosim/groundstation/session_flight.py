@@ -29,7 +29,7 @@ from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 
 # Chosen by us: s of wall time, half a step at 250 Hz; flights at full speed publish fewer steps.
-PUBLISH_INTERVAL_S = 2e-3  # s of wall time
+PUBLISH_INTERVAL_S = 2e-3
 # Two hours of flight at 250 Hz.
 MAX_LOG_MB = 2000.0
 

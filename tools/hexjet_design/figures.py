@@ -25,8 +25,8 @@ def design_figures(design: Design) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
     for axis, axis_design in design.axes.items():
         loops = _loops(axis_design)
-        figures[f"bode_{axis}"] = bode(_curves(loops))
-        figures[f"nyquist_{axis}"] = nyquist(_curves(loops), design.need.max_sensitivity)
+        figures[f"bode_{axis}"] = bode(_make_curves(loops))
+        figures[f"nyquist_{axis}"] = nyquist(_make_curves(loops), design.need.max_sensitivity)
         figures[f"sensitivity_{axis}"] = _sensitivity(loops, design)
         figures[f"step_{axis}"] = _step(loops, axis_design)
     return figures
@@ -60,7 +60,7 @@ class Curve(NamedTuple):
     style: Mapping[str, Any] = MappingProxyType({})
 
 
-def _curves(loops: list[tuple[str, str, ClosedLoop, bool]]) -> list[Curve]:
+def _make_curves(loops: list[tuple[str, str, ClosedLoop, bool]]) -> list[Curve]:
     return [Curve(label, colour, _hertz(loop), loop.open_loop) for label, colour, loop, _ in loops]
 
 

@@ -194,13 +194,13 @@ def _payload_sign(calibration: Calibration) -> Condition:
 def _first_unstable(calibration: Calibration) -> Condition:
     """Search for the delay that destabilises the quadrotor's baseline, with and without attitude loop."""
 
-    def first(attitude_gain: float) -> int:
+    def first_unstable(attitude_gain: float) -> int:
         for delay in range(1, 60):
             if unstable_poles(replace(quadrotor_axis(calibration, "baseline", delay), attitude_gain=attitude_gain)):
                 return delay
         return 60
 
-    alone, closed = first(0.0), first(calibration.attitude_gain_1_s)
+    alone, closed = first_unstable(0.0), first_unstable(calibration.attitude_gain_1_s)
     return Condition(
         key="baseline-delay",
         question="with how many samples does the quadrotor's baseline lose stability?",

@@ -259,7 +259,7 @@ def result(
             overshoot_percent=max(overshoots) if overshoots else None,
             settling_s=max((t for t in times if t is not None), default=None) if None not in times else None,
             time_constant_s=_rise(is_angle, edges[0], edges[1], step) if commanded else None,
-            late_rmse=_late(reference[:rows], is_angle[:rows]) if commanded else None,
+            late_rmse=_delayed(reference[:rows], is_angle[:rows]) if commanded else None,
         ),
         time=[k * step for k in range(len(error))],
         setpoint=reference[:rows].tolist(),
@@ -289,7 +289,7 @@ def _steps(command: Array, angle: Array, edges: list[int], step: float) -> tuple
     return overshoots, times
 
 
-def _late(command: Array, angle: Array, samples: int = 20) -> float:
+def _delayed(command: Array, angle: Array, samples: int = 20) -> float:
     late = np.concatenate([np.full(samples, angle[0]), angle[:-samples]])
     return float(np.sqrt(np.mean(np.square(command - late))))
 

@@ -164,8 +164,8 @@ def simulate(
     tap = _WithDisturbance(predictor(axis.controller).predictor(axis.model, axis.tuning))
     rate_loop = RateAxis(axis.gains, tap, axis.step)
     line = DelayLine(axis.delay_samples)
-    plant = _plant(axis.plant)
-    noise = _noise(axis.seed, steps)
+    plant = _plant_update(axis.plant)
+    noise = _draw_noise(axis.seed, steps)
     gain, limit, most, sigma = axis.plant.gain, axis.rate_limit, axis.command_limit, axis.noise
     k_att, half, knows = axis.attitude_gain, 0.5 * axis.step, axis.knows_disturbance
     record = Record(axis.step)
@@ -195,14 +195,14 @@ def simulate(
     return record
 
 
-def _plant(plant: Plant) -> Callable[[float], float]:
+def _plant_update(plant: Plant) -> Callable[[float], float]:
     if not plant.extra_samples:
         return rate_model(plant.model).update
     return DelayedModel(plant.model.model_copy(update={"delay_samples": plant.extra_samples})).update
 
 
 @lru_cache(maxsize=8)
-def _noise(seed: int, steps: int) -> list[float]:
+def _draw_noise(seed: int, steps: int) -> list[float]:
     values: list[float] = np.random.default_rng(seed).standard_normal(steps).tolist()
     return values
 

@@ -204,12 +204,12 @@ def fly_manual() -> Manual:
         assert metrics.rate_rmse_rad_s is not None
         tracking[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
         tracking[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
-        angle[axis] = _thin(run, f"{axis}_setpoint_rad", f"{axis}_rad")
-        rate[axis] = _thin(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
+        angle[axis] = _every_tenth(run, f"{axis}_setpoint_rad", f"{axis}_rad")
+        rate[axis] = _every_tenth(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
     return Manual(tracking, run.log["time_s"][::10].tolist(), angle, rate)
 
 
-def _thin(run: Run, *names: str) -> tuple[list[float], list[float]]:
+def _every_tenth(run: Run, *names: str) -> tuple[list[float], list[float]]:
     command, response = (run.log[name][::10].tolist() for name in names)
     return command, response
 

@@ -121,7 +121,7 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
         )
     lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
     if vehicle.servo is None:
-        return [*lines, *[f"mmix {index} 1.0 {_mix(jet)}" for index, jet in enumerate(jets)]]
+        return [*lines, *[f"mmix {index} 1.0 {_mixer_line(jet)}" for index, jet in enumerate(jets)]]
     forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # of nose down: see TiltAllocator
     lines += [f"mmix {index} 1.0 {-_sign(jet.position_m[1]):.1f} 0.0 0.0" for index, jet in enumerate(jets)]
     # Its mixer's yaw is positive nose right, for which the left bank tilts forward.
@@ -131,7 +131,7 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     ]
 
 
-def _mix(jet: Jet) -> str:
+def _mixer_line(jet: Jet) -> str:
     x, y, _ = jet.position_m
     return f"{-_sign(y):.1f} {-_sign(x):.1f} {_sign(jet.reaction_m):.1f}"
 
@@ -317,7 +317,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
     """
     end = monotonic() + _MAX_CONSOLE_START_S
     session = ""
-    with _console(program, port, end) as console:
+    with _connect_console(program, port, end) as console:
         console.settimeout(0.2)
 
         def ask(text: str, mark: str) -> str:
@@ -351,7 +351,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
     transcript.write_text(session)
 
 
-def _console(program: Program, port: int, end: float) -> socket.socket:
+def _connect_console(program: Program, port: int, end: float) -> socket.socket:
     while True:
         try:
             return socket.create_connection((LOCAL, port), 1.0)

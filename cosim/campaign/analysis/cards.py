@@ -70,11 +70,11 @@ def _points(fraction: float | None) -> str:
     return text[1:] if text[1:] == "0.0" else text
 
 
-def _signed(value: float) -> str:
+def _format_signed(value: float) -> str:
     return f"{value:+.3g}" if value else "0"
 
 
-def _chance(p: float) -> str:
+def _format_probability(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 
@@ -120,7 +120,7 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
             name, *(f"{count:,}" for count in (pairs.draws, pairs.both, pairs.second, pairs.first, pairs.neither)),
             _points(pairs.difference),
             "" if each.interval is None else f"{_points(each.interval[0])} to {_points(each.interval[1])}",
-            _chance(each.p_holm),
+            _format_probability(each.p_holm),
         )
         for name, each in zip(against, compared, strict=True)
         for pairs in (each.pairs,)
@@ -131,10 +131,10 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
     for name, each in zip(against, compared, strict=True):
         differences = [
             (
-                metric.label, f"{found.draws:,}", _signed(metric.factor * found.median),
+                metric.label, f"{found.draws:,}", _format_signed(metric.factor * found.median),
                 "" if found.interval is None
-                else " to ".join(_signed(metric.factor * end) for end in found.interval),
-                _chance(found.p), metric.unit,
+                else " to ".join(_format_signed(metric.factor * end) for end in found.interval),
+                _format_probability(found.p), metric.unit,
             )
             for metric in table.metrics
             if (found := each.metrics.get(metric.name)) is not None
@@ -194,7 +194,7 @@ def metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
     rows = [
         (
             metric.label,
-            *(_spread(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
+            *(_spread_text(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
             metric.unit,
         )
         for metric in table.metrics
@@ -203,7 +203,7 @@ def metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
     return Card("Metrics", ("metric", *named, "unit"), rows, SPREADS, figures) if rows else None
 
 
-def _spread(found: Spread | None, factor: float) -> str:
+def _spread_text(found: Spread | None, factor: float) -> str:
     if found is None:
         return NONE
     none = f", {found.none:,} have none" if found.none else ""

@@ -157,7 +157,7 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
         "zeroline": True,
     }
     layout["yaxis"] = {"automargin": True, "ticksuffix": " "}
-    layout["shapes"] = [_shade(0.0, floor)]
+    layout["shapes"] = [_shaded_region(0.0, floor)]
     return {"data": data, "layout": layout}
 
 
@@ -322,7 +322,7 @@ def _names_axis() -> Figure:
     return {"automargin": True, "autorange": "reversed", "ticksuffix": " "}
 
 
-def _shade(start: float, end: float) -> Figure:
+def _shaded_region(start: float, end: float) -> Figure:
     return {
         "type": "rect",
         **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},

@@ -253,10 +253,10 @@ def _observed_range(key: KeyColumn) -> str:
 def describe_draws(vary: Vary) -> str:
     """Describe a distribution."""
     relative = {"": "", "factor": ", times the nominal value", "offset": ", added to the nominal value"}[vary.relative]
-    return _distribution(vary) + relative
+    return _describe_distribution(vary) + relative
 
 
-def _distribution(vary: Vary) -> str:
+def _describe_distribution(vary: Vary) -> str:
     if vary.uncertainty:
         return DRAWN_BY
     if vary.values is not None:
@@ -271,13 +271,13 @@ def _distribution(vary: Vary) -> str:
         return f"triangular, {form.min:g} to {form.max:g}, most often {form.mode:g}"
     if vary.normal is not None:
         text = f"normal, mean {vary.normal.mean:g}, standard deviation {vary.normal.sd:g}"
-        return text + _bounds(vary.normal.min, vary.normal.max)
+        return text + _describe_bounds(vary.normal.min, vary.normal.max)
     assert vary.lognormal is not None
     text = f"lognormal, median {vary.lognormal.median:g}, sigma {vary.lognormal.sigma:g}"
-    return text + _bounds(vary.lognormal.min, vary.lognormal.max)
+    return text + _describe_bounds(vary.lognormal.min, vary.lognormal.max)
 
 
-def _bounds(low: float | None, high: float | None) -> str:
+def _describe_bounds(low: float | None, high: float | None) -> str:
     if low is None and high is None:
         return ""
     if low is None:
@@ -356,7 +356,7 @@ def strongest_pair(
         a, b = table.keys[first].numbers, table.keys[second].numbers
         finite = np.isfinite(values) & np.isfinite(a) & np.isfinite(b)
         together[first, second] = sum(
-            _joint(finite & table.rows_of(controller), a, b, values) for controller in controller_indices(table)
+            _joint_effect(finite & table.rows_of(controller), a, b, values) for controller in controller_indices(table)
         )
     default_pair = (keys[0], keys[1])
     best = max(together, key=lambda pair: together[pair])
@@ -367,7 +367,7 @@ def strongest_pair(
     )
 
 
-def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
+def _joint_effect(rows: Any, first: Array, second: Array, values: Array) -> float:
     some = int(np.sum(rows)) > 1 and np.ptp(values[rows]) > 0.0
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
 

@@ -100,12 +100,12 @@ def find_spread(table: FlightTable, controller: int, name: str) -> Spread | None
 
 def compare_controllers(table: FlightTable) -> list[Comparison]:
     """Compare every two controllers on the draws that both have flown."""
-    compared = [_compared(table, first, second) for first, second in combinations(controller_indices(table), 2)]
+    compared = [_compare_pair(table, first, second) for first, second in combinations(controller_indices(table), 2)]
     corrected = holm([comparison.p for comparison in compared])
     return [comparison._replace(p_holm=p) for comparison, p in zip(compared, corrected, strict=True)]
 
 
-def _compared(table: FlightTable, first: int, second: int) -> Comparison:
+def _compare_pair(table: FlightTable, first: int, second: int) -> Comparison:
     rows, others = common_draws(table, first, second)
     counted = count_pairs(table.success[rows], table.success[others])
     completed = table.completed[rows] & table.completed[others]
@@ -286,7 +286,7 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for line in (summary["until"] or {"says": []})["says"]:
         yield f"  {line}"
     for name, entry in summary["controllers"].items():
-        yield f"  {name}: {_probability(entry)}{_count_failures(entry['outcomes'])}"
+        yield f"  {name}: {_describe_probability(entry)}{_count_failures(entry['outcomes'])}"
     if summary["not_flown"]:
         yield f"  {summary['not_flown']}"
 
@@ -341,7 +341,7 @@ def _median(name: str, entry: Mapping[str, Any] | None) -> str:
     return median if entry["flights"] == entry["of"] else f"{median} ({entry['flights']} of {entry['of']})"
 
 
-def _probability(entry: Mapping[str, Any]) -> str:
+def _describe_probability(entry: Mapping[str, Any]) -> str:
     if entry["success"] is None:
         return "no flight yet"
     text = f"{100.0 * entry['success']:.1f} % of {entry['flights']}"

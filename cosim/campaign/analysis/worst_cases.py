@@ -108,12 +108,12 @@ def _case_row(campaign: Campaign, table: FlightTable, case: Case) -> tuple[str, 
         str(table.draw[case.row]),
         case.why,
         ended,
-        ", ".join(f"{key.label} {_value(key, case.row)}" for key in table.keys),
+        ", ".join(f"{key.label} {_format_value(key, case.row)}" for key in table.keys),
         link(place, place) if place else f"no scenario file: {refused}",
     )
 
 
-def _value(key: KeyColumn, row: int) -> str:
+def _format_value(key: KeyColumn, row: int) -> str:
     number = key.numbers[row]
     if not np.isfinite(number):
         return NONE

@@ -23,7 +23,7 @@ from cosim.engine.fmu.uncertainty import Uncertainty, cut_normal
 from cosim.simulation.engines import list_stations
 from cosim.spec.scenario import Scenario
 
-ENGINE = "engine"  # the key that is varied so
+ENGINE = "engine"  # key of the engine, which is drawn by its uncertainty
 DRAWN_BY = "by the engine's [uncertainty]"
 # A quantile of 0 would be minus infinity under a normal distribution.
 MIN_QUANTILE = 2.0**-54
@@ -78,12 +78,12 @@ class EngineDraw:
         count = len(self._parameters)
         side, columns = count, []
         for of, quantiles in zip(self._parameters, self._table.quantiles(ndtri(points[:, :count])), strict=True):
-            centre = np.full(len(points), _nominal(of.common))
+            centre = np.full(len(points), _nominal_value(of.common))
             drawn = cut_normal(quantiles, centre, of.deviation, of.common.low, of.common.high)
             if of.deviation:
                 columns.append(_fit(drawn, of.common))
             for key in of.stations:
-                centre = np.clip(drawn + (_nominal(key) - _nominal(of.common)), key.low, key.high)
+                centre = np.clip(drawn + (_nominal_value(key) - _nominal_value(of.common)), key.low, key.high)
                 columns.append(_fit(cut_normal(points[:, side], centre, of.spread, key.low, key.high), key))
                 side += 1
         return columns
@@ -150,7 +150,7 @@ def brings_engine(key: str) -> bool:
     return key in (ENGINE, "aircraft") or (key.startswith("stations.") and key.endswith(f".{ENGINE}"))
 
 
-def _nominal(key: Key) -> float:
+def _nominal_value(key: Key) -> float:
     assert isinstance(key.nominal, (int, float))
     return float(key.nominal)
 

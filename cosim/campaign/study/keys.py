@@ -423,7 +423,7 @@ def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) ->
 
 def _nearest(name: str, keys: Iterable[str], least: float = 0.6, span: float = 0.15) -> str:
     """Return the keys that may be meant, up to four: at least ``least`` like it, and within ``span`` of the best."""
-    # Of keys that differ in their indices alone the first is meant.
+    # Keys that differ in list indices alone are similar to the same degree, so only the first is suggested.
     by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
     scored = sorted((-_likeness(name, path), len(path), path) for path in by_name.values())
     close = [path for score, _, path in scored[:4] if -score >= max(least, -scored[0][0] - span)]

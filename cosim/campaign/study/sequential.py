@@ -178,13 +178,13 @@ class SequentialTest:
         """Return the largest failure probability at which an ending as good as this has the probability ``error``."""
         if self.failures == self.flights and self._crossed != "shown":
             return 1.0
-        return self._solve(lambda failing: self._probability_as_good(failing) - error)
+        return self._find_root(lambda failing: self._probability_as_good(failing) - error)
 
     def _least(self, error: float) -> float:
         """Return the smallest failure probability at which an ending as bad as this has the probability ``error``."""
         if self.failures == 0:
             return 0.0
-        return self._solve(lambda failing: error - self._probability_as_bad(failing))
+        return self._find_root(lambda failing: error - self._probability_as_bad(failing))
 
     def _probability_as_good(self, failing: float) -> float:
         shown = self._probability(self._ends["shown"], failing)
@@ -215,7 +215,7 @@ class SequentialTest:
         return float(np.sum(np.exp(exponents + np.log(np.maximum(probability, np.finfo(float).tiny)))))
 
     @staticmethod
-    def _solve(function: Callable[[float], float]) -> float:
+    def _find_root(function: Callable[[float], float]) -> float:
         from scipy.optimize import brentq  # importing scipy takes 0.3 s
 
         return float(brentq(function, 1e-12, 1.0 - 1e-12, xtol=1e-12))

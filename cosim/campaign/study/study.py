@@ -102,7 +102,7 @@ class Study(Model):
         if self.design != "grid":
             assert self.runs is not None
             return self.runs
-        return self.repeats * prod(_levels(vary) for vary in self.vary)
+        return self.repeats * prod(_count_levels(vary) for vary in self.vary)
 
     @property
     def tried(self) -> list[str]:
@@ -477,7 +477,7 @@ def _check_names(study: Study, where: str) -> None:
         raise InputError(f"{where}: case {repeated!r} is there twice")
 
 
-def _levels(vary: Vary) -> int:
+def _count_levels(vary: Vary) -> int:
     return len(vary.values) if vary.values is not None else vary.levels or 1
 
 

@@ -235,7 +235,7 @@ class _Tasks:
             batch = self._returned.popleft() if self._returned else self._next(count)
             if not batch:
                 return
-            self._submit(batch)
+            self._submit_batch(batch)
 
     def collect(self) -> Iterator[Row]:
         """Wait a short time for a task to end, and return the rows of all ended tasks."""
@@ -263,7 +263,7 @@ class _Tasks:
         size = min(size, ceil(len(self._buffer) / tasks))
         return [self._buffer.popleft() for _ in range(size)]
 
-    def _submit(self, batch: list[Flight]) -> None:
+    def _submit_batch(self, batch: list[Flight]) -> None:
         with warnings.catch_warnings():  # Dask warns about large objects
             warnings.simplefilter("ignore")
             if self._packed is None:
@@ -304,7 +304,7 @@ class _Tasks:
         except Exception as error:
             raise FlightError(f"a worker cannot fly: {_describe(error)}") from error
         else:
-            self._learn(rows)
+            self._note_durations(rows)
             yield from rows
 
     def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
@@ -316,7 +316,7 @@ class _Tasks:
         reason = f"the worker was lost in this flight {times} times; the last was {error.last_worker.address}"
         yield failed_row(self._study, batch[0], reason)
 
-    def _learn(self, rows: Sequence[Row]) -> None:
+    def _note_durations(self, rows: Sequence[Row]) -> None:
         for row in rows:
             seconds = row.get("wall_s")
             if isinstance(seconds, float):

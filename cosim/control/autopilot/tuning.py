@@ -76,7 +76,7 @@ class LiveTuning:
         elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
             self._blocks.attitude.retune(_attitude(self._control, new), self._step)
         elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
-            self._blocks.altitude.retune(_altitude(self._control, new))
+            self._blocks.altitude.retune(_altitude_gains(self._control, new))
         elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
             lean = radians(new["HJ_LEAN_MAX"])
             self._blocks.position.retune(new["HJ_POS_P"], new["HJ_VEL_P"], lean)
@@ -115,7 +115,7 @@ def control_of(control: Control, values: Mapping[str, float]) -> Control:
         update={
             "rate": control.rate.model_copy(update={"roll": roll, "pitch": pitch, "yaw": yaw}),
             "attitude": _attitude(control, values),
-            "altitude": _altitude(control, values),
+            "altitude": _altitude_gains(control, values),
             "predictor": _predictor_tuning(control, values),
         }
     )
@@ -135,7 +135,7 @@ def _attitude(control: Control, values: Mapping[str, float]) -> AttitudeGains:
     return control.attitude.model_copy(update={"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)})
 
 
-def _altitude(control: Control, values: Mapping[str, float]) -> AltitudeGains:
+def _altitude_gains(control: Control, values: Mapping[str, float]) -> AltitudeGains:
     return control.altitude.model_copy(
         update={
             "position_1_s": values["HJ_ALT_P"],

@@ -92,7 +92,7 @@ class MavlinkVehicle:
     def send(self, peer: Peer | None, messages: Sequence[Message]) -> None:
         """Send messages to one station, or to all (None); telemetry never displaces them."""
         for message in messages:
-            packed = self._pack(message)
+            packed = self._prepare(message)
             if packed is None:
                 continue
             priority = Priority.BULK if message.msgname in _BULK else Priority.ANSWER
@@ -144,7 +144,7 @@ class MavlinkVehicle:
         if state is None:
             return now + 0.01
         for stream, peers in self._streams.iterate_due(now, self.link.peers):
-            made = [packed for message in stream.make_messages(state) if (packed := self._pack(message)) is not None]
+            made = [packed for message in stream.make_messages(state) if (packed := self._prepare(message)) is not None]
             logged = stream.select(made, self._logged_turn)
             self._logged_turn += stream.in_turn
             for packed in logged:
@@ -178,7 +178,7 @@ class MavlinkVehicle:
         component = getattr(message, "target_component", 0)
         return system in (0, self.constants.system) and component in (0, COMPONENT_ID)
 
-    def _pack(self, message: Message) -> Message | None:
+    def _prepare(self, message: Message) -> Message | None:
         try:
             return prepare_message(message)
         except (struct.error, OverflowError, ValueError) as error:

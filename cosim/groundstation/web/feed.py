@@ -92,8 +92,8 @@ def describe_state(snapshot: Snapshot) -> dict[str, Any]:
         "velocity": _finite_list((*status.fix.velocity, estimate.velocity[2])),
         "height": _finite(estimate.altitude),
         "height_asked": _finite(status.altitude),
-        "attitude_deg": _degrees(to_euler(estimate.attitude)),
-        "attitude_asked_deg": _degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
+        "attitude_deg": _to_degrees(to_euler(estimate.attitude)),
+        "attitude_asked_deg": _to_degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
         "remaining": _finite(status.remaining),
         "jets": [] if sample is None else describe_jets(snapshot.info, sample, status.engines is EngineState.OFF),
         "pace": {"asked": pace.factor, "reached": _finite(pace.reached_factor), "missed": pace.missed},
@@ -151,7 +151,7 @@ def _finite_list(values: Iterable[float]) -> list[float | None]:
     return [_finite(value) for value in values]
 
 
-def _degrees(values: Iterable[float]) -> list[float | None]:
+def _to_degrees(values: Iterable[float]) -> list[float | None]:
     return [_finite(degrees(value)) for value in values]
 
 

@@ -6,7 +6,7 @@
 
 from cosim.identify.sweep.axis import identify_axis
 from cosim.identify.sweep.engine import fly_sweep, identify_engine
-from cosim.identify.sweep.fit import Fit, Model, counts, fit, separate_equal
+from cosim.identify.sweep.fit import Fit, Model, fit, point_weights, separate_equal
 from cosim.identify.sweep.page import write
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate
 from cosim.identify.sweep.result import Identification, Sweep, suitable_duration

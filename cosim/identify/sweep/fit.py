@@ -123,7 +123,7 @@ def names(lags: int) -> list[str]:
     return ["gain", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(lags)), "delay_samples"]
 
 
-def counts(response: FrequencyResponse) -> Array:
+def point_weights(response: FrequencyResponse) -> Array:
     """Weigh each point by ``(1.58 (1 - exp(-coherence)))^2`` (Tischler and Remple), by 0 below MIN_COHERENCE."""
     weight = (1.58 * (1.0 - np.exp(-response.coherence))) ** 2
     return np.asarray(np.where(response.coherence >= MIN_COHERENCE, weight, 0.0))
@@ -141,7 +141,7 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
     for name in hold:
         if name not in names_known:
             raise InputError(f"hold {name}: not a parameter of this form; allowed: {', '.join(names_known)}")
-    weight = counts(response)
+    weight = point_weights(response)
     use = weight > 0.0
     if int(use.sum()) < len(names_known):
         raise InputError(

@@ -59,14 +59,14 @@ def make_cascade(
             (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
             make_predictors(scenario, vehicle, engine) if plugged is None else plugged.make_predictors(),
             step,
-            [_lead(vehicle, axis, step) for axis in AXES],
+            [_make_lead(vehicle, axis, step) for axis in AXES],
         ),
         AltitudeController(
             gains.altitude,
             vehicle.mass_kg,
             thrust_map.collective,
             step,
-            _lead(vehicle, "altitude", step),
+            _make_lead(vehicle, "altitude", step),
         ),
         make_allocator(scenario, vehicle, stations, thrust_map, hover, catch),
         scenario.added_delay_samples,
@@ -76,7 +76,7 @@ def make_cascade(
     return Cascade(
         loops,
         thrust_map,
-        _monitor(scenario, vehicle, stations) if scenario.monitored else None,
+        _make_monitor(scenario, vehicle, stations) if scenario.monitored else None,
         GainSchedule(gains.schedule, gains.lead, step) if gains.schedule else None,
         [
             *_engine_loss_laws(
@@ -191,7 +191,7 @@ def find_opposite_jets(vehicle: Vehicle) -> tuple[int, ...]:
     return tuple(opposite_jets)
 
 
-def _lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
+def _make_lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
     settings = getattr(vehicle.control.lead, command, None)
     return Lead(settings, step) if settings else None
 
@@ -206,7 +206,7 @@ def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
         )
 
 
-def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineMonitor:
+def _make_monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineMonitor:
     settings, limits = vehicle.control.monitor, vehicle.control.allocation
     if settings is None:
         raise InputError(

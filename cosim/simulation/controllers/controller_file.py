@@ -83,7 +83,7 @@ class FlownRecord(Model):
 
 
 class ProofRecord(Model):
-    """Flights of a design's proof; not read by flights."""
+    """Flights that proved a design: a record, without effect on later flights."""
 
     flights: int  # flights that met the requirements
     failed: str | None = None  # why an earlier proof failed

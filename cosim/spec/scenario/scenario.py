@@ -116,7 +116,7 @@ class Scenario(Model):
         return data | {"expect": [own | entry if isinstance(entry, dict) else entry for entry in data["expect"]]}
 
     @model_validator(mode="after")
-    def _one_flies(self) -> Self:
+    def _refuse_two_pilots(self) -> Self:
         if self.requests is not None and self.command:
             raise ValueError("requests: the autopilot flies then, there can be no command")
         if self.initial.engines == "off" and (self.requests is None or not self.initial.on_ground):

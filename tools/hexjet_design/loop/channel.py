@@ -292,7 +292,7 @@ def _axis_channel(axis: str, scenario: Scenario, vehicle: Vehicle, engine: Engin
         scenario.step_s,
         scenario.substeps,
         room,
-        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        **_sensor_parameters(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
         shape=(1.0 + early + kick, -early - 2.0 * kick, kick),
     )
@@ -331,7 +331,7 @@ def _by_effectiveness(
         step,
         scenario.substeps,
         room,
-        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        **_sensor_parameters(vehicle.sensors),  # type: ignore[arg-type]
         added_delay=scenario.added_delay_samples if axis == "roll" else 0,
         shape=shape,
         hinged=() if main is dynamics else hinged,
@@ -367,7 +367,7 @@ def _with_others(
     return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
 
 
-def _gyro(sensors: Sensors) -> dict[str, float | int]:
+def _sensor_parameters(sensors: Sensors) -> dict[str, float | int]:
     gyro, attitude = sensors.gyro, sensors.attitude
     return {
         "rate_filter_s": gyro.filter_s,

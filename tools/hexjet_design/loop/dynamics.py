@@ -15,7 +15,7 @@ from math import exp, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.identify.sweep import FrequencyResponse, counts, separate_equal
+from cosim.identify.sweep import FrequencyResponse, point_weights, separate_equal
 from cosim.spec.vehicle import RateModel
 
 # Terms besides two poles. The quick zero remains if a fractional delay is rounded up: (1 + s t) leads by t.
@@ -168,7 +168,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
     """
     if dynamics.misfit < MIN_CARRIED_MISFIT:
         return dynamics
-    use = counts(response) > 0.0
+    use = point_weights(response) > 0.0
     hertz, ratio = response.hertz[use], response.value[use] / dynamics.hold_response(response.hertz[use])
     off = np.abs(ratio / np.exp(np.mean(np.log(np.abs(ratio)))) - 1.0)
     wide = np.maximum(off, np.maximum(np.append(off[1:], off[-1]), np.append(off[0], off[:-1])))
@@ -204,7 +204,7 @@ class _FormFit:
     """
 
     def __init__(self, response: FrequencyResponse, form: Sequence[str]) -> None:
-        weight = np.sqrt(counts(response))
+        weight = np.sqrt(point_weights(response))
         # Of the sampling rate: above it a sampled lag differs by 3 % or more from the continuous one with hold.
         max_hertz_samples = 0.1
         use = (weight > 0.0) & (response.hertz * response.step <= max_hertz_samples)
@@ -275,7 +275,7 @@ class _FormFit:
             model = model * (1.0 - self._s / z)
         return np.asarray(np.log(model / self._value))
 
-    def _residuals(self, x: Array) -> Array:
+    def _weighted_residuals(self, x: Array) -> Array:
         off = self._error(x)
         return np.concatenate([self._weight * off.real, self._weight * off.imag])
 
@@ -289,7 +289,7 @@ class _FormFit:
             return x
 
         bounds = self._low[free], self._high[free]
-        solution = least_squares(lambda part: self._residuals(scatter(part)), start[free], bounds=bounds)
+        solution = least_squares(lambda part: self._weighted_residuals(scatter(part)), start[free], bounds=bounds)
         return float(solution.cost), scatter(solution.x)
 
 

@@ -113,7 +113,7 @@ class Space:
             command = command + integral
             self._keep("integral", integral)
         if self._lead:
-            command = self._led(command)
+            command = self._apply_lead(command)
         self._keep("slope", slope)
         self._keep("before", predicted)
         self._fly(command)
@@ -121,7 +121,7 @@ class Space:
         self._shift("sent", command)
         return np.asarray(command)
 
-    def _led(self, command: Array) -> Array:
+    def _apply_lead(self, command: Array) -> Array:
         assert self._lead is not None
         numerator, denominator = self._lead
         A, B, C = companion(numerator[1:] - numerator[0] * denominator[1:], denominator)

@@ -46,12 +46,12 @@ class AxisMargins:
         """Return the margins of gain, the nearer of both, and of more delay in the engine's standard deviations."""
         if self.uncertainty is None:
             return None, None
-        gains = [self._margin(name) for name in ("gain_db", "gain_down_db")]
+        gains = [self._margin_value(name) for name in ("gain_db", "gain_down_db")]
         gain_db = min([abs(value) for value in gains if value is not None], default=None)
-        delay_s = self._margin("delay_s")
+        delay_s = self._margin_value("delay_s")
         return gain_deviations(self.uncertainty, gain_db), delay_deviations(self.uncertainty, delay_s)
 
-    def _margin(self, name: str) -> float | None:
+    def _margin_value(self, name: str) -> float | None:
         return self.response.margins[name].value if name in self.response.margins else None
 
     @property

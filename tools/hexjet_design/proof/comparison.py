@@ -99,18 +99,18 @@ def measure_flight(run: Run) -> FlownMeasures:
         return FlownMeasures(f"lost at {run.summary.duration_s:.1f} s", roll.commanded, {})
     effort, height = run.summary.effort, run.summary.altitude.max_abs_error_m
     values = {
-        "roll_rmse_deg": _degrees(roll.rmse_rad),
-        "pitch_rmse_deg": _degrees(pitch.rmse_rad),
+        "roll_rmse_deg": _degrees_or_none(roll.rmse_rad),
+        "pitch_rmse_deg": _degrees_or_none(pitch.rmse_rad),
         "overshoot_percent": roll.overshoot_percent,
         "settling_s": roll.settling_time_s,
         "throttle_activity_1_s": effort.throttle_1_s,
-        "tilt_activity_deg_s": _degrees(effort.tilt_rad_s),
+        "tilt_activity_deg_s": _degrees_or_none(effort.tilt_rad_s),
         "height_error_m": height,
     }
     return FlownMeasures("", roll.commanded, values)
 
 
-def _degrees(value: float | None) -> float | None:
+def _degrees_or_none(value: float | None) -> float | None:
     return None if value is None else degrees(value)
 
 

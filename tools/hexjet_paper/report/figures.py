@@ -116,10 +116,10 @@ def _pair(
             longest = max(present.values(), key=lambda result: len(result.time))  # a failed flight ends early
             curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
         drawn.append((title, curves))
-    return [Panel(title, "time [s]", _unit(quantity), curves, y_range=(-limit, limit)) for title, curves in drawn]
+    return [Panel(title, "time [s]", _axis_title(quantity), curves, y_range=(-limit, limit)) for title, curves in drawn]
 
 
-def _unit(quantity: str) -> str:
+def _axis_title(quantity: str) -> str:
     return "roll [deg]" if quantity == "angle" else "roll rate [rad/s]"
 
 
@@ -142,7 +142,7 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
                     _curve(bare, "angle", NAMES[controller], COLOURS[controller]),
                     _curve(loaded, "angle", "with payload", RED, "dot"),
                 ]
-            row.append(Panel(title, "time [s]", _unit("angle"), curves, y_range=(-30.0, 30.0)))
+            row.append(Panel(title, "time [s]", _axis_title("angle"), curves, y_range=(-30.0, 30.0)))
         rows.append(row)
     return panels(rows, panel_height=200)
 

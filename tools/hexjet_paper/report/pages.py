@@ -91,9 +91,9 @@ def _doublet(reproduction: Reproduction) -> str:
     return table(
         ("roll doublet", "baseline", "Smith predictor", "paper, Smith predictor"),
         [
-            ("outcome", *map(_outcome, results), "stable; baseline not"),
-            ("overshoot", *(_overshoot(m) for m in (a, b)), f"{less:g} % below the baseline's"),
-            ("settling, to 5 %", *(_settling(m) for m in (a, b)), f"{faster:g} % faster than the baseline's"),
+            ("outcome", *map(_describe_outcome, results), "stable; baseline not"),
+            ("overshoot", *(_format_overshoot(m) for m in (a, b)), f"{less:g} % below the baseline's"),
+            ("settling, to 5 %", *(_format_settling(m) for m in (a, b)), f"{faster:g} % faster than the baseline's"),
             ("RMSE", *(f"{m.rmse:.2g} rad" for m in (a, b)), f"{rmse:g} rad"),
             ("maximum error", *(f"{m.max:.3g} rad" for m in (a, b)), f"{most:.4f} rad"),
         ],
@@ -101,7 +101,7 @@ def _doublet(reproduction: Reproduction) -> str:
     )
 
 
-def _outcome(result: Result) -> str:
+def _describe_outcome(result: Result) -> str:
     experiment = result.experiment
     seconds = len(result.time) * experiment.step
     if seconds < experiment.record - 0.5 * experiment.step:
@@ -109,11 +109,11 @@ def _outcome(result: Result) -> str:
     return "settles both ways, ends level" if result.metrics.stable else "does not settle"
 
 
-def _overshoot(metrics: Metrics) -> str:
+def _format_overshoot(metrics: Metrics) -> str:
     return "-" if not metrics.stable or metrics.overshoot_percent is None else f"{metrics.overshoot_percent:.0f} %"
 
 
-def _settling(metrics: Metrics) -> str:
+def _format_settling(metrics: Metrics) -> str:
     return "never" if not metrics.stable or metrics.settling_s is None else f"{metrics.settling_s:.1f} s"
 
 

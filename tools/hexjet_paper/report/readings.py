@@ -52,7 +52,7 @@ def readings_table(results: list[ReadingResult]) -> Table:
         line("thrust per unit throttle", [f"{r.thrust_n:.2f} N" for r in results]),
         line("roll gain, rad/s² per unit throttle", [f"{r.slope:.0f}" for r in results]),
         line("J_xx that follows", [f"{r.inertia_kg_m2:.4f} kg m²" for r in results]),
-        line("pole of the slowest lag", [f"{r.fast_pole:.4f}, {1e3 * _lag(r.fast_pole):.0f} ms" for r in results]),
+        line("pole of the slowest lag", [f"{r.fast_pole:.4f}, {1e3 * _pole_lag(r.fast_pole):.0f} ms" for r in results]),
     ]
     titles = (
         ("shipped", "gains of vehicle.toml"),
@@ -78,11 +78,11 @@ def readings_table(results: list[ReadingResult]) -> Table:
             ]
     judged = [judge_reading(result) for result in results]
     for n, claim in enumerate(judged[0]):
-        rows.append(line(f"claim: {claim.claim}", [_verdicts(rows_of[n]) for rows_of in judged]))
+        rows.append(line(f"claim: {claim.claim}", [_list_verdicts(rows_of[n]) for rows_of in judged]))
     return Table(("", *(result.title for result in results)), rows)
 
 
-def _lag(pole: float) -> float:
+def _pole_lag(pole: float) -> float:
     return -numbers.value("hexjet.step") / log(pole)
 
 
@@ -105,7 +105,7 @@ def _ratio(result: ReadingResult, key: str) -> str:
     return f"{linear:.0f} % linear, {flight:.0f} % flown"
 
 
-def _verdicts(row: ClaimRow) -> str:
+def _list_verdicts(row: ClaimRow) -> str:
     flight = row.flight.verdict if row.flight else "not flown"
     return row.linear.verdict if row.linear.verdict == flight else f"{row.linear.verdict}; in flight {flight}"
 
@@ -116,7 +116,7 @@ def model_error_table(errors: list[ModelError]) -> Table:
     rows = [
         (
             f"{numbers.value('hexjet.delay') + delay:.0f} samples ({delay:+d})" if delay else "25 samples, as printed",
-            *(_off(cells[delay, factor]) for factor in GAIN_FACTORS if (delay, factor) in cells),
+            *(_describe_model_error(cells[delay, factor]) for factor in GAIN_FACTORS if (delay, factor) in cells),
         )
         for delay in DELAY_ERRORS
         if (delay, GAIN_FACTORS[0]) in cells
@@ -124,7 +124,7 @@ def model_error_table(errors: list[ModelError]) -> Table:
     return Table(("delay of the model", *(f"gain x {factor:g}" for factor in GAIN_FACTORS)), rows)
 
 
-def _off(error: ModelError) -> str:
+def _describe_model_error(error: ModelError) -> str:
     if not error.stable or error.settling_s is None:
         return "does not settle"
     return f"{error.overshoot_percent or 0.0:.0f} %, {error.settling_s:.1f} s"

@@ -117,8 +117,8 @@ class Reproduction(call.Result):
         numbers = []
         for row in rows_to_compare(self.rows):
             name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
-            linear = _cell(row.linear, "{:.4g}"), _cell(row.linear_deviation, "{:+.1f} %")
-            flight = _cell(row.flight, "{:.4g}"), _cell(row.flight_deviation, "{:+.1f} %")
+            linear = _format_cell(row.linear, "{:.4g}"), _format_cell(row.linear_deviation, "{:+.1f} %")
+            flight = _format_cell(row.flight, "{:.4g}"), _format_cell(row.flight_deviation, "{:+.1f} %")
             numbers.append((name, row.unit, f"{row.paper:.4g}", *linear, *flight, row.origin))
         claims = [
             (claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
@@ -130,5 +130,5 @@ class Reproduction(call.Result):
         ]
 
 
-def _cell(value: float | None, form: str) -> str:
+def _format_cell(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)

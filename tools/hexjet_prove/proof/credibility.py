@@ -84,7 +84,7 @@ def _data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return f"{where} stand in their README.md; the engine's are identified: {evidence.uncertainty_source}"
 
 
-def _verification(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_verification(evidence: Evidence, record: Mapping[str, Any]) -> str:
     made = record["verification"]
     stated = (
         f"{made['inside']} of {made['compared']} quantities of NASA's check cases are within what its own simulators "
@@ -97,7 +97,7 @@ def _verification(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return stated
 
 
-def _validation(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_validation(evidence: Evidence, record: Mapping[str, Any]) -> str:
     texts = [_describe_comparison(one, evidence) for one in evidence.comparisons]
     known = [
         one
@@ -128,7 +128,7 @@ def _development_management(evidence: Evidence, record: Mapping[str, Any]) -> st
     return "model files outside the package, known by their hashes alone"
 
 
-def _use(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_earlier_use(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return "; ".join([*evidence.warnings, "no earlier use is on record"])
 
 
@@ -142,16 +142,16 @@ def _input_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return "the ranges are those that the study states; no measurement of them is on record"
 
 
-def _uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> str:
     if not evidence.varied:
         return "nothing was varied"
     text = f"{evidence.varied} numbers, noise and turbulence are drawn and flown through the whole model"
     if evidence.uncertainty_source is not None and not evidence.is_engine_drawn:
         text += "; the engine states an uncertainty that was not drawn"
-    return text + (f"; nothing of {_listed(evidence.not_varied)}" if evidence.not_varied else "")
+    return text + (f"; nothing of {_join_names(evidence.not_varied)}" if evidence.not_varied else "")
 
 
-def _robustness(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_robustness(evidence: Evidence, record: Mapping[str, Any]) -> str:
     text = "no sensitivity is known"
     if evidence.ranked:
         text = f"the effect of {evidence.ranked} of {evidence.varied} drawn numbers is known, one at a time"
@@ -166,21 +166,21 @@ def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return f"{kept}; {flown} flights came out the same when they were flown again"
 
 
-def _review(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:
+def _describe_missing_review(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:
     return lambda evidence, record: f"no review of {of} by others is on record"
 
 
 _FACTORS: tuple[tuple[str, str, Callable[[Evidence, Mapping[str, Any]], str]], ...] = (  # group, factor, function
     (CAPABILITY, "Data pedigree", _data_pedigree),
-    (CAPABILITY, "Verification", _verification),
-    (CAPABILITY, VALIDATION, _validation),
-    (CAPABILITY, "Development technical review", _review("the model")),
+    (CAPABILITY, "Verification", _describe_verification),
+    (CAPABILITY, VALIDATION, _describe_validation),
+    (CAPABILITY, "Development technical review", _describe_missing_review("the model")),
     (CAPABILITY, "Development process and product management", _development_management),
-    (RESULTS, "Use assessment", _use),
+    (RESULTS, "Use assessment", _describe_earlier_use),
     (RESULTS, "Input pedigree", _input_pedigree),
-    (RESULTS, "Uncertainty characterization", _uncertainty),
-    (RESULTS, "Results robustness", _robustness),
-    (RESULTS, "Use and analysis technical review", _review("this proof")),
+    (RESULTS, "Uncertainty characterization", _describe_uncertainty),
+    (RESULTS, "Results robustness", _describe_robustness),
+    (RESULTS, "Use and analysis technical review", _describe_missing_review("this proof")),
     (RESULTS, "Use process and product management", _use_management),
 )
 
@@ -190,5 +190,5 @@ def _is_measured(evidence: Evidence) -> bool:
     return bool(source) and not str(source).startswith(CHOSEN)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else "nothing"

@@ -106,7 +106,7 @@ def _levels(result: RareResult) -> Figure:
     """Return the figure of the probability of a margin below a number, a curve a repeat, and the levels' thresholds."""
     data: list[Figure] = []
     for number, (names, repeat) in enumerate(_named_repeats(result)):
-        margins, probabilities = _curve(repeat)
+        margins, probabilities = _probability_curve(repeat)
         data.append(
             {
                 "type": "scatter",
@@ -125,7 +125,7 @@ def _levels(result: RareResult) -> Figure:
     return {"data": data, "layout": figure}
 
 
-def _curve(repeat: Repeat) -> tuple[list[float], list[float]]:
+def _probability_curve(repeat: Repeat) -> tuple[list[float], list[float]]:
     """Return margins, falling, and the probability of less than each, level by level."""
     margins: list[float] = []
     points = 40  # points of a curve per level

@@ -112,7 +112,7 @@ def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
         return *common, holds_to, text(edge.breaks), "none", _describe_break(edge)
     if edge.breaks is None:
         return *common, f"{text(edge.end)}, the end", "-", "-", ""
-    return *common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge)
+    return *common, text(edge.holds), text(edge.breaks), _describe_change(edge), _describe_break(edge)
 
 
 def answers(result: SearchResult, at_most: int = 4) -> list[str]:
@@ -135,7 +135,7 @@ def _answer(result: SearchResult, edge: Edge) -> str:
     )
 
 
-def _change(edge: Edge) -> str:
+def _describe_change(edge: Edge) -> str:
     start, breaks = float(edge.start), float(edge.breaks or 0.0)
     if not start:
         return f"{breaks - start:+.4g}"
@@ -177,7 +177,7 @@ def together_lines(result: SearchResult) -> list[str]:
 def figures(result: SearchResult) -> dict[str, Figure]:
     """Return Plotly figures by name: ``curve``, or ``key0``, ``key1``, ..."""
     if result.plan.over:
-        return {"curve": _curve(result)}
+        return {"curve": _boundary_figure(result)}
     return {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
 
 
@@ -196,7 +196,7 @@ def _bands(result: SearchResult, span: Span) -> Figure:
         if edge.breaks is not None and not edge.start_breaks
     ]
     layout["shapes"] = [dotted(GREY, x=span.start)]
-    layout["xaxis"] = {"title": {"text": _title(span)}, "type": "log" if span.logarithmic else "linear"}
+    layout["xaxis"] = {"title": {"text": _axis_title(span)}, "type": "log" if span.logarithmic else "linear"}
     layout["yaxis"] = {"automargin": True, "type": "category", "range": [len(names) - 0.4, -0.6]}
     return {"data": data, "layout": layout}
 
@@ -219,7 +219,7 @@ def _label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
     return {"x": x, "y": name, "text": label, "showarrow": False, "yshift": 15}
 
 
-def _curve(result: SearchResult) -> Figure:
+def _boundary_figure(result: SearchResult) -> Figure:
     """Return the figure of the first key's edge over the second one, a line for each controller and side."""
     over, span = result.plan.over, result.plan.spans[0]
     assert over is not None
@@ -235,7 +235,7 @@ def _curve(result: SearchResult) -> Figure:
     layout["xaxis"] = {"title": {"text": f"{over.key.path} [{over.key.unit or '1'}]"}}
     if over.key.kind in ("choice", "bool"):
         layout["xaxis"]["type"] = "category"
-    layout["yaxis"] = {"title": {"text": _title(span)}, "type": "log" if span.logarithmic else "linear"}
+    layout["yaxis"] = {"title": {"text": _axis_title(span)}, "type": "log" if span.logarithmic else "linear"}
     return {"data": data, "layout": layout}
 
 
@@ -273,5 +273,5 @@ def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figu
     return [line, free] if ends else [line]
 
 
-def _title(span: Span) -> str:
+def _axis_title(span: Span) -> str:
     return f"{span.key.path} [{span.key.unit or '1'}]"

@@ -223,10 +223,10 @@ def _search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> As
         return {line: [prober.result(point).breaks for point in each] for line, each in points.items()}
 
     scans = yield from answer_by(run_together(walks), evaluate)
-    return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
+    return [_find_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
-def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
+def _find_edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
     span, side = plan.spans[line.span], line.side
     near, far = scan.change or (None, None)
     broken, holds = (0.0, far) if scan.start_breaks else (far, near)

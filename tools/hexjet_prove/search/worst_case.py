@@ -268,7 +268,7 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
     return WorstCase(
         controller=controller,
         margin=margin,
-        middle_margin=_number(middle),
+        middle_margin=_number_or_none(middle),
         distance=None if plan.within is None else found.distance,
         values=dict(point.values),
         seed=int(row["seed"] or 0),
@@ -301,14 +301,14 @@ def _effects(
             middle=middle.get(name),
             place=float(place[side]),
             share=float(squares[side]),
-            without=_number(flown[side]),
-            alone=_number(flown[count + side]),
+            without=_number_or_none(flown[side]),
+            alone=_number_or_none(flown[count + side]),
         )
         for side, name in enumerate(space.names)
     )
 
 
-def _number(margin: float) -> float | None:
+def _number_or_none(margin: float) -> float | None:
     return None if isnan(margin) else float(margin)
 
 

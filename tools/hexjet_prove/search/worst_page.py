@@ -27,10 +27,10 @@ def titles(result: WorstSearch) -> list[str]:
 
 def rows(result: WorstSearch) -> list[list[str]]:
     """Return a row for each key of each controller, in the order of their shares of the squared distance."""
-    return [row for case in result.cases for row in _rows(case)]
+    return [row for case in result.cases for row in _case_rows(case)]
 
 
-def _rows(case: WorstCase) -> list[list[str]]:
+def _case_rows(case: WorstCase) -> list[list[str]]:
     listed = []
     for effect in important(case.effects)[:12]:
         value, middle = (NONE if each is None else text(each) for each in (effect.value, effect.middle))

@@ -145,7 +145,7 @@ class FailsafeFlight:
         The reason is that of a crash, or else what the autopilot said it acted upon.
         """
         ending = self._ending
-        reason = ending.reason if ending is not None else self.refused or self._acted or _last(self.pilot.messages)
+        reason = ending.reason if ending is not None else self.refused or self._acted or _hold_text(self.pilot.messages)
         self._requests.close()
         self._record.close()
         self._recording.shorten_scenario(self.simulation.k)
@@ -299,6 +299,6 @@ class HoldTarget:
         return self._pilot.mode is Mode.HOLD and self.margin() > 0.0 and is_slow
 
 
-def _last(messages: Any) -> str:
+def _hold_text(messages: Any) -> str:
     texts = [message.text for message in messages if "holding" in message.text]
     return texts[-1] if texts else ""

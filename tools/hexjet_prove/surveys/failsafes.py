@@ -35,7 +35,7 @@ HEIGHTS_M = (3.0, 10.0, 30.0)
 TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
 WINDS_M_S = (0.0, 5.0, 10.0)  # winds flown
 # Chosen by us: range of the time from take-off to the failure.
-HOVER_S = (2.0, 20.0)  # from the take-off until it fails
+HOVER_S = (2.0, 20.0)
 
 
 class Start(NamedTuple):

@@ -202,7 +202,7 @@ def _start_mission(command: MavCommand, context: Context) -> Plan:
     return _ask(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _ask(rq.MissionStart())
 
 
-def _set_item(command: MavCommand, context: Context) -> Plan:
+def _set_mission_item(command: MavCommand, context: Context) -> Plan:
     item = _whole(command.params[0])
     return _refuse("mission: parameter 1 must be an item") if item < 0 else _ask(rq.MissionSetCurrent(item))
 
@@ -383,7 +383,7 @@ _HANDLERS: dict[int, Handler] = {  # function for each MAV_CMD
     34: _orbit,  # DO_ORBIT
     192: _reposition,  # DO_REPOSITION
     193: _pause,  # DO_PAUSE_CONTINUE
-    224: _set_item,  # DO_SET_MISSION_CURRENT
+    224: _set_mission_item,  # DO_SET_MISSION_CURRENT
     246: _reboot,  # PREFLIGHT_REBOOT_SHUTDOWN
     262: _set_standard_mode,  # DO_SET_STANDARD_MODE
     300: _start_mission,  # MISSION_START
