@@ -10,9 +10,13 @@ from __future__ import annotations
 import json
 import lzma
 import math
+import random
+import select
+import socket
 import struct
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -20,7 +24,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
-from gcs_tools import Relay, Station, VehicleProcess
+from gcs_tools import LOOPBACK, Station, VehicleProcess
 from patience import FLIGHT_PATIENCE, stretched
 
 from cosim.groundstation.links import find_files
@@ -43,6 +47,56 @@ HOLD, TAKING_OFF, MISSION, RETURN, LAND, POSITION = (4, 3), (4, 2), (4, 4), (4, 
 
 class LateError(AssertionError):
     """A step of the connection took longer than QGroundControl waits."""
+
+
+class Relay:
+    """A UDP link to ``port`` that loses a share of the datagrams, by a seeded chance, each way."""
+
+    def __init__(self, port: int, loss: float, seed: int) -> None:
+        self.loss = loss
+        self.lost: Counter[str] = Counter()
+        self.passed: Counter[str] = Counter()
+        self._chances = {"up": random.Random(seed), "down": random.Random(seed + 1)}
+        self._to = (LOOPBACK, port)
+        self._inner, self._outer = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+        for each in (self._inner, self._outer):
+            each.bind((LOOPBACK, 0))
+        self.port: int = self._outer.getsockname()[1]
+        self._client: Any = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+        self._inner.close()
+        self._outer.close()
+
+    def __enter__(self) -> Relay:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            for ready in select.select([self._inner, self._outer], [], [], 0.05)[0]:
+                try:
+                    data, address = ready.recvfrom(2048)
+                except OSError:
+                    continue
+                way = "up" if ready is self._outer else "down"
+                if way == "up":
+                    self._client = address
+                if self._chances[way].random() < self.loss:
+                    self.lost[way] += 1
+                    continue
+                self.passed[way] += 1
+                if way == "up":
+                    self._inner.sendto(data, self._to)
+                elif self._client is not None:
+                    self._outer.sendto(data, self._client)
 
 
 class QGroundControl(Station):

@@ -7,14 +7,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
-from patience import FLIGHT_PATIENCE
+from gcs_tools import LOOPBACK, VehicleProcess
+from patience import FLIGHT_PATIENCE, PATIENCE
 
 from cosim import fly
 from cosim.control.autopilot import requests as rq
@@ -26,6 +26,17 @@ MODULES = (
     "log,signing,wp,rally,fence,ftp,param,relay,tuneopt,arm,mode,calibration,rc,auxopt,misc,cmdlong,battery,output"
 )
 RTF = 6.0
+
+
+def mavlogdump(path: Path, types: Sequence[str] = ()) -> str:
+    """What pymavlink's own tool reads from a telemetry log."""
+    tool = Path(sys.executable).parent / "mavlogdump.py"
+    command = [sys.executable, str(tool), "--robust"]
+    if types:
+        command.append(f"--types={','.join(types)}")
+    done = subprocess.run([*command, str(path)], capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 class MavProxy:

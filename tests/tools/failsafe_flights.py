@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from pilot_flights import Asked
 
 from cosim import fly
-from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import toml_text
 from cosim.control.autopilot import requests as rq
 from cosim.results.autopilot.request_log import Entry
@@ -22,7 +20,6 @@ from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from hexjet_prove.surveys import failsafes as table
-from hexjet_prove.surveys.failsafe_flight import OWN, FailsafeAutopilot
 from hexjet_prove.surveys.survey import load_subject
 
 
@@ -32,17 +29,6 @@ def again(scenario: Path, digest: str) -> Run:
     assert "otherwise" not in run.reason
     assert log_digest(run.log) == digest
     return run
-
-
-def flown_case(scenario: Scenario, repeated: bool = False, **case: Any) -> Any:
-    """What a flight of a survey's case, begun in the air, came to; ``repeated``: and from its folder again."""
-    with temporary("failsafe-") as folder:
-        pilot = FailsafeAutopilot(name="failsafes", **case)
-        run, row = pilot.fly(scenario, Path(), folder / "run", page=False)
-        if repeated:
-            again(folder / "run" / "scenario.toml", log_digest(run.log))
-    values = {name: float("nan") if value is None else value for name, value in row.items()}
-    return SimpleNamespace(reason=run.reason, **{name.removeprefix(OWN): value for name, value in values.items()})
 
 
 class Flight(Asked):

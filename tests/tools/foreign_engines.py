@@ -194,17 +194,6 @@ KINDS: dict[str, Engine] = {
 }  # fmt: skip
 
 
-def write_kinds(folder: Path) -> list[Path]:
-    """Every kind in ``folder``; the paths by which they are named: the mapping file where there is one."""
-    folder.mkdir(parents=True, exist_ok=True)
-    made = []
-    for name, (of, rows, fmi, lines, change) in KINDS.items():
-        types = MODES[fmi] if "modes" in of else ""
-        path = foreign(folder, name, of, rows, fmi, change, types)
-        made.append(mapped(path, *lines) if lines else path)
-    return made
-
-
 def mapped(fmu: Path, *lines: str) -> Path:
     """A mapping file beside an FMU, of these lines."""
     path = fmu.with_suffix(".toml")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import re
 import select
 import signal
@@ -14,7 +13,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -267,64 +266,3 @@ _KEPT = frozenset(
         "TIMESYNC",
     }
 )
-
-
-class Relay:
-    """A UDP link to ``port`` that loses a share of the datagrams, by a seeded chance, each way."""
-
-    def __init__(self, port: int, loss: float, seed: int) -> None:
-        self.loss = loss
-        self.lost: Counter[str] = Counter()
-        self.passed: Counter[str] = Counter()
-        self._chances = {"up": random.Random(seed), "down": random.Random(seed + 1)}
-        self._to = (LOOPBACK, port)
-        self._inner, self._outer = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-        for each in (self._inner, self._outer):
-            each.bind((LOOPBACK, 0))
-        self.port: int = self._outer.getsockname()[1]
-        self._client: Any = None
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._over.set()
-        self._thread.join()
-        self._inner.close()
-        self._outer.close()
-
-    def __enter__(self) -> Relay:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _run(self) -> None:
-        while not self._over.is_set():
-            for ready in select.select([self._inner, self._outer], [], [], 0.05)[0]:
-                try:
-                    data, address = ready.recvfrom(2048)
-                except OSError:
-                    continue
-                way = "up" if ready is self._outer else "down"
-                if way == "up":
-                    self._client = address
-                if self._chances[way].random() < self.loss:
-                    self.lost[way] += 1
-                    continue
-                self.passed[way] += 1
-                if way == "up":
-                    self._inner.sendto(data, self._to)
-                elif self._client is not None:
-                    self._outer.sendto(data, self._client)
-
-
-def mavlogdump(path: Path, types: Sequence[str] = ()) -> str:
-    """What pymavlink's own tool reads from a telemetry log."""
-    tool = Path(sys.executable).parent / "mavlogdump.py"
-    command = [sys.executable, str(tool), "--robust"]
-    if types:
-        command.append(f"--types={','.join(types)}")
-    done = subprocess.run([*command, str(path)], capture_output=True, text=True, timeout=PATIENCE)
-    assert done.returncode == 0, done.stderr
-    return done.stdout

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import struct
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,6 @@ from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 
 TICK = 0.01  # s between two polls
-_FLOAT = struct.Struct("<f")
 
 
 class StandInPeer:
@@ -130,15 +128,6 @@ class Station:
             if answer is not None:
                 return answer
         raise AssertionError(f"no {kinds} after {tries} of {send}")
-
-
-def as_float(kind: str, number: int) -> float:
-    """The bits of an integer as a float, as PX4's protocol wants it."""
-    return float(_FLOAT.unpack(struct.pack(kind, number))[0])
-
-
-def as_int(value: float) -> int:
-    return int(struct.unpack("<i", _FLOAT.pack(value))[0])
 
 
 def refuse(text: str, result: Result = Result.DENIED) -> Answer:

@@ -23,7 +23,7 @@ from cosim.engine.fmu.uncertainty import Uncertainty, cut_normal
 from cosim.simulation.engines import list_stations
 from cosim.spec.scenario import Scenario
 
-ENGINE = "engine"  # key of the engine, which is drawn by its uncertainty
+ENGINE = "engine"  # key of the drawn engine
 DRAWN_BY = "by the engine's [uncertainty]"
 # A quantile of 0 would be minus infinity under a normal distribution.
 MIN_QUANTILE = 2.0**-54

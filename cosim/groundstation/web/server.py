@@ -188,7 +188,7 @@ class WebServer:
             await self._stopping.wait()
             unsubscribe()
             frames.cancel()
-            self._frame()  # the last frame tells pages how the flight ended
+            self._frame()  # pages see how the flight ended
 
     def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""

@@ -157,7 +157,7 @@ def test_newcombes_interval_holds_what_it_says() -> None:
     assert 0.94 < covered / total < 0.98
 
 
-def test_holm_by_hand() -> None:
+def test_holms_correction_is_as_by_hand() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([0.5, 0.9]) == [1.0, 1.0]
     assert holm([]) == []

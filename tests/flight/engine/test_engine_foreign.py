@@ -23,7 +23,6 @@ from foreign_engines import (
     foreign,
     lever,
     mapped,
-    write_kinds,
 )
 from places import ROOT
 
@@ -46,6 +45,17 @@ from cosim.spec.vehicle import load_vehicle
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("foreign")
+
+
+def write_kinds(folder: Path) -> list[Path]:
+    """Every kind in ``folder``; the paths by which they are named: the mapping file where there is one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    for name, (of, rows, fmi, lines, change) in KINDS.items():
+        types = MODES[fmi] if "modes" in of else ""
+        path = foreign(folder, name, of, rows, fmi, change, types)
+        made.append(mapped(path, *lines) if lines else path)
+    return made
 
 
 # ---- descriptions

@@ -32,7 +32,7 @@ from cosim.identify.sweep import (
     write,
 )
 from cosim.identify.sweep import axis as sweeping
-from cosim.identify.sweep.fit import counts
+from cosim.identify.sweep.fit import point_weights
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.identify.sweep.result import (
     MAX_MISFIT,
@@ -220,7 +220,7 @@ def test_points_without_coherence_do_not_count() -> None:
     coherence = np.where(hertz > 3.0, 0.3, 1.0)
     value[hertz > 3.0] *= 5.0
     response = FrequencyResponse(hertz, value, coherence, np.zeros(30), STEP)
-    assert (counts(response)[hertz > 3.0] == 0.0).all()
+    assert (point_weights(response)[hertz > 3.0] == 0.0).all()
     assert fit(response, 1, "one lag").model.delay_samples == pytest.approx(PAPER_ROLL.delay_samples, abs=1e-3)
 
 

@@ -798,7 +798,7 @@ def test_the_table_has_every_fault_at_every_place() -> None:
     assert len(plan.study.case) == 2 * (len(found) + len(LOSSES) + len(CONFIRMATIONS_S))
 
 
-def test_a_small_table(tmp_path: Path) -> None:
+def test_a_small_table_agrees_with_its_scenarios(tmp_path: Path) -> None:
     found = faults("hexjet", "edf-as-flown", controllers=["baseline", "smith"], kinds=["none", "gyro bias"], workers=1,
                    out=tmp_path / "table")  # fmt: skip
     verdicts = {(row.kind, row.start, row.controller): row.verdict for row in found.survey.rows}

@@ -243,7 +243,7 @@ def test_without_a_place_a_flight_is_what_it_was() -> None:
         assert simulation.pilot is None
 
 
-def test_the_same_twice() -> None:
+def test_a_placed_flight_repeats_bit_for_bit() -> None:
     command = {"kind": "place", "north_m": 2.0, "east_m": 1.0}
     one, other = (flown(command, seconds=3.0, sensor_noise=True) for _ in range(2))
     for name in ("north_m", "roll_rad", "north_setpoint_m"):

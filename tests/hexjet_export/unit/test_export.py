@@ -98,7 +98,7 @@ def test_times_are_microseconds_from_the_start(run: Run, ulog: ULog) -> None:
 @pytest.mark.parametrize(
     ("topic", "pattern"), [("vehicle_attitude", "{}_measured_rad"), ("vehicle_attitude_groundtruth", "{}_rad")]
 )
-def test_attitude(run: Run, ulog: ULog, topic: str, pattern: str) -> None:
+def test_attitudes_in_ulog_are_those_of_the_log(run: Run, ulog: ULog, topic: str, pattern: str) -> None:
     data = ulog.get_dataset(topic).data
     for row in (0, 1, 350, STEPS - 1):
         roll, pitch, yaw = (float(run.log[pattern.format(axis)][row]) for axis in ("roll", "pitch", "yaw"))
@@ -114,7 +114,7 @@ def test_quaternions_are_those_of_the_scalar_code() -> None:
         assert to_euler((w, x, y, z)) == pytest.approx((roll, pitch, yaw), abs=1e-12)
 
 
-def test_the_other_topics(run: Run, ulog: ULog) -> None:
+def test_other_topics_in_ulog_are_columns_of_the_log(run: Run, ulog: ULog) -> None:
     log = run.log
     expected = {
         "vehicle_angular_velocity": {

@@ -328,7 +328,7 @@ def test_the_first_stage_can_be_found_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert (found.p, found.i, found.d) == (FOUND.p, FOUND.i, FOUND.d)
 
 
-def test_hexjet_ratios() -> None:
+def test_hexjet_ratios_are_percentages_saved() -> None:
     assert hexjet_ratios(40.0, 20.0, 4.0, 1.0) == {"hexjet.less_overshoot": 50.0, "hexjet.faster_settling": 75.0}
     assert hexjet_ratios(40.0, 20.0, None, 1.0)["hexjet.faster_settling"] == 0.0
 

@@ -406,7 +406,7 @@ def test_another_search_is_left_alone(tmp_path: Path) -> None:
         write_campaign_report(open_campaign(tmp_path))
 
 
-def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_prints_the_search_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = [
         "search",
         "gust",

@@ -7,21 +7,25 @@ import json
 import re
 from math import hypot, isnan
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from command_tools import Hexjet
-from failsafe_flights import Flight, again, flown_case
+from failsafe_flights import Flight, again
 from long_cases import long_after
 from places import DOCS
 
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import EngineState
+from cosim.base.storage.scratch import temporary
 from cosim.campaign.run import fly_again
 from cosim.campaign.store import open_campaign
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
+from cosim.results.log.digest import log_digest
 from cosim.results.report import marks
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 from hexjet_prove.api.surveys import failsafes
 from hexjet_prove.surveys import failsafe_flight
@@ -34,6 +38,19 @@ HEXJETS = ("hexjet", "hexjet-p220")
 AT_REST = 0.1  # of the speed that it had: nine tenths of it is gone when it touches
 # Every vehicle that ships with an autopilot.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
+
+
+def flown_case(scenario: Scenario, repeated: bool = False, **case: Any) -> Any:
+    """What a flight of a survey's case, begun in the air, came to; ``repeated``: and from its folder again."""
+    with temporary("failsafe-") as folder:
+        pilot = failsafe_flight.FailsafeAutopilot(name="failsafes", **case)
+        run, row = pilot.fly(scenario, Path(), folder / "run", page=False)
+        if repeated:
+            again(folder / "run" / "scenario.toml", log_digest(run.log))
+    values = {name: float("nan") if value is None else value for name, value in row.items()}
+    return SimpleNamespace(
+        reason=run.reason, **{name.removeprefix(failsafe_flight.OWN): value for name, value in values.items()}
+    )
 
 
 def flown(

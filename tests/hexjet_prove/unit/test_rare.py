@@ -323,7 +323,7 @@ def test_the_interval_of_a_lognormal_mean_holds_it() -> None:
     assert binom.ppf(1e-4, 2000, 0.93) <= held <= binom.ppf(1.0 - 1e-4, 2000, 0.97)
 
 
-def test_what_is_said() -> None:
+def test_probabilities_are_written_with_two_digits() -> None:
     assert Estimate(9.1e-6, 4.2e-6, 2.14e-5, "").text == "9.1e-6 (95 %: 4.2e-6 to 2.1e-5)"
     assert Estimate(0.0231, 0.02, 0.03, "").text == "0.023 (95 %: 0.02 to 0.03)"
     assert probability_text(0.00999) == "0.01"

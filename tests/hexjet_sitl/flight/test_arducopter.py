@@ -275,7 +275,7 @@ def test_a_gnss_that_is_out_is_taken_away_by_a_switch() -> None:
         ("9=1500@2.5", TransmitterChannel(9, 1500, 2.5)),
     ],
 )
-def test_a_channel_is_read(text: str, channel: TransmitterChannel) -> None:
+def test_a_transmitter_channel_is_parsed(text: str, channel: TransmitterChannel) -> None:
     assert parse_channel(text, "channels") == channel
 
 

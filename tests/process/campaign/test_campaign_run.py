@@ -205,7 +205,7 @@ def test_a_sweep_leaves_a_data_set_and_a_page(hexjet: Hexjet, tmp_path: Path) ->
     assert "3 flights" in done.out
 
 
-def test_json_is_one_object(hexjet: Hexjet) -> None:
+def test_json_of_a_sweep_is_one_object(hexjet: Hexjet) -> None:
     arguments = (
         "sweep",
         "hover",

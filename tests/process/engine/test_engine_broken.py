@@ -182,7 +182,7 @@ def test_without_a_fault_it_is_fit(sound: Path) -> None:
     assert report.delay_samples_up == report.delay_samples_down == 0
 
 
-def test_it_is_checked_once(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_is_checked_once(sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checks: list[object] = []
     once = check.check_and_measure
     monkeypatch.setattr(check, "check_and_measure", lambda *asked: checks.append(1) or once(*asked))
@@ -341,7 +341,7 @@ def test_latin_letters_are_read(kit: Kit, sound: Path) -> None:
     assert load_checked.find_source(str(sound)).archive.model == "é"
 
 
-def test_a_fit_one_flies(sound: Path) -> None:
+def test_a_sound_engine_flies(sound: Path) -> None:
     with EngineBank(load_engine(str(sound), {}, STEP), 6, STEP) as bank:
         bank.reset(0.5)
         assert bank.step(0, (0.5,) * 6).thrust == pytest.approx((10.0,) * 6)

@@ -131,7 +131,7 @@ print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]
     assert json.loads(done.stdout) == [2 * len(list_engine_names()), False, False]
 
 
-def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:
+def test_an_unknown_engine_is_refused(engines: Path, tmp_path: Path) -> None:
     with pytest.raises(
         BuildError,
         match="unknown engine 'rocket'; allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, p220-2025, turbine-100, ",
@@ -141,7 +141,7 @@ def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:
         build_engines(["rocket"])
 
 
-def test_no_compiler(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_needs_a_compiler(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("CC", "CXX"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", str(make(tmp_path)))
@@ -159,7 +159,7 @@ def make(folder: Path) -> Path:
     return folder / "bin"
 
 
-def test_no_cmake(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_without_cmake_is_refused(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cmake", None)
     monkeypatch.setenv("PATH", str(make(tmp_path)))
     with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: cmake is not found"):

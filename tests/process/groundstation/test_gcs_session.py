@@ -70,7 +70,7 @@ def test_steps_begin_on_an_absolute_grid() -> None:
     assert clock.now == pytest.approx(100.0 + 3 * 0.004, abs=1e-12)
 
 
-def test_any_factor() -> None:
+def test_steps_keep_pace_at_four_times_real_time() -> None:
     clock = Clock()
     assert paced(clock, 4.0, [0.0005] * 8).report.missed == 0
     assert clock.now == pytest.approx(100.0 + 8 * 0.001, abs=1e-12)
@@ -124,7 +124,7 @@ def test_a_step_keeps_time_on_a_real_clock() -> None:
 # --- the meeting place ----------------------------------------------------------------------------------------------
 
 
-def test_senders_take_turns() -> None:
+def test_senders_of_requests_take_turns() -> None:
     exchange = Exchange()
     for i in range(5):
         exchange.ask(rq.SetSpeed(float(i)), sender="loud")

@@ -52,7 +52,7 @@ def stations() -> Iterator[list[Udp]]:
 # --- addresses -------------------------------------------------------------------------------------------------
 
 
-def test_urls() -> None:
+def test_urls_are_split_into_kind_host_and_port() -> None:
     assert parse_endpoint("udpout:127.0.0.1:14550")[:3] == ("udpout", "127.0.0.1", 14550)
     assert parse_endpoint("udpin://127.0.0.1:14560")[:3] == ("udpin", "127.0.0.1", 14560)
     assert parse_endpoint("tcpin::5760")[:3] == ("tcpin", "127.0.0.1", 5760)
@@ -290,7 +290,7 @@ def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations:
     assert flight.worst < stretched(0.25)  # the stepping thread only hands over
 
 
-def test_tcp_server(flights: list[Flight], stations: list[Udp]) -> None:
+def test_a_tcp_server_serves_two_and_outlives_one(flights: list[Flight], stations: list[Udp]) -> None:
     flights.append(Flight("tcpin:127.0.0.1:0"))
     one, two = Tcp(flights[0].port), Tcp(flights[0].port)
     stations += [one, two]

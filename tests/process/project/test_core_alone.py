@@ -40,7 +40,7 @@ def hexjet(python: Path, folder: Path, *arguments: str) -> Done:
     return Done(done.returncode, done.stdout, done.stderr)
 
 
-def test_no_tool_is_found(python: Path, tmp_path: Path) -> None:
+def test_the_core_alone_has_no_tools(python: Path, tmp_path: Path) -> None:
     code = f"from importlib.util import find_spec; print([find_spec('hexjet_' + name) for name in {TOOLS}])"
     done = subprocess.run([python, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str([None] * len(TOOLS))

@@ -32,7 +32,7 @@ def test_every_example_is_run() -> None:
 
 
 @pytest.mark.parametrize("name", SAYS)
-def test_an_example(
+def test_an_example_runs_as_it_is_printed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if name == "c_export" and measure.find_compiler() is None:

@@ -37,7 +37,7 @@ def test_to_euler_undoes_from_euler(roll: float, pitch: float, yaw: float) -> No
 
 
 @given(quaternions, vectors)
-def test_rotate(q: tuple[float, float, float, float], v: tuple[float, float, float]) -> None:
+def test_rotation_is_scipys(q: tuple[float, float, float, float], v: tuple[float, float, float]) -> None:
     assert frames.rotate(q, v) == pytest.approx(scipy_of(q).apply(v), abs=EXACT * 10)
     assert frames.rotate(frames.conjugate(q), frames.rotate(q, v)) == pytest.approx(v, abs=EXACT * 10)
 
@@ -49,7 +49,7 @@ def test_multiply_rotates_by_the_second_first(a: tuple[float, ...], b: tuple[flo
 
 
 @given(vectors, vectors)
-def test_cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> None:
+def test_the_cross_product_is_numpys(a: tuple[float, float, float], b: tuple[float, float, float]) -> None:
     assert frames.cross(a, b) == pytest.approx(np.cross(a, b), abs=EXACT * 100)
 
 

@@ -237,7 +237,7 @@ def test_the_command_lists_keys_with_their_meaning_without_a_scenario(hexjet: He
     assert "name a scenario" in hexjet("sweep").err
 
 
-def test_list_for_people() -> None:
+def test_keys_are_found_by_word_or_pattern() -> None:
     keys = all_keys(Scenario.load("hover"))
     names = ("gain", "pole", "delay_samples", "newton_per_unit")
     assert [key.path for key in matching(keys, "engine_parameters")] == [

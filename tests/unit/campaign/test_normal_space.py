@@ -87,7 +87,7 @@ def test_a_random_study_draws_the_same_values_at_the_same_quantiles(tmp_path: Pa
         assert row == pytest.approx(draw.values, rel=1e-9)
 
 
-def test_seeds() -> None:
+def test_seeds_differ_and_are_exact_in_a_double() -> None:
     seeds = {draw_seed(np.random.default_rng(number)) for number in range(50)}
     assert len(seeds) == 50
     assert max(seeds) < 2**53

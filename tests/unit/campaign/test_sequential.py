@@ -18,7 +18,7 @@ CLAIMS = ("90%@95%", "50%@95%", "99%@90%")
 RUNS = 200
 
 
-def test_a_claim_is_read() -> None:
+def test_claims_are_read_as_probability_and_confidence() -> None:
     assert parse_claim("99.9%@95%")[:] == (pytest.approx(0.999), pytest.approx(0.95), None)
     assert parse_claim(" 99 % @ 90 % ")[:] == (0.99, 0.9, None)
     assert parse_claim("designs/a.toml>smith@95%")[:] == (0.5, 0.95, ("designs/a.toml", "smith"))

@@ -274,7 +274,7 @@ def test_attitude_before_collective() -> None:
     assert ALLOCATOR.allocate(0.0, (0.2, 0.0, 0.0)).unallocated.roll == 0.0
 
 
-def test_pitch_before_yaw() -> None:
+def test_pitch_is_allocated_before_yaw() -> None:
     limit = VEHICLE.servo.range_rad
     _, tilt, refused = ALLOCATOR.allocate(HOVER, (0.0, 2 * limit, 0.1))[:3]
     assert tilt == pytest.approx((-limit, -limit))

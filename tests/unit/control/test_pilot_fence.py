@@ -41,7 +41,7 @@ YOU = FenceZone(
         (FenceZone(IN, ((0.0, 0.0), (0.0, 0.0), (1.0, 1.0))), (1.0, 0.0), -sqrt(0.5)),  # corners that coincide
     ],
 )
-def test_distances_by_hand(zone: FenceZone, place: tuple[float, float], distance: float) -> None:
+def test_distances_to_a_fence_are_as_by_hand(zone: FenceZone, place: tuple[float, float], distance: float) -> None:
     assert edge_distance(zone, *place) == pytest.approx(distance, abs=1e-12)
 
 

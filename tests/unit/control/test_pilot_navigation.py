@@ -127,7 +127,7 @@ def test_signs_of_the_lean() -> None:
 @pytest.mark.parametrize(
     ("angle", "wrapped"), [(pi, -pi), (-pi, -pi), (3.0, 3.0), (7.0, 7.0 - 2 * pi), (-7.0, 2 * pi - 7)]
 )
-def test_wrap(angle: float, wrapped: float) -> None:
+def test_angles_are_wrapped_to_half_a_turn(angle: float, wrapped: float) -> None:
     assert wrap(angle) == pytest.approx(wrapped, abs=1e-15)
 
 

@@ -127,7 +127,7 @@ LAST = max(spec.value for spec in PREDICTORS.values())  # of the predictors
         ("SYS_AUTOSTART", 0.0, "SYS_AUTOSTART = 0: cannot be changed, it is 22000"),
     ],
 )
-def test_refusals(name: str, value: float, complaint: str) -> None:
+def test_a_refused_value_changes_no_parameter(name: str, value: float, complaint: str) -> None:
     table = parameters()
     before = dict(table.values)
     with pytest.raises(InputError) as refusal:

@@ -52,7 +52,7 @@ def test_the_step_response_is_the_closed_form(name: str, fmi: int, tmp_path: Pat
 
 
 @pytest.mark.parametrize(("name", "fmi"), BOTH)
-def test_the_delay_is_exact(name: str, fmi: int, tmp_path: Path) -> None:
+def test_thrust_begins_after_exactly_the_delay(name: str, fmi: int, tmp_path: Path) -> None:
     gain, _, delay = PAPER[name]
     pulse = np.zeros(40)
     pulse[0] = 1.0
@@ -112,7 +112,7 @@ def test_fmpys_simulation_runs_them(tmp_path: Path) -> None:
         assert result["thrust"][-1] == pytest.approx(expected, abs=1e-12)
 
 
-def test_equilibrium_start(edf: Driven) -> None:
+def test_a_start_in_equilibrium_stays_there(edf: Driven) -> None:
     edf.start(throttle_start=0.35)
     steady = 0.35 * 0.2554 / (1.0 - 0.8748) * NEWTON_PER_KGF
     assert edf.get("thrust") == pytest.approx(steady, rel=1e-15)

@@ -40,7 +40,7 @@ def full_thrust(spec: EngineSpec) -> float:
     return spec.thrust_at(1.0)
 
 
-def test_the_library() -> None:
+def test_the_library_lists_its_engines() -> None:
     assert list_engine_names() == [
         "edf",
         "edf-as-flown",
@@ -174,7 +174,7 @@ def test_the_static_curve_is_linear_between_points_and_ends_at_its_ends() -> Non
         ({"gain": 0.0}, "thrust does not answer the throttle within 10 s"),
     ],
 )
-def test_wrong_parameters(parameters: dict[str, float], words: str) -> None:
+def test_wrong_parameters_are_refused(parameters: dict[str, float], words: str) -> None:
     assert words in refusal("edf", parameters)
 
 

@@ -450,7 +450,7 @@ def test_shut_off_it_runs_down_and_starts_again_when_told(name: str, tmp_path: P
 
 
 @pytest.mark.parametrize("name", TURBINES)
-def test_a_cold_start(name: str, tmp_path: Path) -> None:
+def test_a_cold_start_takes_its_time_to_idle(name: str, tmp_path: Path) -> None:
     p = parameters(name)
     with turbine(name, tmp_path, cold_start=1.0) as engine:
         assert not now(engine)[[0, 1, 3]].any()

@@ -305,7 +305,7 @@ def test_what_others_bring_is_there_on_request() -> None:
     bench.close()
 
 
-def test_the_list_of_modes(desk: Desk) -> None:
+def test_modes_are_listed_by_px4s_numbers(desk: Desk) -> None:
     _, *lines = desk.ask(command(512, 435.0, 0.0))
     assert [line.mode_index for line in lines] == list(range(1, len(MODES) + 1))
     assert {line.number_modes for line in lines} == {len(MODES)}
@@ -448,7 +448,7 @@ def manual(x: int, y: int, z: int, r: int, target: int = 1) -> Any:
     return mav.MAVLink_manual_control_message(target, x, y, z, r, 0)
 
 
-def test_sticks(desk: Desk) -> None:
+def test_sticks_are_scaled_and_invalid_ones_refused(desk: Desk) -> None:
     assert asked(desk, manual(500, -250, 600, 100)) == [Sticks(roll=-0.25, pitch=0.5, yaw=0.1, throttle=0.6)]
     assert asked(desk, manual(0, 0, -1000, 0)) == [Sticks(0.0, 0.0, 0.0, 0.0)]
     assert asked(desk, manual(0, 0, 500, 0, target=2)) == []
@@ -474,7 +474,7 @@ def local(mask: int, *values: float, frame: int = 1) -> Any:
     return mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, frame, mask, *values)
 
 
-def test_local_set_points(desk: Desk) -> None:
+def test_local_set_points_become_offboard_requests(desk: Desk) -> None:
     values = (1.0, 2.0, -3.0, 4.0, 5.0, -6.0, 0.0, 0.0, 0.0, 0.5, 0.25)
     assert asked(desk, local(0b1001_1111_1000, *values)) == [OffboardPosition(1.0, 2.0, -3.0, 0.5)]
     assert asked(desk, local(0b0101_1100_0111, *values)) == [OffboardVelocity(4.0, 5.0, -6.0, None, 0.25)]
@@ -523,7 +523,7 @@ def test_attitude_set_points(desk: Desk) -> None:
     ]
 
 
-def test_world_set_points(desk: Desk) -> None:
+def test_global_set_points_become_offboard_requests(desk: Desk) -> None:
     kind = mav.MAVLink_set_position_target_global_int_message
     place = (round(LAT * 1e7), round(LON * 1e7))
     for frame, height in ((0, 42.0), (5, 42.0), (6, 28.0)):

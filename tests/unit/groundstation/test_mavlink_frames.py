@@ -43,7 +43,7 @@ def parser(**more: Any) -> tuple[Parser, Counter[str]]:
 
 
 @pytest.mark.parametrize("old", [False, True])
-def test_a_frame_is_taken(old: bool) -> None:
+def test_a_frame_of_either_version_is_accepted(old: bool) -> None:
     reader, refused = parser()
     (frame,) = reader.feed(raw(seq=17, old=old))
     assert (frame.system, frame.component, frame.sequence, frame.signed) == (255, 190, 17, False)
@@ -149,7 +149,7 @@ def test_a_right_signature_of_pymavlink_is_believed_once() -> None:
         (signed(at=NOW - 61.0), "replay"),
     ],
 )
-def test_others_are_refused(frame: bytes, reason: str) -> None:
+def test_unsigned_forged_and_old_frames_are_refused(frame: bytes, reason: str) -> None:
     reader, refused, _ = guarded()
     assert not reader.feed(frame)
     assert refused == {reason: 1}

@@ -188,7 +188,7 @@ def test_a_file_that_is_not_there_is_refused_with_the_session_that_was_said() ->
     "path",
     [b"../etc/passwd", b"/../../../etc/passwd", b"log/../../x", b"/etc/passwd", b"log/..", b"\xff\xfe", b"%2e%2e/x", b"x" * 239, b"/" * 239],
 )  # fmt: skip
-def test_no_path_leads_out(path: bytes) -> None:
+def test_no_ftp_path_leads_out_of_the_folder(path: bytes) -> None:
     ftp = client()
     assert ftp.ask(OPEN, path).data == bytes([NOT_FOUND])
     assert ftp.ask(CRC, path).data == bytes([NOT_FOUND])
@@ -426,7 +426,7 @@ def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
         assert found[number].time_utc > 1.6e9
 
 
-def test_logs_are_files_too(runs: Path, store: LogStore) -> None:
+def test_logs_are_listed_and_downloaded_by_ftp(runs: Path, store: LogStore) -> None:
     bench = Bench(LogService(store), FileService(lambda path: store.files()))
     station = bench.station()
     size = entries(station)[0].size

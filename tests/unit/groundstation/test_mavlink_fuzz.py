@@ -90,7 +90,7 @@ def packed(message: Any, chance: random.Random, system: int = 255) -> bytearray:
     return bytearray(message.pack(other))
 
 
-def test_random_bytes(rig: Rig) -> None:
+def test_random_bytes_are_refused_and_change_nothing(rig: Rig) -> None:
     chance = random.Random(1)
     for _ in range(SHARE):
         start = chance.choice([b"", b"\xfd", b"\xfe", b"\xfd\x21\x00\x00", b"\xfd\x21\x01\x00"])
@@ -99,7 +99,7 @@ def test_random_bytes(rig: Rig) -> None:
     rig.check_untouched()
 
 
-def test_truncated_frames(rig: Rig) -> None:
+def test_truncated_frames_are_refused_and_change_nothing(rig: Rig) -> None:
     chance = random.Random(2)
     for _ in range(SHARE):
         raw = packed(asking(chance), chance)

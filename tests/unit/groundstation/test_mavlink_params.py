@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_bench import Bench, StandInPeer, Station, as_float, as_int, mav, refuse
+from mavlink_bench import Bench, StandInPeer, Station, mav, refuse
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.parameters import Parameter, Parameters, table
@@ -30,6 +30,15 @@ CONTROL = load_vehicle("hexjet")[0].control
 REAL32, INT32 = mav.MAV_PARAM_TYPE_REAL32, mav.MAV_PARAM_TYPE_INT32
 NONE, UNKNOWN, RANGE, NOT_PERMITTED, READ_ONLY, NO_TYPE, OTHER_TYPE = 0, 1, 2, 3, 5, 6, 7
 TO = (1, 1)
+
+
+def as_float(kind: str, number: int) -> float:
+    """The bits of an integer as a float, as PX4's protocol wants it."""
+    return float(struct.unpack("<f", struct.pack(kind, number))[0])
+
+
+def as_int(value: float) -> int:
+    return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
 def parameters() -> Parameters:

@@ -41,7 +41,7 @@ def fields(desk: Desk, name: str, *wanted: str) -> list[object]:
     return [getattr(message, field) for field in wanted]
 
 
-def test_heartbeat(desk: Desk) -> None:
+def test_the_heartbeat_shows_mode_and_arming_as_px4_does(desk: Desk) -> None:
     wanted = ("type", "autopilot", "base_mode", "custom_mode", "system_status", "mavlink_version")
     assert fields(desk, "HEARTBEAT", *wanted) == [13, 12, 1 | 4 | 8 | 16, 0x03040000, 3, 3]
     desk.bench.pilot.status = status(armed=True, mode=Mode.POSCTL)
@@ -58,7 +58,7 @@ def test_attitude_is_that_of_the_sensors(desk: Desk) -> None:
     assert fields(desk, "ATTITUDE_QUATERNION", "q1", "q2", "q3", "q4") == pytest.approx([0.5**0.5, 0.0, 0.0, 0.5**0.5])
 
 
-def test_place(desk: Desk) -> None:
+def test_position_messages_hold_the_place_in_their_units(desk: Desk) -> None:
     lat, lon, _ = GEODESY.to_geodetic(3.0, 4.0, 10.0)
     wanted = ("lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg")
     # 12 m of ground, 10 m above it, home at 2 m
@@ -215,7 +215,7 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     assert built["SYS_STATUS"][0].battery_remaining == 40
 
 
-def test_readiness(desk: Desk) -> None:
+def test_refusals_to_arm_show_in_the_prearm_check(desk: Desk) -> None:
     prearm = 1 << 28
     names = [f"onboard_control_sensors_{name}" for name in ("present", "enabled", "health")]
     assert all(value & prearm for value in fields(desk, "SYS_STATUS", *names))  # type: ignore[operator]
@@ -231,7 +231,7 @@ def test_readiness(desk: Desk) -> None:
     assert fields(desk, "SYS_STATUS", "load") == [250]
 
 
-def test_predictor(desk: Desk) -> None:
+def test_the_predictor_message_has_every_axis(desk: Desk) -> None:
     (message,) = desk.ask(command(512, 350.0))[1:]
     assert message.name == "predictor"
     rows = [message.data[i : i + 3] for i in range(0, 21, 3)]
@@ -247,7 +247,7 @@ def test_predictor(desk: Desk) -> None:
     )
 
 
-def test_outputs(desk: Desk) -> None:
+def test_outputs_are_sent_as_pulses_and_as_fractions(desk: Desk) -> None:
     (servo,) = desk.ask(command(512, 36.0))[1:]
     found = [getattr(servo, f"servo{i}_raw") for i in range(1, 9)]
     assert found == [1100, 1200, 1300, 1400, 1500, 1600, 1600, 1400]  # 0.1 of 0.5 rad either way
@@ -256,7 +256,7 @@ def test_outputs(desk: Desk) -> None:
     assert values[:8] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.2, -0.2])  # type: ignore[index]
 
 
-def test_target(desk: Desk) -> None:
+def test_the_target_is_sent_locally_and_on_the_globe(desk: Desk) -> None:
     assert result_of(desk, 85) == 1  # there is none now
     desk.bench.pilot.status = status(target=Home(50.0, -20.0, 30.0), yaw=0.7)
     desk.bench.step(0.02)
@@ -434,7 +434,7 @@ def test_a_text_comes_whole(length: int) -> None:
         assert len(pieces[-1].text) < 50 or len(pieces) == 256
 
 
-def test_link_lost_and_back(bench: Bench, desk: Desk) -> None:
+def test_a_link_is_reported_lost_and_back_by_ground_stations_alone(bench: Bench, desk: Desk) -> None:
     beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     bench.step(10.0)
     assert not bench.pilot.asked  # there has been no station yet
@@ -479,7 +479,7 @@ def test_an_open_page_is_a_ground_station(bench: Bench) -> None:
 # --- small protocols -------------------------------------------------------------------------------------------
 
 
-def test_ping_and_timesync(desk: Desk) -> None:
+def test_ping_and_timesync_are_answered(desk: Desk) -> None:
     (pong,) = desk.ask(mav.MAVLink_ping_message(77, 5, 0, 0))
     assert (pong.time_usec, pong.seq, pong.target_system, pong.target_component) == (77, 5, 255, 190)
     assert desk.ask(mav.MAVLink_ping_message(77, 5, 1, 1)) == []  # an answer

@@ -169,7 +169,7 @@ def test_where_nothing_reads_logs_a_line_says_so(tmp_path: Path, monkeypatch: py
         read_flight_log(path)
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_compares_runs_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import json
 
     for name in "ab":

@@ -79,7 +79,7 @@ def test_the_log_alone_tells_of_faults(run: Run) -> None:
     ]
 
 
-def test_spans_of_a_mask() -> None:
+def test_spans_of_a_mask_begin_and_end_with_it() -> None:
     mask = np.array([1, 1, 0, 0, 1, 0, 1], dtype=bool)
     assert spans(mask, 0.5) == [(0.0, 1.0), (2.0, 2.5), (3.0, None)]
     assert spans(np.zeros(3, dtype=bool), 0.5) == []
@@ -180,7 +180,7 @@ def test_the_page_tells_of_them(run: Run) -> None:
     assert "Nothing disturbed" not in page
 
 
-def test_ulog_carries_them(run: Run, tmp_path: Path) -> None:
+def test_events_are_messages_in_ulog(run: Run, tmp_path: Path) -> None:
     assert run.folder is not None
     export_log("ulog", run.folder, tmp_path / "x.ulg")
     log = ULog(str(tmp_path / "x.ulg"))

@@ -84,7 +84,7 @@ def margin(text: str, events: Mapping[str, Sequence[int]] = {}, **signals: Seque
         ('until(a < 3, "never")', -inf),
     ],
 )
-def test_margins_by_hand(text: str, expected: float) -> None:
+def test_margins_of_formulas_are_as_by_hand(text: str, expected: float) -> None:
     events = {"up": [3], "both": [0, 1], "never": []}
     # 0, 0.5, 1, 1.5 and 2 s
     assert margin(text, events, a=[1, 2, 3, 4, 5], b=[10, 9, 7, 8, 6]) == pytest.approx(expected, abs=1e-12)

@@ -230,7 +230,7 @@ def test_values_beyond_all_bounds_do_not_stop_the_metrics() -> None:
     assert altitude_metrics(np.zeros(5), wild).max_abs_error_m == 1e300
 
 
-def test_altitude() -> None:
+def test_altitude_errors_skip_steps_without_a_set_point() -> None:
     found = altitude_metrics(np.array([nan, 10.0, 10.0]), np.array([0.0, 13.0, 6.0]))
     assert found.rmse_m == pytest.approx(sqrt(12.5))
     assert found.max_abs_error_m == 4.0
@@ -343,7 +343,7 @@ def test_fuel_burnt_is_what_left_the_tank_or_what_the_engines_say() -> None:
     assert fuel_burnt(np.zeros(0), [], STEP) is None
 
 
-def test_metrics_of_nothing() -> None:
+def test_an_empty_log_has_empty_metrics() -> None:
     nothing = flight_metrics(made(0), STEP)
     assert (nothing.position, nothing.speed, nothing.effort) == (PositionMetrics(), SpeedMetrics(), EffortMetrics())
 
@@ -371,7 +371,7 @@ def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> N
 # ---- expectations
 
 
-def test_expectations() -> None:
+def test_missed_expectations_are_named() -> None:
     flat = {"roll.overshoot_percent": 41.25, "roll.settling_time_s": None, "altitude.rmse_m": 0.5}
     assert check_expectations(flat, {"roll.overshoot_percent": Range(min=41.25, max=41.25)}) == []
     assert check_expectations(flat, {"roll.overshoot_percent": Range(max=25.0)}) == [

@@ -307,7 +307,7 @@ def test_the_file_describes_its_columns_and_nothing_of_the_machine(tmp_path: Pat
     assert field.metadata[b"frame"] == b"body"
 
 
-def test_columns_by_name(tmp_path: Path) -> None:
+def test_an_unknown_column_suggests_a_near_one(tmp_path: Path) -> None:
     for run in (fly(tmp_path / "run", 10), fly(None, 10)):
         with pytest.raises(InputError, match=r"no column 'rol_rad'; did you mean 'roll_rad'\?"):
             run.log["rol_rad"]

@@ -41,7 +41,7 @@ def test_a_verdict_follows_from_outcome_limits_and_expectations(
         (None, "completed, flew 5 steps"),
     ],
 )
-def test_the_end_in_words(verdict: RunVerdict | None, said: str) -> None:
+def test_the_end_is_described_in_words(verdict: RunVerdict | None, said: str) -> None:
     assert describe_end("completed", "flew 5 steps", verdict) == said
     assert describe_end("diverged", "leaned past 80 deg", "not completed") == "diverged, leaned past 80 deg"
 

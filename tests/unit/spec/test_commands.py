@@ -39,7 +39,7 @@ def test_doublet_begins_turns_and_ends_on_its_steps() -> None:
     assert values == [0.0] * 50 + [up] * 125 + [-up] * 125 + [0.0] * 100
 
 
-def test_ramp_and_step() -> None:
+def test_ramps_and_steps_set_their_own_signals() -> None:
     ramp = {"kind": "ramp", "signal": "altitude_m", "start_s": 0.04, "amplitude": 2.0, "duration_s": 0.04}
     step = {"kind": "step", "signal": "collective", "start_s": 0.008, "amplitude": 0.4}
     commander = CommandScript(scenario(command=[ramp, step]), 1.0)
@@ -48,7 +48,7 @@ def test_ramp_and_step() -> None:
     assert [commander.at(k).collective for k in range(4)] == [None, None, 0.4, 0.4]
 
 
-def test_commands_add_up() -> None:
+def test_commands_of_one_signal_add_up() -> None:
     entries = [
         {"kind": "step", "signal": "roll_deg", "start_s": 0.0, "amplitude": 10.0},
         {"kind": "step", "signal": "roll_deg", "start_s": 0.004, "amplitude": -4.0},
@@ -142,7 +142,7 @@ def test_times_off_the_grid_are_refused() -> None:
 # --- disturbances ------------------------------------------------------------------------------------------------
 
 
-def test_calm_is_one_object() -> None:
+def test_calm_air_is_one_shared_object() -> None:
     disturber = DisturbanceScript(scenario())
     assert disturber.at(0) == Disturbance()
     assert disturber.at(0) is disturber.at(2000)

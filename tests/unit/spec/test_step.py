@@ -24,7 +24,7 @@ def test_not_stated_it_follows_the_aircraft() -> None:
     assert with_values(hover, {"aircraft": "quadrotor", "controller": "baseline"}).step_s == 0.0025
 
 
-def test_stated_it_stays() -> None:
+def test_a_stated_step_stays_with_another_aircraft() -> None:
     stated = Scenario.load("hover", ["step_s=0.005"])
     assert stated.replace(aircraft="quadrotor", engine="motor").step_s == 0.005
     assert stated.replace(duration_s=1.0).step_s == 0.005

@@ -26,7 +26,7 @@ def p220() -> tuple[Vehicle, GroundEffect]:
     return vehicle, vehicle.ground_effect
 
 
-def test_wyatts_correlation() -> None:
+def test_lift_loss_is_wyatts_correlation() -> None:
     assert lift_loss(0.9, 1.0, 0.1) == pytest.approx(0.012, rel=1e-14)  # one D - d up
     assert lift_loss(1.8, 1.0, 0.1) / lift_loss(0.9, 1.0, 0.1) == pytest.approx(2.0**-2.3, rel=1e-14)
     edge = 0.012 * 0.3**-2.3
@@ -55,7 +55,7 @@ def test_the_loss_acts_at_the_centre() -> None:
     assert acted(LiftLoss(effect, moved), nothing, altitude=1.1) == (nothing, (0.0, 0.0, 0.0))
 
 
-def test_warmed_intakes() -> None:
+def test_intakes_are_warmed_near_the_ground_only() -> None:
     near = HotGas(GroundEffect(**PLATE, **GAS))  # type: ignore[arg-type]
     heights = (0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 50.0)
     assert [near.temperature_rise(h) for h in heights] == pytest.approx(
@@ -113,7 +113,7 @@ def test_grows_with_the_vehicle() -> None:
         ({**PLATE, "sukdown": True}, "sukdown"),
     ],
 )
-def test_wrong_tables(table: dict[str, Any], message: str) -> None:
+def test_wrong_tables_are_refused(table: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         build(Scenario.load("hover").replace(vehicle={"ground_effect": table}, expect=[]))
 

@@ -151,7 +151,7 @@ def test_a_wrong_name_is_told_with_the_right_ones() -> None:
         fly(DOUBLET.replace(sensors="mesured", **SHORT))
 
 
-def test_a_study_varies_it() -> None:
+def test_a_study_varies_the_sensor_profile() -> None:
     key = next(key for key in all_keys(DOUBLET) if key.path == "sensors")
     assert (key.nominal, key.choices) == ("stated", ("stated", "measured"))
     assert with_values(DOUBLET, {"sensors": "measured"}).resolved_vehicle()[0].sensors == flown(sensors="measured")
