@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from hexjet_design.measured.api import MarginsResult
     from hexjet_export.controller.export import ControllerExport
     from hexjet_export.vehicle.export import VehicleExport
-    from hexjet_identify.api.bench import BenchIdentifyResult
-    from hexjet_identify.api.logs import LogIdentifyResult, ValidateResult
     from hexjet_identify.api.replay import ReplayResult
+    from hexjet_identify.bench.result import BenchIdentifyResult
+    from hexjet_identify.prediction_error.result import LogIdentifyResult
+    from hexjet_identify.prediction_error.validate import ValidateResult
     from hexjet_prove.api.prove import ProofResult
     from hexjet_prove.api.searches import RareResult, SearchResult
     from hexjet_prove.api.surveys import FailsafesResult, FaultsResult

@@ -16,7 +16,8 @@ from cosim.identify.files import PICTURE, write_identification
 from cosim.pages import Page
 from hexjet_identify.picture import draw_picture
 
-FITTED, FITTED_STEP_S = "fitted", 0.004  # the library's engine of a fitted form, and its internal step
+# The library's engine of a fitted form, and its internal step.
+FITTED, FITTED_STEP_S = "fitted", 0.004
 LARGEST_SAMPLES = 1000  # of its delay
 DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
 

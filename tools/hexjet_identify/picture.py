@@ -13,7 +13,8 @@ from cosim.results.report.plot import Figure
 from cosim.results.report.three_views import begin_drawing, finish_drawing, line, text
 
 WIDTH, LEFT, RIGHT = 860.0, 64.0, 844.0  # px
-PANELS = {"y": (40.0, 120.0), "y2": (140.0, 400.0)}  # top and bottom of the figure's first two, px
+# Top and bottom of the figure's first two panels, px.
+PANELS = {"y": (40.0, 120.0), "y2": (140.0, 400.0)}
 MOST_POINTS = 1500  # a curve, about two a pixel
 TICKS = 5  # of an axis, about
 STYLE = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable, Mapping
 from math import inf, isfinite
 from pathlib import Path
@@ -100,8 +101,9 @@ def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
             return Union[tuple(map(as_instances, get_args(hint)))]  # noqa: UP007 - made of a tuple
         return hint
 
-    hints = inspect.get_annotations(call, eval_str=True)
-    return {name: TypeAdapter(as_instances(hint)) for name, hint in hints.items() if name != "return"}
+    # What it returns may be a class that the call imports, so that importing its module stays quick.
+    names, hints = vars(sys.modules[call.__module__]), inspect.get_annotations(call)
+    return {name: TypeAdapter(as_instances(eval(hint, names))) for name, hint in hints.items() if name != "return"}
 
 
 def _valid(

@@ -12,7 +12,7 @@ from known_benches import Truth, bench_log
 from cosim.engine import load_engine
 from cosim.engine.response import find_curve_problems
 from hexjet_identify.bench import identify_bench, read_records
-from hexjet_identify.bench.result import write
+from hexjet_identify.bench.result import BenchIdentifyResult
 
 SVG = "{http://www.w3.org/2000/svg}"
 GIVEN = ("--engine", "1", "--time", "t_s", "--command", "throttle", "--output", "thrust_N")
@@ -59,7 +59,7 @@ def test_a_delay_between_two_steps_is_as_unsure_as_the_step_that_it_is_rounded_t
     """66 ms are 16.5 steps of 4 ms: however well they are known, the engine has 16 or 17, and its bounds the truth."""
     result = identify_bench(read_records([log_of(tmp_path, Truth(delay=0.066), "stairs of 2 s", 0.05, rate=500.0)]))
     assert np.ptp(result.chosen.delay_bounds) < 0.006
-    engine = load_engine(str(write(result, tmp_path / "mine")["engine"]), {}, 0.004)
+    engine = load_engine(str(BenchIdentifyResult(result).write(tmp_path / "mine").files["engine"]), {}, 0.004)
     assert engine.uncertainty is not None
     (deviation,) = engine.uncertainty.deviation[:1]
     assert deviation >= abs(result.chosen.delay / 0.004 - engine.parameters["delay_samples"])
@@ -72,7 +72,7 @@ def test_an_engine_without_idle_thrust_is_fit_to_fly(tmp_path: Path, seed: int) 
     path = log_of(tmp_path, Truth(gain=20.0, offset=0.0), "stairs of 2 s", seed=seed)
     result = identify_bench(read_records([path]))
     assert not any("static curve is below 0" in note for note in result.notes)
-    engine = load_engine(str(write(result, tmp_path / "mine")["engine"]), {}, 0.004)
+    engine = load_engine(str(BenchIdentifyResult(result).write(tmp_path / "mine").files["engine"]), {}, 0.004)
     assert find_curve_problems(engine.curve) == []
 
 
@@ -80,7 +80,7 @@ def test_a_load_cell_whose_zero_is_wrong_is_named(tmp_path: Path) -> None:
     result = identify_bench(read_records([log_of(tmp_path, Truth(gain=20.0, offset=-2.0), "stairs of 5 s")]))
     (note,) = [note for note in result.notes if "static curve is below 0" in note]
     assert re.search(r"is below 0 up to throttle 0\.(1|09\d?) \(-", note)
-    engine = load_engine(str(write(result, tmp_path / "mine")["engine"]), {}, 0.004)
+    engine = load_engine(str(BenchIdentifyResult(result).write(tmp_path / "mine").files["engine"]), {}, 0.004)
     assert find_curve_problems(engine.curve) == []
     assert engine.thrust_at(0.6) == pytest.approx(10.0, abs=0.3)
 

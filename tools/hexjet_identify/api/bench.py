@@ -4,65 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cosim.api.call import FolderResult, Limits, Table, checked
+from cosim.api.call import Limits, checked
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
-from cosim.identify.page import WITH_BOUNDS
 
 if TYPE_CHECKING:
-    from hexjet_identify.bench import Identification
-
-
-class BenchIdentifyResult(FolderResult):
-    """An engine from its bench logs.
-
-    ``write`` leaves ``identification.json``, ``report.html`` and, where there is one, an engine with its uncertainty.
-
-    Attributes
-    ----------
-    identification : Identification
-        Everything.
-    """
-
-    def __init__(self, identification: Identification) -> None:
-        self.identification = identification
-        self.files = {}
-
-    @property
-    def found(self) -> bool:
-        """Whether the logs tell a model that explains them."""
-        return not self.identification.refused
-
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from hexjet_identify.bench.result import write
-
-        return write(self.identification, folder)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet engine from-bench --json`` prints."""
-        return self.identification.to_dict()
-
-    def lines(self) -> list[str]:
-        """Return the verdict, and the weightiest of what is to be said."""
-        from hexjet_identify.bench.result import lines
-
-        verdict, said = lines(self.identification)
-        return [verdict, *said]
-
-    def tables(self) -> list[Table]:
-        """Return the numbers with their bounds."""
-        from hexjet_identify.bench.result import rows
-
-        found = self.identification
-        return [Table("", (WITH_BOUNDS, found.chosen.form.label), rows(found))]
-
-    def _figures(self) -> Mapping[str, Any]:
-        from hexjet_identify.bench.result import page
-
-        return page(self.identification).figures
+    from hexjet_identify.bench.result import BenchIdentifyResult
 
 
 @checked(longest_delay_s=Limits(0.0, 4.0, is_open=True))
@@ -136,6 +86,7 @@ def identify_bench(
     from hexjet_identify.bench import identify_bench as identify
     from hexjet_identify.bench.engine_form import EngineChoices
     from hexjet_identify.bench.own_parameters import fit_engine
+    from hexjet_identify.bench.result import BenchIdentifyResult
 
     check_results_folder(out, RECORD, *FILES)
     if not logs:

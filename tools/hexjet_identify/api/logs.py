@@ -4,67 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
-from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
+from cosim.api.call import Limits, checked
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.identify.page import WITH_BOUNDS
 
 if TYPE_CHECKING:
     from hexjet_identify.logs import FlightLog, LogSignals
-    from hexjet_identify.prediction_error.identify_log import LogIdentification
-    from hexjet_identify.prediction_error.validate import Validation
+    from hexjet_identify.prediction_error.result import LogIdentifyResult
+    from hexjet_identify.prediction_error.validate import ValidateResult
 
 VALIDATION = ("validation.json", "report.html")
-FAMILY = "edf-as-flown"  # under which the model of an axis is filed where nothing says whose it is
-
-
-class LogIdentifyResult(FolderResult):
-    """A model from the log of a flight.
-
-    ``write`` leaves ``identification.json``, ``report.html`` and, of an axis, ``model.toml``, of a thrust an engine.
-
-    Attributes
-    ----------
-    identification : LogIdentification
-        Everything.
-    """
-
-    def __init__(self, identification: LogIdentification, step_s: float, family: str) -> None:
-        self.identification = identification
-        self.files = {}
-        self._step_s, self._family = step_s, family
-
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from hexjet_identify.prediction_error.result import write
-
-        return write(self.identification, folder, self._step_s, self._family)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet identify log --json`` prints."""
-        return self.identification.to_dict(self._step_s)
-
-    def lines(self) -> list[str]:
-        """Return what was compared, and notes."""
-        from hexjet_identify.prediction_error.result import summary, why_no_engine
-
-        found = self.identification
-        reason = why_no_engine(found) if found.engine else ""
-        notes = note_lines(found.notes)
-        return [summary(found), *notes, *([f"no engine: {reason}"] if reason else [])]
-
-    def tables(self) -> list[Table]:
-        """Return the parameters of each form with their bounds."""
-        from hexjet_identify.prediction_error.result import rows
-
-        found = self.identification
-        return [Table("", (WITH_BOUNDS, *(estimate.form.label for estimate in found.estimates)), rows(found))]
-
-    def _figures(self) -> Mapping[str, Any]:
-        from hexjet_identify.prediction_error.result import page
-
-        return page(self.identification).figures
+# The model of an axis is filed under this engine where nothing says whose it is.
+FAMILY = "edf-as-flown"
 
 
 @checked(
@@ -147,6 +100,7 @@ def identify_log(
     from cosim.identify.files import FILES, RECORD
     from hexjet_identify.logs import read_flight_log
     from hexjet_identify.prediction_error.identify_log import identify_log as identify
+    from hexjet_identify.prediction_error.result import LogIdentifyResult
 
     check_results_folder(out, RECORD, *FILES)
     if (axis is None) == (engine is None):
@@ -182,58 +136,6 @@ def _signals_of(
         raise InputError("command and output: both or none")
     signals = signals_of(log, subject)
     return signals._replace(setpoint=setpoint or signals.setpoint)
-
-
-class ValidateResult(FolderResult):
-    """How well a model answers the commands of a log.
-
-    ``write`` leaves ``validation.json`` and ``report.html``.
-
-    Attributes
-    ----------
-    validation : Validation
-        Everything.
-    """
-
-    def __init__(self, validation: Validation) -> None:
-        self.validation = validation
-        self.files = {}
-
-    @property
-    def verdict(self) -> str:
-        """``explained``, ``not explained`` or ``not told``: whether gain and delay, fitted anew, are the model's."""
-        return self.validation.judgement.verdict
-
-    @property
-    def explained(self) -> bool:
-        """Whether they are."""
-        return self.verdict == "explained"
-
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from hexjet_identify.prediction_error.validate import write
-
-        return write(self.validation, folder)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet replay --model --json`` prints."""
-        return self.validation.to_dict()
-
-    def lines(self) -> list[str]:
-        """Return the verdict, the evidence, and notes."""
-        found = self.validation
-        first = f"{self.verdict}: {found.model.what} of {found.model.path} beside {found.log}"
-        return [first, *found.judgement.evidence, *note_lines(found.notes)]
-
-    def tables(self) -> list[Table]:
-        """Return the measures of how well it fits."""
-        from hexjet_identify.prediction_error.validate import rows
-
-        return [Table("", ("measure", "value"), rows(self.validation))]
-
-    def _figures(self) -> Mapping[str, Any]:
-        from hexjet_identify.prediction_error.validate import page
-
-        return page(self.validation).figures
 
 
 @checked()
@@ -283,7 +185,7 @@ def validate(
     """
     from cosim.base.storage.files import check_results_folder
     from hexjet_identify.logs import read_flight_log
-    from hexjet_identify.prediction_error.validate import read_model
+    from hexjet_identify.prediction_error.validate import ValidateResult, read_model
     from hexjet_identify.prediction_error.validate import validate as compare
 
     check_results_folder(out, *VALIDATION)

@@ -81,13 +81,10 @@ class EngineForm(Form):
             return np.asarray(problem.output - problem.swing)[:, None]
         return np.concatenate(answers)[:, None]
 
-    def linear_count(self, problem: Problem) -> int:
-        """Return how many linear parameters there are."""
-        return 0
-
-    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
-        """Return none: the engine has its own static line."""
-        return np.zeros(0)
+    @property
+    def is_linear(self) -> bool:
+        """None of its parameters is linear."""
+        return False
 
     def total(self, x: Array) -> float:
         """Return delay and lags together, s, as lags alone would have them."""

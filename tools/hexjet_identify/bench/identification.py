@@ -122,29 +122,18 @@ class Identification:
             "not_told": list(self.untold),
         }
         if self.engine is not None:
-            values, deviations = ({name: pair[k] for name, pair in chosen.numbers.items()} for k in (0, 1))
             record |= {"engine": self.engine.choices.engine, "set": dict(self.engine.choices.settings)}
-            record |= {"parameters": values}
-            record |= {"standard_deviations": {name: _finite(one) for name, one in deviations.items()}}
+            record |= {"parameters": {name: value for name, (value, _) in chosen.numbers.items()}}
+            record |= {"standard_deviations": chosen.to_dict()["standard_deviations"]}
         return record
 
     def _estimate_dict(self, estimate: Estimate) -> dict[str, Any]:
         """Return one form's parameters, standard deviations and criteria, for JSON."""
-        low, high = estimate.delay_bounds
-        numbers = estimate.numbers
         levels = estimate.levels(self.problem)
         at = self.limits[0] + (self.limits[1] - self.limits[0]) * self.problem.knots
         return {
-            "form": estimate.form.label,
-            **{name: value for name, (value, _) in numbers.items()},
-            "standard_deviations": {name: _finite(deviation) for name, (_, deviation) in numbers.items()},
+            **estimate.to_dict(),
             "levels": [[float(a), float(b)] for a, b in zip(at, levels, strict=True)] if len(levels) else [],
-            "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
             "noise_memory": float(estimate.noise.sum()),
             "rows": len(estimate.residual),
-            "bic": estimate.bic,
         }
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

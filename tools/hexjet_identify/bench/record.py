@@ -18,7 +18,8 @@ from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 from hexjet_identify.logs.read import read_flight_log
 from hexjet_identify.logs.table import NO_NUMBERS
 
-LEAST_ROWS = 20  # with fewer no noise is told from an answer
+# With fewer rows noise is not told from an answer.
+LEAST_ROWS = 20
 COMMANDS = (
     r"throttle",
     r"\besc\b",
@@ -39,7 +40,8 @@ NEWTONS = {
     "g": 9.80665e-3,
     "lbf": 4.4482216152605,
 }
-NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}  # of a thrust a kilogram or a pound is its weight
+# A kilogram or a pound of thrust is its weight.
+NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}
 CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.api.call import note_lines
+from cosim.api.call import FolderResult, Table, note_lines
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
@@ -34,17 +34,55 @@ NAMES = {
 }
 
 
-def write(found: Identification, folder: Path) -> dict[str, Path]:
-    """Write ``identification.json``, ``report.html`` and, where there is one, the engine's files.
+class BenchIdentifyResult(FolderResult):
+    """An engine from its bench logs.
 
-    Raises FlightError if a file cannot be written.
+    ``write`` leaves ``identification.json``, ``report.html`` and, where there is one, an engine with its uncertainty.
+
+    Attributes
+    ----------
+    identification : Identification
+        Everything.
     """
-    texts, archive, own = {}, None, found.engine
-    if not why_no_engine(found):
-        table = engine_table(found) if own is None else own_engine_table(found, own)
-        texts = {"engine": toml_text(table), "readme": readme(found)}
-        archive = data_folder("fmus") / f"{FITTED}.fmu" if own is None else own.spec.archive.path
-    return write_with_engine(folder, found.to_dict(), page(found), texts, archive)
+
+    def __init__(self, identification: Identification) -> None:
+        self.identification = identification
+        self.files = {}
+
+    @property
+    def found(self) -> bool:
+        """Whether the logs tell a model that explains them."""
+        return not self.identification.refused
+
+    def _write(self, folder: Path) -> dict[str, Path]:
+        found, texts, archive = self.identification, {}, None
+        if not why_no_engine(found):
+            own = found.engine
+            table = engine_table(found) if own is None else own_engine_table(found, own)
+            texts = {"engine": toml_text(table), "readme": readme(found)}
+            archive = data_folder("fmus") / f"{FITTED}.fmu" if own is None else own.spec.archive.path
+        return write_with_engine(folder, found.to_dict(), page(found), texts, archive)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet engine from-bench --json`` prints."""
+        return self.identification.to_dict()
+
+    def lines(self, most: int = 3) -> list[str]:
+        """Return the verdict, and the ``most`` weighty of what is to be said; the page has the rest."""
+        found, reason = self.identification, why_no_engine(self.identification)
+        said = [f"no engine: {reason}"] if reason else []
+        said += [*(f"not told: {line}" for line in found.untold[:1]), *note_lines(found.notes)]
+        said += [f"not told: {line}" for line in found.untold[1:]]
+        more = len(said) - most
+        return [found.verdict.words, *said[:most], *([f"{more} more on the page"] if more > 0 else [])]
+
+    def tables(self) -> list[Table]:
+        """Return the numbers with their bounds."""
+        found = self.identification
+        return [Table("", (WITH_BOUNDS, found.chosen.form.label), rows(found))]
+
+    def _figures(self) -> Mapping[str, Any]:
+        return page(self.identification).figures
 
 
 def page(found: Identification) -> Page:
@@ -119,17 +157,6 @@ def summary(found: Identification) -> str:
         f"{names}: {first.command_name} to {first.output_name}{engine}; {seconds:.4g} s, "
         f"{sum(len(record.times) for record in found.records)} rows, one each {1e3 * first.step:.4g} ms{missing}."
     )
-
-
-def lines(found: Identification, most: int = 3) -> tuple[str, list[str]]:
-    """Return the verdict, and the ``most`` weighty of what is to be said; the page has the rest."""
-    reason = why_no_engine(found)
-    said = [f"no engine: {reason}"] if reason else []
-    said += [*(f"not told: {line}" for line in found.untold[:1]), *note_lines(found.notes)]
-    said += [f"not told: {line}" for line in found.untold[1:]]
-    more = len(said) - most
-    rest = [f"{more} more on the page"] if more > 0 else []
-    return found.verdict.words, [*said[:most], *rest]
 
 
 def readme(found: Identification) -> str:

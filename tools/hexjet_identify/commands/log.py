@@ -10,8 +10,8 @@ from cosim.commands import Command, echo, one_thread, show_result
 from hexjet_identify.commands import LOG_METAVARS, LOG_OPTIONS
 
 if TYPE_CHECKING:
-    from hexjet_identify.api.logs import LogIdentifyResult
     from hexjet_identify.logs import FlightLog
+    from hexjet_identify.prediction_error.result import LogIdentifyResult
 
 
 def read_or_identify(log: str, *, channels: bool = False, **choices: Any) -> FlightLog | LogIdentifyResult:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -93,6 +94,17 @@ class Estimate:
         value, covariance = self.derive(lambda x: np.array([self.form.total(x)]))
         return float(value[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return form, parameters with standard deviations, bounds of the delay and BIC, for JSON."""
+        values, deviations = ({name: pair[k] for name, pair in self.numbers.items()} for k in (0, 1))
+        return {
+            "form": self.form.label,
+            **values,
+            "standard_deviations": {name: one if np.isfinite(one) else None for name, one in deviations.items()},
+            "delay_bounds_95_s": list(self.delay_bounds) if np.isfinite(self.delay_bounds[0]) else None,
+            "bic": self.bic,
+        }
+
     def levels(self, problem: Problem) -> Array:
         """Return the static output at the problem's knots; of a form without such levels none."""
         return self.form.levels(problem, self.x, self.linear)
@@ -107,7 +119,7 @@ class Estimate:
 def project(problem: Problem, form: Form, x: Array, noise: Array) -> tuple[Array, Array]:
     """Return the linear parameters that suit ``x`` best, and what is left over, made white, with what binds levels."""
     columns = form.columns(problem, x)
-    if form.linear_count(problem) == 0:
+    if not form.is_linear:
         levels = form.levels(problem, x, x)
         bound = problem.binding @ levels if len(levels) else levels
         return np.zeros(0), np.concatenate([problem.whiten(problem.output - columns[:, 0], noise), -bound])

@@ -39,11 +39,14 @@ class Form(Protocol):
         """Return by how much the answer changes with each of ``x``, where that is known in closed form."""
         return None
 
-    def linear_count(self, problem: Problem) -> int:
-        """Return how many linear parameters there are."""
+    @property
+    def is_linear(self) -> bool:
+        """Whether there are linear parameters, one a column."""
+        return True
 
     def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
         """Return the static output at the problem's knots; of a form without such levels none."""
+        return np.zeros(0)
 
     def total(self, x: Array) -> float:
         """Return delay and lags together, s."""
@@ -89,10 +92,6 @@ class Lags(Form):
             extra[span, count - 1 + n] = np.exp(-(log.times - log.times[0]) / lag)
         return np.column_stack([np.concatenate(answers), extra, problem.drift])
 
-    def linear_count(self, problem: Problem) -> int:
-        """Return how many linear parameters there are."""
-        return len(problem.knots) + 2 * len(problem.logs) - 1 + int(problem.drift.shape[1])
-
     def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
         """Return the static output at the problem's knots."""
         return linear[: len(problem.knots)]
@@ -116,6 +115,7 @@ class Limits:
     """
 
     label: str = "delay, a lag, limits of rise and fall"
+    is_linear: bool = False
 
     def limits(self, problem: Problem) -> tuple[Array, Array]:
         """Return the least and the greatest of each of ``x``."""
@@ -148,10 +148,6 @@ class Limits:
                 for log, own in zip(problem.logs, problem.hats, strict=True)
             ]
         )
-
-    def linear_count(self, problem: Problem) -> int:
-        """Return how many linear parameters there are."""
-        return 0
 
     def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
         """Return the static output at the problem's knots."""
@@ -206,21 +202,13 @@ class Poles(Form):
         poles = separate_equal([rate, *(1.0 / lag for lag in lags)])
         scale = (rate if self.is_engine else 1.0) / prod(lags)
         weights = {pole: scale / prod(other - pole for other in poles if other != pole) for pole in poles}
-        columns = np.zeros((len(problem.output), self.linear_count(problem)))
+        columns = np.zeros((len(problem.output), 1 + 2 * len(problem.logs)))
         for n, (log, rows) in enumerate(zip(problem.logs, problem.spans, strict=True)):
             since = log.times - log.times[0]
             columns[rows, 0] = answer_of_poles(log, float(x[0]), weights)
             columns[rows, 1 + 2 * n] = 1.0
             columns[rows, 2 + 2 * n] = np.exp(-rate * since) if self.is_engine else hold_response(rate, since)
         return columns
-
-    def linear_count(self, problem: Problem) -> int:
-        """Return how many linear parameters there are."""
-        return 1 + 2 * len(problem.logs)
-
-    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
-        """Return none: the static line is straight."""
-        return np.zeros(0)
 
     def total(self, x: Array) -> float:
         """Return delay and lags together, s."""

@@ -27,11 +27,13 @@ SIGNED, UNSIGNED, NEGATIVE, TAG8, TAG2_3, TAG8_4, NULL, TAG2_3V = 0, 1, 3, 6, 7,
 PREVIOUS, LINE, AVERAGE, LEAST_THROTTLE, FIRST_MOTOR, COUNT, HOME, CENTRE, BATTERY, LAST_TIME, LEAST_MOTOR = range(
     1, 12
 )
-DIFFERENCES = {PREVIOUS, LINE, AVERAGE, COUNT}  # against main frames before: P frames alone have them
+# These predict from main frames before, and P frames alone use them.
+DIFFERENCES = {PREVIOUS, LINE, AVERAGE, COUNT}
 WIDTH = {SIGNED: 1, UNSIGNED: 1, NEGATIVE: 1, TAG2_3: 3, TAG8_4: 4, NULL: 1, TAG2_3V: 3}  # fields that one code holds
 MOST_TAGGED = 8
 LONGEST_FRAME = 256  # bytes
-MOST_COUNTS, MOST_US = 5000, 10_000_000  # by which a frame may follow the last: the format's own decoders allow so much
+# A frame may follow the last by so many iterations and microseconds, as the format's own decoders allow.
+MOST_COUNTS, MOST_US = 5000, 10_000_000
 AUTOTUNE = {10: 5, 11: 3, 12: 3}  # bytes of events of firmware that is gone
 ENDEVENT, END = 255, b"End of log"
 _NAME = re.compile(r"(.*)\[(\d+)\]$")
@@ -185,10 +187,12 @@ class _Frames:
     refused: int = 0  # frames that are damaged
     unusable: int = 0  # differences against a frame that is
     ended: bool = False
-    last: list[int] | None = None  # the main frame before, and the one before that
+    # The main frame before, and the one before that.
+    last: list[int] | None = None
     before: list[int] | None = None
     time: int = 0  # of the last main frame, us
-    accepted: tuple[int, int] | None = None  # iteration and time of the last main frame that was believed
+    # Iteration and time of the last main frame that was believed.
+    accepted: tuple[int, int] | None = None
     doubted: tuple[int, int] | None = None  # of an I frame that does not follow it
     home: list[int] | None = None
 

@@ -69,7 +69,8 @@ def _rows(
 ) -> tuple[dict[int, list[np.ndarray]], int]:
     """Return the events by kind, each run of one kind in one piece, and how many bytes at the end are none."""
     events: dict[int, list[np.ndarray]] = {}
-    reach = 64  # events looked at together; more after a long run of one kind
+    # So many events are looked at together, and more after a long run of one kind.
+    reach = 64
     while at + 2 <= end:
         (number,) = struct.unpack_from("<H", data, at)
         if number not in kinds:

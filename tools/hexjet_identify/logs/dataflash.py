@@ -28,7 +28,8 @@ TYPES = {
     "n": ("S4", 0.0), "N": ("S16", 0.0), "Z": ("S64", 0.0), "a": ("S64", 0.0),
 }  # fmt: skip
 _Format = tuple[str, int, str, list[str]]  # name, length, format characters, labels
-INSTANCES = ("I", "Instance")  # what a field of whole numbers is called that tells instances apart, before 2018
+# Before 2018, a field of whole numbers with one of these names tells instances apart.
+INSTANCES = ("I", "Instance")
 INSTANCE_UNIT = "#"  # and its unit since, in FMTU
 DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")  # messages about messages
 _INTEGER_FORMATS = "bBhHiIqQM"  # format characters of whole numbers
@@ -80,8 +81,10 @@ def read(path: Path) -> FlightLog:
 class DataFlashNotes(NamedTuple):
     """What a DataFlash log says in words and of its program, beside its measurements."""
 
-    version: str  # as the program calls itself; empty: the log does not say
-    parameters: dict[str, float] | None  # those at its beginning, all of them; None where not all are in it
+    # The version is as the program calls itself, and empty where the log does not say.
+    version: str
+    # All parameters at the beginning of the log, or None where some are missing.
+    parameters: dict[str, float] | None
     messages: list[tuple[float, str]]  # time s, text
 
 

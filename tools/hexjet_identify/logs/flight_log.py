@@ -22,13 +22,18 @@ SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
     ("rpm", "1/min", "u/min", "r/min", "rev/min", "min-1", "min^-1"), "rpm"
 )  # in small letters
 SAME_UNITS |= {"krpm": "krpm", "µs": "us", "μs": "us"}
-LONGEST_WORDLESS = 3  # letters of a unit: what is longer and no unit that is known, as (actual), says which one it is
+# A unit has at most so many letters: what is longer and no known unit, as (actual), says which column it is.
+LONGEST_WORDLESS = 3
 DEGREE = np.pi / 180.0
 MAX_LOG_MB = 4096.0  # of a file that is read as a log
-SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
-MOST_INSTANCES = 256  # that one message may have: more values are no instances
-LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
-NUMBERS = {  # what numpy calls a number in a log's bytes, by its letter as of struct
+# The head of a log is looked for in so many bytes of a file, behind what does not belong to it.
+SEARCHED = 2**16
+# One message has at most so many instances: more values are none.
+MOST_INSTANCES = 256
+# Channels of one clock share at least this fraction of the stamps of the shorter one.
+LEAST_SHARED = 0.5
+# Types of numpy for numbers in a log's bytes, by the letters of struct.
+NUMBERS = {
     "b": "i1",
     "B": "u1",
     "h": "<i2",

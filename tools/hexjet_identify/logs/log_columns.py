@@ -18,13 +18,16 @@ from hexjet_identify.logs.read import is_flight_log as is_flight_log
 from hexjet_identify.logs.read import read_columns, read_flight_log, signals_of
 from hexjet_identify.logs.table import NO_NUMBERS, columns_with_time
 
-_TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
+# The topics of a simulation, PX4's or ours, end with this.
+_TRUTH = "_groundtruth"
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
 _ASKED = "vehicle_attitude_setpoint.q_d[{}]"
 _LOCAL = "vehicle_local_position{}.{}"
 _NED = "LOCAL_POSITION_NED."  # of MAVLink
 _AXES = tuple(zip(RATES, AXES, strict=True))
-_SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degrees are radians
+# Columns of a flight of ours: sums of other logs' channels that stand for them, the nearest first.  Signs and units are
+# those of a flight of ours.
+_SUMS = {
     "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)", "ATTITUDE.roll"),
     # of the Crazyflie: nose up, other than its gyro
     "pitch_rad": ("deg(ATT.Pitch)", "deg(stateEstimate.pitch)", "ATTITUDE.pitch"),
@@ -40,7 +43,8 @@ _SUMS = {  # ours: where it may stand, the nearest to it first; down is up, degr
     **{f"rate_{rate}_setpoint_rad_s": (f"ATTITUDE_TARGET.body_{axis}_rate",) for rate, axis in _AXES},
 }  # fmt: skip
 ANGLES = tuple(f"{axis}_rad" for axis in AXES)
-LEFT_AND_UP = ("Betaflight blackbox", "Crazyflie")  # whose gyros' axes are forward, left and up; ours right and down
+# The axes of their gyros are forward, left and up; ours are forward, right and down.
+LEFT_AND_UP = ("Betaflight blackbox", "Crazyflie")
 ESTIMATED = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
 
 

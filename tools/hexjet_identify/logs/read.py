@@ -31,13 +31,15 @@ _READERS = (
     (tlog.recognises, "tlog.read"),
 )
 _MARKS = ((ulog.MAGIC, "ulog.read"), (dataflash.MARK, "dataflash.read"), (blackbox.MARKER, "blackbox.read"))
-_TABLES = (  # of others and, as MCAP and MAT, of a run of ours; and LabVIEW's
+# Tables by others, exports of a run as MCAP and MAT, and LabVIEW's files.
+_TABLES = (
     (b"PAR1", "table_columns.read_parquet"),
     (b"\x89MCAP", "table_columns.read_mcap"),
     (b"MATLAB 5", "table_columns.read_mat"),
     (b"TDSm", "tdms.read"),
 )
-_OTHERS = (  # what else a file may begin with, and what it is then
+# What files that are no logs begin with, and what they are.
+_OTHERS = (
     (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
     (b"PK\x03\x04", "a zip archive: unpack it"),
     (b"7z\xbc\xaf", "a 7z archive: unpack it"),

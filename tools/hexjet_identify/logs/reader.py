@@ -24,7 +24,8 @@ from cosim.base.storage.files import one_line
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.table_columns import TableColumns
 
-MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0  # some ten times what the slowest reader takes, which is pyulog
+# Some ten times the processor time of the slowest reader, which is pyulog.
+MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0
 # Of address space.  The libraries take 300; what is read is ten times the file, of a text twenty times.
 MAX_MB, MAX_MB_PER_MB = 1024.0, 40.0
 _RUN = "from hexjet_identify.logs.reader import main; main()"
@@ -64,7 +65,8 @@ def main() -> None:
         with out:
             _pack(read_here(reader, Path(path), *map(int, numbers)), out)
     except MemoryError:
-        os._exit(0)  # with nothing said: there may be no memory to say it
+        # Nothing is said: there may be no memory for it.
+        os._exit(0)
 
 
 def read_here(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumns | str:
@@ -79,7 +81,8 @@ def read_here(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumn
         return str(error)
     except MemoryError:
         raise
-    except Exception as error:  # whatever the calls of a reader raise over a file that is wrong
+    except Exception as error:
+        # Over a file that is wrong a reader raises whatever its own calls raise.
         return f"{path}: cannot be read: it is damaged ({type(error).__name__}: {one_line(error)})"
 
 

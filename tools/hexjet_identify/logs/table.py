@@ -17,12 +17,15 @@ from cosim.results.log.tables import TIME
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.table_columns import TableColumns
 
-TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
-OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest first
+# Names of a time in seconds, in logs of other tools.
+TIMES = (TIME, "time", "t")
+# Other names of a time, in any case and with its unit behind it; the likeliest first.
+OTHER_TIMES = (
     "time", "t", "timestamp", "timestamp_sample", "timeus", "timems", "elapsed", "elapsed time", "datetime",
     "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
 )  # fmt: skip
-AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
+# These columns are logged with the step at whose end the engine has the thrust.
+AT_THE_END = re.compile(r"thrust_\d+_N")
 DAY_S = 86400.0
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY_S}
 _SAME_UNITS = {
@@ -39,7 +42,8 @@ _SAME_UNITS = {
     "μs": "us",
 }
 _UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
-LEAST_RUNNING = 0.9  # share of the steps from row to row in which a time has to grow
+# A time grows in at least this share of the steps from row to row.
+LEAST_RUNNING = 0.9
 NO_NUMBERS = "left out, being no numbers"  # a remark begins so
 
 

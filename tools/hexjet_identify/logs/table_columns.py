@@ -27,7 +27,8 @@ class TableColumns:
 
     names: Sequence[str]  # of all, in the file's order
     numbers: dict[str, Array]
-    dates: list[str] = field(default_factory=list)  # of the numbers, those that are dates, in seconds
+    # Names of those numbers that are dates, in seconds.
+    dates: list[str] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
     left_out: Sequence[str] = ()  # being no numbers
     remarks: list[str] = field(default_factory=list)

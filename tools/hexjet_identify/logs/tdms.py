@@ -13,7 +13,8 @@ from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import Channel, FlightLog, numbers
 from hexjet_identify.logs.table import SECONDS, TIMES, plain_name, time_unit, unit_in_name
 
-UNITS = ("unit_string", "NI_UnitDescription", "unit", "units")  # properties in which a channel's unit may be
+# Properties in which a channel's unit may be.
+UNITS = ("unit_string", "NI_UnitDescription", "unit", "units")
 STEP, OFFSET = "wf_increment", "wf_start_offset"  # s from row to row, and of the first
 
 

@@ -13,10 +13,13 @@ from typing import NamedTuple
 
 from cosim.base.errors import InputError
 
-SEPARATORS = (";", "\t", "|", ",")  # of two that fit alike the first is taken: a comma may be a decimal mark
+# Of two that fit alike the first is taken: a comma may be a decimal mark.
+SEPARATORS = (";", "\t", "|", ",")
 SAMPLE = 200  # lines looked at
-HEAD = 2**18  # characters in which they, and all that comes before, have to be
-LEAST_REGULAR = 0.5  # of them that must have as many cells as most have
+# The sampled lines, and all before them, lie within so many characters.
+HEAD = 2**18
+# At least this share of the lines has as many cells as most have.
+LEAST_REGULAR = 0.5
 BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32-le"),

@@ -19,19 +19,23 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import NUMBERS, Channel, FlightLog, name_instances, numbers
 
-DIALECTS = (  # by name: nothing of the ground station is needed but what the build made of the messages
+# Loaded by name: of the ground station nothing is needed but what the build made of the messages.
+DIALECTS = (
     "cosim.groundstation.mavlink.wire._messages",
     "pymavlink.dialects.v20.all",
 )
 STAMP = 8  # bytes
-EARLIEST_US, LATEST_US = 315_532_800_000_000, 4_102_444_800_000_000  # 1980, for a station without a clock, and 2100
+# The years 1980, for a station without a clock, and 2100.
+EARLIEST_US, LATEST_US = 315_532_800_000_000, 4_102_444_800_000_000
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 SIGNED, SIGNATURE, CHECKSUM = 0x01, 13, 2
 OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
-MOST_LATE_S = 5.0  # a frame may be taken so long after its own time by a link that is slow; more is another clock
+# A slow link may deliver a frame so long after its own time; more is another clock.
+MOST_LATE_S = 5.0
 MOST_NAMED = 10
 SHORTEST = 8  # bytes of a frame without a payload
-LONGEST_ARRAY = 32  # numbers in a field: a longer one is a piece of a file
+# A field with more numbers is a piece of a file.
+LONGEST_ARRAY = 32
 
 Sender = tuple[int, int]  # system and component
 Key = tuple[int, int, Sender]
@@ -44,7 +48,8 @@ class Kind(NamedTuple):
     layout: np.dtype[np.void]
     extra: bytes
     units: dict[str, str]
-    instance: str  # the field that tells instances apart, "" where there is none
+    # The field that tells instances apart, or an empty string.
+    instance: str
 
 
 class Frame(NamedTuple):
@@ -160,7 +165,8 @@ def _read_frame(data: bytes, at: int) -> tuple[Frame, int | None] | None:
     if frame is None or frame.after > len(data):
         return None
     kinds = _kinds().get(frame.message)
-    if kinds is None:  # no checksum can be tried: another frame behind it has to do
+    if kinds is None:
+        # No checksum can be tried: another frame behind it has to do.
         behind = data[frame.after + STAMP : frame.after + STAMP + 1]
         follows = frame.after == len(data) or behind in (b"\xfe", b"\xfd")
         return (frame, None) if follows and EARLIEST_US < frame.stamp < LATEST_US else None
@@ -177,7 +183,8 @@ class _MessageIndex:
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
     unknown: set[int] = field(default_factory=set)
     passed: int = 0  # bytes of no frame
-    cut: int = 0  # bytes at the end that are the beginning of one
+    # Bytes at the end that are the beginning of a frame.
+    cut: int = 0
 
     def remarks(self, begin: int) -> tuple[str, ...]:
         """Return remarks on the file, whose first frame was received at ``begin`` [us]."""

@@ -78,7 +78,8 @@ def _load(path: Path, data: bytes, begin: int) -> Any:
         return ULog(source)
     except ULogException as error:
         raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
-    except Exception as error:  # for a file that is wrong it raises whatever its own calls raise, in their words
+    except Exception as error:
+        # Over a file that is wrong it raises whatever its own calls raise, in their words.
         at = begin + source.tell()
         raise InputError(f"{path}: cannot be read as ULog: it is damaged at byte {at} or before that") from error
 
@@ -92,7 +93,8 @@ def _channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[st
             untimed.append(topic.name)
             continue
         times = 1e-6 * numbers(stamp)
-        if topic.name == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
+        if topic.name == "hexjet_thrust":
+            # A log of ours has the thrust that the engine has at the end of the message's step.
             times = times + _step(step, times)
         name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
         for field, values in topic.data.items():
@@ -134,7 +136,8 @@ def read_notes(path: Path) -> UlogNotes:
     facts: dict[str, str | int] = {}
     parameters: dict[str, float] = {}
     messages: list[tuple[float, int, str]] = []
-    begun = False  # a parameter that comes behind the definitions was changed in flight
+    # A parameter that comes behind the definitions was changed in flight.
+    begun = False
     for kind, body in _walk(data):
         if kind in (_LOGGED, _TAGGED):
             begin = 9 if kind == _LOGGED else 11

@@ -58,11 +58,12 @@ def fit_poles(problem: Problem, form: Poles, hold: Mapping[str, float], near: Es
     for x in _starts(problem, form) if near is None else _starts_with_a_lag(near):
         x[held] = list(hold.values())
         tried.append(_fit_in_loop(problem, form, x, held, order))
-    x, noise, _ = min(tried, key=lambda each: each[2] / problem.equations(len(each[1])).sum())
+    best = min(tried, key=lambda each: each[2] / problem.equations(len(each[1])).sum())
     # Where a command comes as rows, several delays within a row leave less than those beside them.
-    shifts = problem.step * np.array([0.0, -1.0, -0.5, 0.5, 1.0])
-    beside = [np.array([max(x[0] + shift, 0.0), *x[1:]]) for shift in shifts[: 1 if 0 in held else None]]
-    x, noise, _ = min((solve(problem, form, one, noise, held) for one in beside), key=lambda each: each[2])
+    for shift in problem.step * np.array([-1.0, -0.5, 0.5, 1.0]) if 0 not in held else ():
+        beside = np.array([max(best[0][0] + shift, 0.0), *best[0][1:]])
+        best = min(best, solve(problem, form, beside, best[1], held), key=lambda each: each[2])
+    x, noise, _ = best
     low, high = form.limits(problem)
     at_end = np.isclose(x, low, rtol=1e-6, atol=1e-9 * problem.step) | np.isclose(x, high, rtol=1e-6)
     # A pole that ended as slow as can be is uncertain as any other, and the gain with it.
@@ -123,24 +124,18 @@ def without_command(problem: Problem, estimate: Estimate) -> float:
 
 def estimate_dict(estimate: Estimate, step: float) -> dict[str, Any]:
     """Return one form's parameters, standard deviations, bounds and criteria, for JSON."""
-    (total, deviation), (gain, gain_deviation) = estimate.total, estimate.gain
-    numbers = estimate.form.natural(estimate.x)
+    (total, deviation), (gain, gain_deviation), found = estimate.total, estimate.gain, estimate.to_dict()
+    names = list(estimate.form.natural(estimate.x))
     return {
-        "form": estimate.form.label,
+        **found,
         "gain": gain,
-        **numbers,
-        "delay_bounds_95_s": list(estimate.delay_bounds),
+        "standard_deviations": {"gain": gain_deviation, **found["standard_deviations"]},
         "delay_samples": estimate.delay / step,
-        "standard_deviations": {
-            "gain": gain_deviation,
-            **{name: estimate.deviation(n) for n, name in enumerate(numbers)},
-        },
         "all_delay_s": total,
         "all_delay_deviation_s": deviation,
         "noise_order": len(estimate.noise),
-        "held": [list(numbers)[n] for n in estimate.held],
+        "held": [names[n] for n in estimate.held],
         "equations": estimate.rows,
         "residual_rms": float(np.sqrt(estimate.loss / estimate.rows)),
         "aic": estimate.aic,
-        "bic": estimate.bic,
     }

@@ -143,13 +143,18 @@ def identify_log(
     estimates = identify_poles(problem, signal.startswith("engine"), dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
-    _refuse(problem, estimates, prepared, where)
+    fall = without_command(problem, chosen) - chosen.deviance
+    _refuse(fall, estimates, prepared, where)
     notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
     checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
-    reason = _why_refused(problem, chosen, checks)
-    if reason:
-        raise NotIdentifiedError(f"{where}: {reason}")
-    notes += _describe_failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
+    if _noisy(problem, chosen):
+        # By how much the command lowers the sum of squares of what is left over, made white.
+        explained = chosen.loss * float(np.expm1(fall / chosen.rows))
+        if reason := _why_refused(problem, chosen, checks, explained):
+            raise NotIdentifiedError(f"{where}: {reason}")
+        notes += _describe_failed(checks)
+    else:
+        notes.append(NO_NOISE)
     band = _band(chosen, problem.step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
     estimates = [_allow_for_late(estimate, prepared.late) for estimate in estimates]
@@ -183,12 +188,9 @@ def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
     return max(estimates, key=lambda estimate: len(estimate.x)).delay_bounds
 
 
-def _refuse(
-    problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str, widest: float = 0.6
-) -> None:
+def _refuse(fall: float, estimates: Sequence[Estimate], prepared: Prepared, where: str, widest: float = 0.6) -> None:
     """Raise NotIdentifiedError for what is not told, as a delay whose bounds are ``widest`` of the search apart."""
     chosen = estimates[0]
-    fall = without_command(problem, chosen) - chosen.deviance
     if not fall >= MIN_DEVIANCE_FALL:
         raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
@@ -302,25 +304,13 @@ def _noisy(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
     return float(np.sqrt(chosen.loss / chosen.rows)) > rounding * float(np.std(problem.output))
 
 
-def _explained_power(problem: Problem, chosen: Estimate) -> float:
-    """Return by how much the command lowers the sum of squares of the whitened residuals."""
-    return float(np.exp(without_command(problem, chosen) / chosen.rows) * chosen.rows - chosen.loss)
-
-
-def _residuals_follow(
-    problem: Problem, chosen: Estimate, command: Check, misfit: float = 0.02, small: float = 1e-3
-) -> bool:
-    """Return whether the residuals follow the command by more than a small misfit of the form makes them.
-
-    That is a share of ``misfit`` of their power, and of ``small`` of what the command explains.
-    """
-    if not command.failed or command.share <= misfit or not _noisy(problem, chosen):
-        return False
-    return command.share * chosen.loss > small * _explained_power(problem, chosen)
-
-
 def _why_refused(
-    problem: Problem, chosen: Estimate, checks: Sequence[Check], fed_back: float = 0.25, enough: float = 0.2
+    problem: Problem,
+    chosen: Estimate,
+    checks: Sequence[Check],
+    explained: float,
+    fed_back: float = 0.25,
+    enough: float = 0.2,
 ) -> str:
     """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
 
@@ -329,12 +319,16 @@ def _why_refused(
     ``fed_back`` of what it explains at all, the loop feeds the disturbance back: the model of the noise is of finite
     order, and what it lacks is in command and residual alike.
     """
+
+    def follow(check: Check, misfit: float = 0.02, small: float = 1e-3) -> bool:
+        """Return whether more follows than ``misfit`` of what is left over, and ``small`` of what is explained."""
+        return check.failed and check.share > misfit and check.share * chosen.loss > small * explained
+
     white, use = on_clock(problem, chosen)
     together = _test_against("fed back", white, use, _held_on_clock(problem, None), problem.step, first=0)
-    explained = max(_explained_power(problem, chosen), 0.0)
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= enough * chosen.loss and together.share * chosen.loss > fed_back * explained
-    if weak and not by_setpoint and _residuals_follow(problem, chosen, together):
+    if weak and not by_setpoint and follow(together):
         part = max(explained / chosen.loss, 1e-4)
         larger = max(2.0, (enough / part) ** 0.5)
         return (
@@ -343,7 +337,7 @@ def _why_refused(
             f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
             f"{larger:.0f} times as large, or calmer air"
         )
-    if not _residuals_follow(problem, chosen, checks[1]):
+    if not follow(checks[1]):
         return ""
     return (
         f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "

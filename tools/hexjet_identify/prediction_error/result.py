@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.api.call import FolderResult, Table, note_lines
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
@@ -37,19 +38,49 @@ TOLD = (
 )
 
 
-def write(result: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
-    """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml`` for a control step of ``step``.
+class LogIdentifyResult(FolderResult):
+    """A model from the log of a flight.
 
-    ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
+    ``write`` leaves ``identification.json``, ``report.html`` and, of an axis, ``model.toml``, of a thrust an engine.
+
+    Attributes
+    ----------
+    identification : LogIdentification
+        Everything.
     """
-    texts, archive = {}, None
-    if not result.engine:
-        table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
-        texts = {"model": toml_text(table)}
-    elif not why_no_engine(result):
-        texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)}
-        archive = data_folder("fmus") / f"{FITTED}.fmu"
-    return write_with_engine(folder, result.to_dict(step), page(result), texts, archive)
+
+    def __init__(self, identification: LogIdentification, step_s: float, family: str) -> None:
+        self.identification = identification
+        self.files = {}
+        self._step_s, self._family = step_s, family
+
+    def _write(self, folder: Path) -> dict[str, Path]:
+        found, texts, archive = self.identification, {}, None
+        if not found.engine:
+            table = {"identified": {self._family: {found.what: found.rate_model(self._step_s).model_dump()}}}
+            texts = {"model": toml_text(table)}
+        elif not why_no_engine(found):
+            texts = {"engine": toml_text(engine_table(found)), "readme": readme(found)}
+            archive = data_folder("fmus") / f"{FITTED}.fmu"
+        return write_with_engine(folder, self.to_dict(), page(found), texts, archive)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet identify log --json`` prints."""
+        return self.identification.to_dict(self._step_s)
+
+    def lines(self) -> list[str]:
+        """Return what was compared, and notes."""
+        found = self.identification
+        reason = why_no_engine(found) if found.engine else ""
+        return [summary(found), *note_lines(found.notes), *([f"no engine: {reason}"] if reason else [])]
+
+    def tables(self) -> list[Table]:
+        """Return the parameters of each form with their bounds."""
+        found = self.identification
+        return [Table("", (WITH_BOUNDS, *(estimate.form.label for estimate in found.estimates)), rows(found))]
+
+    def _figures(self) -> Mapping[str, Any]:
+        return page(self.identification).figures
 
 
 def page(result: LogIdentification) -> Page:

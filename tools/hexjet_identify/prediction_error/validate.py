@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from cosim.api.call import FolderResult, Table, note_lines
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, read_json, write_files
@@ -32,8 +34,10 @@ ERROR = (
     "The model answers the command alone: what wind and noise did is in the error. Of an axis, which integrates, they "
     "add up over the flight, so that the fit of the change tells more than that of the whole."
 )
-AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
-WIDEST = 2.0 * MAX_MISFIT  # half of a 95 % interval, from where on the log says too little of a gain
+# The prediction over so long is judged: the loops that a predictor serves are faster.
+AHEAD_S = 1.0
+# Where half of the 95 % interval of a gain is wider, the log says too little of it.
+WIDEST = 2.0 * MAX_MISFIT
 OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
@@ -68,18 +72,24 @@ class Refit(NamedTuple):
 
 @dataclass(frozen=True)
 class Validation:
-    """How well a model answers the commands of a log."""
+    """How well a model answers the commands of a log.
+
+    ``fit``: 1 less the error's standard deviation over the output's, 1 is perfect, 0 the mean; ``ahead``: the same of
+    the change of the output over AHEAD_S.  ``nrmse``: of the simulation, over the output's standard deviation;
+    ``theil``: its U, 0 is perfect, 1 useless.  ``again``: None where the log does not move enough.  ``signals``: times,
+    command, output and model of each stretch.
+    """
 
     model: StatedModel
     log: Path
     seconds: float
     step: float
-    fit: float  # 1 less the error's standard deviation over the output's; 1 is perfect, 0 the mean
-    nrmse: float  # of the simulation, over the output's standard deviation
-    theil: float  # U of the simulation: 0 perfect, 1 useless
-    ahead: float  # the same as fit, of the change of the output over AHEAD_S
-    again: Refit | None  # None: nothing is told, for the log does not move enough
-    signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
+    fit: float
+    nrmse: float
+    theil: float
+    ahead: float
+    again: Refit | None
+    signals: tuple[tuple[Array, Array, Array, Array], ...]
     notes: tuple[str, ...]
 
     @property
@@ -277,12 +287,48 @@ def rows(validation: Validation) -> list[tuple[str, str]]:
     return lines
 
 
-def write(validation: Validation, folder: Path) -> dict[str, Path]:
-    """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
-    paths = {"json": folder / "validation.json", "report": folder / "report.html"}
-    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2, allow_nan=False) + "\n"})
-    page(validation).write(paths["report"])
-    return paths
+class ValidateResult(FolderResult):
+    """How well a model answers the commands of a log.
+
+    ``write`` leaves ``validation.json`` and ``report.html``.
+
+    Attributes
+    ----------
+    validation : Validation
+        Everything.
+    """
+
+    def __init__(self, validation: Validation) -> None:
+        self.validation = validation
+        self.files = {}
+
+    @property
+    def verdict(self) -> str:
+        """``explained``, ``not explained`` or ``not told``: whether gain and delay, fitted anew, are the model's."""
+        return self.validation.judgement.verdict
+
+    def _write(self, folder: Path) -> dict[str, Path]:
+        paths = {"json": folder / "validation.json", "report": folder / "report.html"}
+        write_files({paths["json"]: json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"})
+        page(self.validation).write(paths["report"])
+        return paths
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet replay --model --json`` prints."""
+        return self.validation.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return the verdict, the evidence, and notes."""
+        found = self.validation
+        first = f"{self.verdict}: {found.model.what} of {found.model.path} beside {found.log}"
+        return [first, *found.judgement.evidence, *note_lines(found.notes)]
+
+    def tables(self) -> list[Table]:
+        """Return the measures of how well it fits."""
+        return [Table("", ("measure", "value"), rows(self.validation))]
+
+    def _figures(self) -> Mapping[str, Any]:
+        return page(self.validation).figures
 
 
 def page(validation: Validation) -> Page:
