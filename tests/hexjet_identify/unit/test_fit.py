@@ -13,7 +13,7 @@ from hexjet_identify.bench.remarks import describe_small_movements
 from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, hats
 from hexjet_identify.fit.estimate import fit
 from hexjet_identify.fit.evidence import Foretold, Verdict, describe_movements, hold_back, judge
-from hexjet_identify.fit.forms import Lags, Limits
+from hexjet_identify.fit.forms import Lags, Limits, Poles
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
 
@@ -36,6 +36,15 @@ def test_a_step_and_a_ramp_behind_a_lag_are_answered_in_closed_form() -> None:
         since - 0.4 * (1.0 - np.exp(-since / 0.4)),
         atol=1e-12,
     )
+
+
+def test_poles_behind_a_delay_are_answered_in_closed_form_and_noise_needs_rows_without_a_gap() -> None:
+    kept = np.delete(np.arange(2000), [700, 701, 702])
+    log = Log(np.array([0.0, 5.0]), np.array([0.0, 1.0]), TIMES[kept], TIMES[kept], 0.01, index=kept)
+    problem, since = Problem([log], np.empty(0), 1.0), np.maximum(log.times - 5.123, 0.0)
+    wanted = 1.25 * (np.expm1(-10.0 * since) / 10.0 - np.expm1(-2.0 * since) / 2.0)
+    np.testing.assert_allclose(Poles(False, 1).columns(problem, np.array([0.123, 2.0, 0.1]))[:, 0], wanted, atol=1e-12)
+    assert problem.equations(2).sum() == len(kept) - 4
 
 
 def test_limits_go_in_a_straight_line_until_the_lag_takes_over() -> None:
