@@ -307,6 +307,11 @@ class ValidateResult(FolderResult):
         """``explained``, ``not explained`` or ``not told``: whether gain and delay, fitted anew, are the model's."""
         return self.validation.judgement.verdict
 
+    @property
+    def explained(self) -> bool:
+        """Whether they are."""
+        return self.verdict == "explained"
+
     def _write(self, folder: Path) -> dict[str, Path]:
         paths = {"json": folder / "validation.json", "report": folder / "report.html"}
         write_files({paths["json"]: json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"})
