@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable, Mapping
 from math import inf, isfinite
 from pathlib import Path
@@ -88,7 +87,7 @@ def _check_value(where: str, value: Any, limits: Limits | None) -> None:
 
 
 def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
-    """Return what checks each argument."""
+    """Return what checks each argument; what a call returns may be a class that it imports when it is called."""
     import inspect
 
     from pydantic import InstanceOf, TypeAdapter
@@ -101,8 +100,7 @@ def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
             return Union[tuple(map(as_instances, get_args(hint)))]  # noqa: UP007 - made of a tuple
         return hint
 
-    # What it returns may be a class that the call imports, so that importing its module stays quick.
-    names, hints = vars(sys.modules[call.__module__]), inspect.get_annotations(call)
+    names, hints = vars(inspect.getmodule(call)), inspect.get_annotations(call)
     return {name: TypeAdapter(as_instances(eval(hint, names))) for name, hint in hints.items() if name != "return"}
 
 

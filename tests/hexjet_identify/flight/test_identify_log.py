@@ -312,11 +312,10 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
     delays = [each.chosen.delay_bounds for each in both]
     gains, lags, sums = [], [], []
     for chosen in (each.chosen for each in both):
-        lag, (total, deviation), (gain, wide) = 1.0 / chosen.x[1], chosen.total, chosen.gain
-        gains.append((gain - 1.96 * wide, gain + 1.96 * wide))
-        wide = 1.96 * chosen.deviation(1) * lag**2
-        lags.append((lag - wide, lag + wide))
-        sums.append((total - 1.96 * deviation, total + 1.96 * deviation))
+        lag = 1.0 / chosen.x[1]
+        numbers = (chosen.gain, (lag, chosen.deviation(1) * lag**2), chosen.total)
+        for ends, (value, one) in zip((gains, lags, sums), numbers, strict=True):
+            ends.append((value - 1.96 * one, value + 1.96 * one))
     for (a, b), (c, d) in (delays, gains, lags, sums):
         assert max(a, c) <= min(b, d)
     page = (Path(__file__).parents[3] / "docs" / "identification.md").read_text(encoding="utf-8")
