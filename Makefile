@@ -48,6 +48,7 @@ check: setup ## lint, format, types and layers: everything that is checked witho
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/comments.py cosim tools
 
 test: setup $(BETAFLIGHT) ## run the tests on all cores; options for pytest in ARGS: make test ARGS="-k smith -x", one core: -n0
 	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder -m "not long" $(ARGS)

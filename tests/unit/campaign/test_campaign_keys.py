@@ -227,7 +227,10 @@ def test_a_delay_is_answered_with_its_keys_and_who_knows_of_them(name: str) -> N
         )
 
 
-def test_the_command_lists_keys_with_their_meaning_without_a_scenario(hexjet: Hexjet) -> None:
+def test_the_command_lists_keys_with_their_meaning_without_a_scenario(
+    hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
     listed = {key["key"]: key for key in json.loads(hexjet("sweep", "--keys", "delay", "--json").out)["keys"]}
     assert listed["mismatch.delay_samples"]["meaning"] == "of every engine; no controller knows it"
     assert listed["engine_parameters.delay_samples"]["meaning"].endswith("; the predictor's model stays")
