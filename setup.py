@@ -87,7 +87,7 @@ class BuildExtensions(build_ext):
         compiled = by_path("compiled", ROOT / "cosim" / "base" / "compiled.py")
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
         shared = package / compiled.SHARED
-        if os.environ.get(compiled.PURE):
+        if os.environ.get(compiled.PURE_VARIABLE):
             self._remove_compiled(package, compiled)
             super().run()
             return
