@@ -69,8 +69,8 @@ def test_the_changes_are_kept() -> None:
     assert all(re.fullmatch(r"\d+\.\d+\.\d+ - \d{4}-\d\d-\d\d", version) for version in versions[1:])
     sections = re.findall(r"^### (.*)$", text, re.MULTILINE)
     assert set(sections) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
-    released = [version.split(" - ")[0] for version in versions[1:]]
-    assert PROJECT["version"] in (released[0] if released else text)
+    assert PROJECT["version"] == versions[1].split(" - ")[0]
+    assert max(map(len, text.split("## 0.")[0].splitlines())) <= 140
 
 
 # --- a public host ----------------------------------------------------------------------------------------------------
