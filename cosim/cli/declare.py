@@ -164,14 +164,14 @@ class Command:
     @cached_property
     def texts(self) -> tuple[str, dict[str, str]]:
         """What the function is for, and what each of its arguments is, as its docstring says it."""
-        from docstring_parser import parse
-        from docstring_parser.common import DocstringStyle
+        from docstring_parser import DocstringStyle, parse
 
         def read(function: Callable[..., Any]) -> Any:
             return parse(inspect.getdoc(function) or "", DocstringStyle.NUMPYDOC)
 
         first, *others = map(read, self.sources())
-        about = [text for text in (first.short_description, first.long_description, self.ends) if text]
+        more = [each for each in (first.long_description or "").split("\n\n") if not each.startswith(">>>")]
+        about = [text for text in (first.short_description, *more, self.ends) if text]
         parameters = [each for parsed in (*reversed(others), first) for each in parsed.params]
         of = {each.arg_name.lstrip("*"): as_typed(each.description or "") for each in parameters}
         defaults = {name: each.default for name, (each, _) in self.parameters().items()}

@@ -318,9 +318,12 @@ def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedControll
         (["--licence", "a */ b"], "licence a */ b: must be one line of letters"),
         (["--controller", "unheard-of"], "unknown controller 'unheard-of'"),
         (["--out", "."], "is there already and not an empty folder"),
-        (["--scenario", "fault-flame-out"], "plans around lost engines are not exported"),
+        (["--scenario", "fault-flame-out"], "allocation with a failed engine is not exported"),
         (["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"], "surfaces have no C form; with loops"),
-        (["--scenario", "jetwing-cruise", "--loops"], "asks for a speed ahead, which is the wing's law"),
+        (
+            ["--scenario", "jetwing-cruise", "--loops"],
+            "commands a speed ahead, flown by the wing's law, which is not exported",
+        ),
         (["--loops", "--for", "px4"], "loops: not with an autopilot"),
     ],
 )

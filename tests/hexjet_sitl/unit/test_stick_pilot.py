@@ -40,7 +40,7 @@ def test_it_lets_go_of_the_sticks_where_the_autopilot_holds_the_place() -> None:
     assert pilot.update(asked(10.0 - far), measured(10.0), 0.0).throttle == pytest.approx(0.35)
     assert pilot.update(asked(30.0), measured(10.0), 0.0).throttle == 1.0
     assert pilot.update(asked(10.0), measured(10.0, radians(90.0)), 0.0).yaw < -0.1
-    with pytest.raises(FlightError, match="where the autopilot holds the place its sticks ask for speed"):
+    with pytest.raises(FlightError, match="where the autopilot holds the place its sticks command speed"):
         pilot.update(asked(10.0, roll=0.1), measured(10.0), 0.0)
     pilot.reset()
     assert not pilot.update(asked(10.0), measured(10.0), 0.0).holds_place

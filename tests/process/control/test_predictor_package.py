@@ -37,7 +37,7 @@ def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_package_brings_one(package: Path) -> None:
-    listed = hexjet(package, "list", "controllers")
+    listed = hexjet(package, "show", "controllers")
     assert re.search("my-smith +Smith, from a package", listed.stdout)
     swept = hexjet(
         package, "sweep", "hover", "--vary", "vehicle.mass_kg=5.6:5.8", "--runs", "1", "--set", "duration_s=0.2",

@@ -423,7 +423,7 @@ def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path
     whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
     run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
     Path(whole.removesuffix(":Cascade")).unlink()
-    again = hexjet(tmp_path, "report", "run")
+    again = hexjet(tmp_path, "show", "run", "--page")
     assert again.returncode == 0, again.stderr
     assert "engines were not watched: cascade.py:Cascade is a whole controller" in again.stdout
     own = run.summary.own_controller
@@ -512,7 +512,7 @@ def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_an_installed_package_brings_one(package: Path) -> None:
-    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet(package, "list", "controllers").stdout)
+    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet(package, "show", "controllers").stdout)
     done = hexjet(
         package, "fly", "roll-doublet", "--controller", "mine", "--set", "duration_s=0.2", "--set",
         "controller_parameters.share=0.5", "--out", "run", "--json",
