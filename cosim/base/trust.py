@@ -147,9 +147,9 @@ def trust(*places: Path | str) -> None:
 
 
 def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None:
-    """Trust the code that a program names in these changes of a scenario.
+    """Trust code named in the arguments of a call from Python; without effect within a command.
 
-    Files are relative to ``folder``; None is no choice.  Within a command nothing is trusted here: its arguments are.
+    Files are relative to ``folder``; None is no choice.  A command trusts its own arguments elsewhere.
     """
     if _decision.by_program:
         texts = [str(choice) for choice in choices if choice]

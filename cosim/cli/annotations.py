@@ -40,7 +40,7 @@ def read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool,
     for member in members:
         if get_origin(member) is Mapping:
             return str, True, get_args(member)
-    # A text can be any number; the function reads it.
+    # Prefer str to numbers: where an argument accepts both, the text is passed on and the function parses it.
     for kind in (bool, str, int, float, Path):
         if kind in members:
             return kind, False, None

@@ -119,7 +119,7 @@ class Command:
     like: str = ""
     # Other functions, ``module:name``, by the option that calls each of them in place of this one.
     modes: Mapping[str, str] = field(default_factory=dict)
-    # Arguments that are no options.
+    # Arguments of the function that the command line does not offer.
     hidden: tuple[str, ...] = ()
     # What a note of the call is called on standard error.
     notes: str = "note"

@@ -77,7 +77,7 @@ class ParameterGuard:
         """
         if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
-            # Verdicts on the other changes assume this one.
+            # Discard the running verdict: it assumed that the late changes would be made.
             if any(now > waiting.deadline for waiting in self._batch):
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]

@@ -178,7 +178,7 @@ def _oscillation(
 
 
 def _residual_of_steps(steps: Sequence[Step], row: int, settling_rows: float) -> float:
-    """Return the allowed residual (rad) in a row of steps that had no time to settle.
+    """Return the attitude error [rad] still allowed at ``row`` because recent steps have not had time to settle.
 
     A step of size s leaves ``s SETTLING_BAND^(t / settling)`` after a time t: all of it at once, 5 % at the time in
     which it is to settle.  One after that row, in the last second, counts whole.

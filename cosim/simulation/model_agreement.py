@@ -68,7 +68,7 @@ class ModelAgreement:
     state: str  # "" as built, or "fuel" or "payload"
     hertz: float  # frequency of the comparison
     model_gain: float  # gain of the model
-    vehicle_gain: float  # gain of the vehicle
+    vehicle_gain: float  # of vehicle and engine, in ``unit``
     model_delay: float  # total delay of the model, samples
     vehicle_delay: float  # total delay of the vehicle, samples
     lag_misfit: float

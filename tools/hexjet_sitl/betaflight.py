@@ -71,7 +71,7 @@ _CONSTANT_GAINS = (
 _REFUSALS = ("ERROR", "Invalid", "UNKNOWN")  # words in the console's refusals
 MAX_MOTORS = 8  # motors in its mixer
 MAX_GAIN = 250  # largest gain of its console
-# Of pitch and yaw on the outputs for tilts; chosen by us, see make_mixer_settings.
+# Mixer weight of pitch and yaw on the tilt outputs. Chosen by us, see make_mixer_settings.
 TILT_WEIGHT = 0.1
 # Before the flight: 5 s of grace time after its start, and its gyro's calibration. Full stick is chosen by us: more
 # than what scenarios lean.

@@ -148,7 +148,7 @@ def format_mixer_script(vehicle: Vehicle) -> str:
 
 
 def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
-    """Return the unit of an autopilot's torque: throttle for roll, rad of tilt (or throttle) for others.
+    """Return what one unit of the autopilot's torque output commands: throttle on roll, else tilt [rad] or throttle.
 
     Raises InputError for a vehicle that is flown by effectiveness.
     """

@@ -42,7 +42,7 @@ class Key:
     choices: tuple[Value, ...] = ()
     grid: float | None = None  # s, control step; allows its multiples
     text: str = ""  # what it means, where no field says it
-    field: tuple[type[BaseModel], str] | None = None  # whose value it is
+    field: tuple[type[BaseModel], str] | None = None  # model class and its field; None: none
 
     @property
     def meaning(self) -> str:

@@ -218,7 +218,7 @@ class EffectivenessAllocator:
 
     @property
     def constants(self) -> Constants:
-        """Numbers in use for the present health of the engines."""
+        """Allocation constants (effectiveness, weights, limits) for the current health of the engines."""
         stations, hinges, surfaces = self._described
         return Constants(
             stations,

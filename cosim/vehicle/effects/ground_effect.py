@@ -37,7 +37,7 @@ class LiftLoss(Effect):
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 
     def act(self, load: Load) -> None:
-        """Subtract the loss, with a moment that makes it act at the centre."""
+        """Subtract the lift loss from the jets' forces, and cancel its moment about the centre of gravity."""
         forces, state = load.forces, load.state
         lift = -sum([z for _, _, z in forces])
         if lift <= 0.0:

@@ -178,7 +178,7 @@ def _read_frame(data: bytes, at: int) -> tuple[Frame, int | None] | None:
 
 @dataclass
 class _MessageIndex:
-    """The frames by number, which kind of that number, and sender; and how many bytes were no frame."""
+    """Frames by message id, definition and sender, with unknown ids and the count of bytes outside any frame."""
 
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
     unknown: set[int] = field(default_factory=set)
