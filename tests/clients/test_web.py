@@ -620,7 +620,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
     """Arm, take off, go somewhere, a roll step by stick, land: what the page shows is what the simulation does."""
     with Flown(tmp_path / "run", 2.0) as flight:
         # at twice real time and on a loaded machine half a second of flight is too short for sticks
-        flight.exchange.ask(SetParameter("HJ_STICK_TIME", 3.0))
+        flight.exchange.ask(SetParameter("HJ_STICK_TIME", 5.0))
         # and the ten seconds that it stands armed for may be over before a busy browser has shown them
         flight.exchange.ask(SetParameter("HJ_DISARM_IDLE", 0.0))
         # the scaled heights of larger vehicles have as many digits

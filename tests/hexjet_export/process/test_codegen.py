@@ -320,10 +320,7 @@ def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedControll
         (["--out", "."], "is there already and not an empty folder"),
         (["--scenario", "fault-flame-out"], "allocation with a failed engine is not exported"),
         (["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"], "surfaces have no C form; with loops"),
-        (
-            ["--scenario", "jetwing-cruise", "--loops"],
-            "commands a speed ahead, flown by the wing's law, which is not exported",
-        ),
+        (["--scenario", "jetwing-cruise", "--loops"], "a speed ahead, flown by the wing's law, which is not exported"),
         (["--loops", "--for", "px4"], "loops: not with an autopilot"),
     ],
 )

