@@ -42,7 +42,7 @@ class FlightResult(Result):
 
         summary, controller = self.run.summary, self.run.summary.own_controller
         checked = checked_rows(summary) if summary.outcome == "completed" else []
-        least = [f"; least margin {margin}: {label} {allowed}" for _, (label, _, allowed, margin, _) in checked[:1]]
+        least = [f"; least margin, {label} {allowed}: {margin}" for _, (label, _, allowed, margin, _) in checked[:1]]
         speed = "" if summary.realtime_factor is None else f", {summary.realtime_factor:.0f} x real time"
         lines = [
             f"{summary.scenario}: {summary.ending}{''.join(least)}",

@@ -56,14 +56,14 @@ def describe_error(error: Exception) -> str:
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
 
 
-def nearest(name: str, allowed: Iterable[str]) -> str:
-    """Return a clause with the allowed names, beginning with the nearest one if there is one."""
+def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
+    """Return a clause with the nearest and the allowed names; of more than ``max_listed`` those that are near."""
     import difflib
 
     names = sorted(allowed)
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}allowed: {', '.join(names)}"
+    hint = "".join(f"did you mean {each!r}? " for each in difflib.get_close_matches(name, names, n=1))
+    listed = names if len(names) <= max_listed else [*difflib.get_close_matches(name, names, 6, 0.3), "..."]
+    return f"{hint}allowed: {', '.join(listed)}"
 
 
 def similar(name: str, allowed: Iterable[str]) -> str:

@@ -173,29 +173,29 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
 
 
 def list_engine_notes(scenario: Scenario) -> list[str]:
-    """Return notes on a scenario's FMUs that a user may overlook."""
-    engines = (station.engine for station in scenario.stations.values() if station.engine)
-    return list_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
+    """Return notes on a scenario's FMUs, and on changed models of engines that do not fly, which do nothing."""
+    from cosim.spec.vehicle import is_file
+
+    engines = [scenario.engine, *(station.engine for station in scenario.stations.values() if station.engine)]
+    stated = () if any(map(is_file, engines)) else scenario.vehicle.get("identified", ())
+    flown = [engine.removesuffix("-fmi2") for engine in engines]
+    unused = [f"vehicle.identified.{name}: that engine does not fly" for name in stated if name not in flown]
+    return unused + list_fmu_defects(*engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
 
 def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> list[str]:
-    """Return the violations of FMI in a foreign FMU's description; ``folder`` resolves its path.
-
-    And what is risked where ``isolated``, of the scenario, or its mapping file has it fly in this process.
-    """
+    """Return the violations of FMI of foreign FMUs seen from ``folder``, and the risk of those in this process."""
     from cosim.spec.vehicle import is_file
 
     lines = []
-    for engine in dict.fromkeys(engines):
-        if is_file(engine):
-            from cosim.engine import find_source
-            from cosim.engine.check import note_harmless_violations
+    for engine in filter(is_file, dict.fromkeys(engines)):
+        from cosim.engine import check, find_source
 
-            source = find_source(engine, folder)
-            found = note_harmless_violations(source.archive)
-            if isolated is False or (isolated is None and source.mapping.isolated is False):
-                found.append("isolated = false: a crash or a hang of its library ends the process that flies it")
-            lines += [f"{engine}: {line}" for line in found]
+        source = find_source(engine, folder)
+        found = check.note_harmless_violations(source.archive)
+        if isolated is False or (isolated is None and source.mapping.isolated is False):
+            found.append("isolated = false: a crash or a hang of its library ends the process that flies it")
+        lines += [f"{engine}: {line}" for line in found]
     return lines
 
 

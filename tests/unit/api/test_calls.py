@@ -123,6 +123,7 @@ def test_an_engine_in_this_process_is_noted(command: str, hexjet: Hexjet, monkey
         monkeypatch.setattr(flies, stop)
     done = hexjet(*command.split(), "--engine", engine, "--controller", "baseline", "--set", "engine_isolated=false")
     assert f"{engine}: isolated = false: a crash or a hang of its library ends the process that flies it" in done.err
+    assert "edf: that engine does" in hexjet(*command.split(), "--set", "vehicle.identified.edf.roll.gain=1").err
 
 
 def test_a_note_is_a_warning_at_the_line_of_the_caller() -> None:

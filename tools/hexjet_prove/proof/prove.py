@@ -182,7 +182,8 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
     chosen = {int(index): LEAST for index in np.argsort(margins, kind="stable")[:3]}
     if failed.size:
         nearest = int(failed[np.argmin(eccentricity(table)[failed])])
-        chosen = {index: why for index, why in chosen.items() if index != nearest} | {nearest: NEAREST}
+        why = f"{LEAST}; {NEAREST}" if nearest in chosen else NEAREST
+        chosen = {index: LEAST for index in chosen if index != nearest} | {nearest: why}
     for index, why in chosen.items():
         number, row = int(table.flight[index]), rows[index]
         say(f"flight {number} again")

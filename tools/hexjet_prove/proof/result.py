@@ -12,7 +12,7 @@ from hexjet_design.loop.limit import AxisLimit
 from hexjet_prove.proof.credibility import Factor
 
 FORMAT = 1  # version of proof.json
-LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is shown
+LEAST, NEAREST = "among the smallest margins", "fails nearest to the middle of the draws"  # why a flight is shown
 
 
 @dataclass(frozen=True)
@@ -125,13 +125,9 @@ class Proof:
     def _failure(self) -> str:
         if self.likely.result is not None:
             return self.likely.says
-        failed = [one for one in self.worst if one.why == NEAREST]
+        failed = [one for one in self.worst if one.why.endswith(NEAREST)]
         for one in [*failed, *self.worst]:
-            what = (
-                "the failed flight nearest to the middle of what is drawn"
-                if failed
-                else "the flight nearest to failing"
-            )
+            what = "the failed flight nearest to the middle of the draws" if failed else "the flight nearest to failing"
             more = "likelier one" if failed else "failure"
             return f"{what} is {one.run or f'flight {one.flight}'}, and no {more} was searched for"
         return "no failure was searched for"
