@@ -115,8 +115,6 @@ def delayed_margins(
     Mikhailov's criterion, with a delay too), along the unit circle those outside.  Gains are in dB, phases in deg,
     delays in s, the crossover in Hz; a field that is None is no margin: that change loses no loop.
 
-    An integrator has the crossover 4 rad/s and the delay margin ``(pi / 2 - 4 delay) / 4``.
-
     >>> found = delayed_margins([4.0], [1.0, 0.0], delay=0.1)
     >>> print(f"{found.delay_s:.6f} s, {found.gain_db:.4f} dB, {found.phase_deg:.4f} deg")
     0.292699 s, 11.8812 dB, 67.0817 deg
@@ -162,6 +160,8 @@ def delayed_margins(
         peak = int(np.argmin(np.abs(1.0 + loop)))
         change[max(peak - 1, 0) : peak + 1] = True
         at = np.flatnonzero(change)
+        if len(at) > 100_000:
+            raise InputError("the closed loop is at the limit along a range of frequencies, it has no margins")
         omega = np.union1d(omega, omega[at, None] + np.diff(omega)[at, None] * np.linspace(0.0, 1.0, 9)[1:-1])
     variable, above, below, rounding = look(omega)
     # Where the gain may be between a tenth and ten, the margins rest on the loop.

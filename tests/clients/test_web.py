@@ -616,6 +616,7 @@ def requests_of(folder: Path) -> list[dict[str, Any]]:
     return [line for line in map(json.loads, lines) if line.get("sender", "").startswith("web-")]
 
 
+@pytest.mark.long
 def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
     """Arm, take off, go somewhere, a roll step by stick, land: what the page shows is what the simulation does."""
     with Flown(tmp_path / "run", 2.0) as flight:
@@ -623,7 +624,6 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
         flight.exchange.ask(SetParameter("HJ_STICK_TIME", 5.0))
         # and the ten seconds that it stands armed for may be over before a busy browser has shown them
         flight.exchange.ask(SetParameter("HJ_DISARM_IDLE", 0.0))
-        # the scaled heights of larger vehicles have as many digits
         flight.exchange.ask(SetParameter("MIS_TAKEOFF_ALT", 7.38462))
         until(lambda: flight.now.info.parameters["MIS_TAKEOFF_ALT"] == 7.38462)
         lean = math.radians(flight.now.info.parameters["HJ_STICK_LEAN"])
@@ -635,7 +635,6 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             assert "m high" in page.inner_text(".readout")
             page.click("[data-view=map]")
 
-            # the other pages, by keyboard alone
             page.focus("#tab-flight")
             page.keyboard.press("ArrowRight")
             strips = page.locator("#strips .uplot")
@@ -679,7 +678,6 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
                 assert given == pytest.approx(100.0 * sample.thrust[jet] / most, abs=6.0)
                 assert asked == pytest.approx(100.0 * sample.actuation.throttle[jet], abs=6.0)
 
-            # a click on the track, and the button
             x, y = screen.middle("#map")
             page.mouse.click(x + 40, y - 30)
             chosen = page.input_value("#goto-north"), page.input_value("#goto-east")
@@ -701,7 +699,6 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             screen.shows("#answer", "go there: North and East must be numbers, in metres")
             assert flight.now.status.target[0] == float(chosen[0])
 
-            # what is dangerous asks first
             page.click("#kill")
             screen.shows("#confirm-title", "Shut the engines off?")
             page.click("#confirm button[value=no]")

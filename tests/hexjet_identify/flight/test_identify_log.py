@@ -96,6 +96,7 @@ def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> Non
             identify_log(flight, "engine:1", LogSignals("u", "y"), longest_delay=0.3, lags=0)
 
 
+@pytest.mark.long
 def test_weak_doublets_in_turbulence_are_refused_for_the_disturbance_and_stronger_ones_answered() -> None:
     """The form is the truth: what is left over follows the command because the loop feeds the disturbance back.
 

@@ -182,6 +182,7 @@ def test_a_mass_that_is_wrong_is_named_though_nothing_moves(tmp_path: Path) -> N
     assert "the log does not tell which" in result.fault
 
 
+@pytest.mark.long
 def test_swapped_engines_and_a_reversed_axis_are_named(doublet: Path) -> None:
     flight, turned = recorded(doublet), np.array([-1.0, 1.0, 1.0])
     swapped = replayed(replace(flight, throttle=flight.throttle[:, [1, 0, 2, 3, 4, 5]]))
