@@ -147,7 +147,7 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
 
     flown = workers.fly(store.study, missing())
     waiting: dict[str, Row] = {}
-    with closing(flown):  # type: ignore[type-var]  # both kinds of workers end what is under way when they are closed
+    with closing(flown):  # type: ignore[type-var]  # both kinds of workers have close
         for _, key in to_tell:
             while key not in waiting and key not in store.done:
                 row = next(flown, None)
