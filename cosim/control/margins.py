@@ -276,7 +276,7 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
     if order:
         A[:order, :order], A[:order, order], C = companion(n[1:] - direct * d[1:], d)
     steps = floor(delay / dt + 1e-9)
-    f = max(delay / dt - steps, 0.0)
+    f = delay / dt - steps if delay / dt - steps >= 1e-9 else 0.0
     whole, first, rest = (expm(A * dt * part)[:order] for part in (1.0, f, 1.0 - f))
     F = whole[:, :order]
     poles = np.atleast_1d(np.poly(F)) if order else np.ones(1)
@@ -289,7 +289,7 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
         return np.append(direct, (powers / 2.0 ** np.arange(order + 1))[:order][::-1])
 
     now = numerator_of(rest[:, order], 0.0 if f else direct)
-    if f < 1e-9:
+    if not f:
         return np.trim_zeros(now, "f"), np.pad(poles, (0, steps))
     late = numerator_of(rest[:, :order] @ first[:, order], direct)
     return np.trim_zeros(np.append(now, 0.0) + np.append(0.0, late), "f"), np.pad(poles, (0, steps + 1))
