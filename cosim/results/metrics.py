@@ -259,7 +259,7 @@ def settling_time(error: Array, size: float, step_s: float) -> Any:
     None if the last row is outside.
     """
     outside, rows = ~(np.abs(error) <= SETTLING_BAND * abs(size)), error.shape[-1]
-    settled = np.where(np.any(outside, axis=-1), rows - np.argmax(outside[..., ::-1], axis=-1), 0)
+    settled = np.max(np.where(outside, np.arange(1, rows + 1), 0), axis=-1, initial=0)
     times = np.where(settled == rows, np.nan, settled * step_s)
     return times if error.ndim > 1 else None if settled == rows else float(times)
 

@@ -126,10 +126,7 @@ def _chunk(flights: Sequence[Flight]) -> Chunk:
 
 
 def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
-    """Fly flights of a study together and return their rows, in their order.
-
-    What a batch does not cover or judge, such as a flight near the ground, is flown by JSBSim.
-    """
+    """Return the rows of flights flown together, in their order; JSBSim flies what a batch does not cover or judge."""
     begin = time.perf_counter()
     scenarios: dict[int, Scenario] = {}
     for place, flight in enumerate(flights):
@@ -155,9 +152,11 @@ def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenar
         for i, flat in _measure(group):
             place = places[group.numbers[i]]
             flight, setup = flights[place], _setup_of(stated, scenarios[place])
+            # The log of a flight that ended early is shorter, and so are its steps.
+            shared = None if i in group.endings else known
             own: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller}
             own |= {"seed": flight.seed, **flight.values}
-            rows[place] = {**blank, **own, **_judge(study, setup, group, i, flat, known), **same}
+            rows[place] = {**blank, **own, **_judge(study, setup, group, i, flat, shared), **same}
     return rows
 
 

@@ -100,13 +100,14 @@ class BatchLog:
     def _turn(self) -> None:
         rows = slice(self._turned, self._turned + len(self._rows))
         for name, values in zip(self.tables, zip(*self._rows, strict=True), strict=True):
+            block: Any = values
             varies = [isinstance(value, np.ndarray) and value.ndim > 0 for value in values]
             if any(varies):
                 if len(self.tables[name]) < self._flights:
                     self._widen(name)
                 same = () if all(varies) else [np.broadcast_to(value, self._flights) for value in values]
-                values = (np.concatenate(same or values),)
-            self.tables[name][:, rows] = np.reshape(values, (len(self._rows), -1)).T
+                block = np.concatenate(same or values)
+            self.tables[name][:, rows] = np.reshape(block, (len(self._rows), -1)).T
         self._turned += len(self._rows)
         self._rows.clear()
 
