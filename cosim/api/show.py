@@ -84,7 +84,7 @@ class ShowResult(Result):
 
 @checked()
 def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
-    """Show what something is that can be flown, or was: its numbers, their units and what they mean, from its files.
+    """Return the values, units and meanings of a scenario, study, engine, aircraft, controller, run or design.
 
     To measure the thrust of an engine, its FMU is held at throttles until it stands still.
 
@@ -98,11 +98,6 @@ def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
         or the mapping file of an engine.
     kind : str or None
         Where several kinds have the name; None: all that have it.
-
-    Returns
-    -------
-    ShowResult
-        Its numbers.
 
     Raises
     ------

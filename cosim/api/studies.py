@@ -222,8 +222,8 @@ def sweep(
     hears.begin(folder)
     with choose_workers(workers, cluster, time_limit_s) as flying:
         if study is not None:
-            notes = (*list_engine_notes(study.base()), *study.notes(), *design_warnings(study), *model_notes(study))
-            for text in notes:
+            engine_notes = list_engine_notes(study.base(), "engine" in study.drawn or bool(study.case))
+            for text in (*engine_notes, *study.notes(), *design_warnings(study), *model_notes(study)):
                 hears.note(text)
         campaign = run_campaign(study, folder, flying, resume, tell_tally(hears))
     return SweepResult(campaign, write_campaign_report(campaign))

@@ -8,7 +8,6 @@ import os
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -112,10 +111,12 @@ class EngineSpec:
 
     def models_in(self, identified: Mapping[str, Mapping[Axis, RateModel]]) -> Mapping[Axis, RateModel]:
         """Return this engine's models by axis, if any; those of a file that was copied or renamed by its hash."""
-        named = (identified[family] for family in self.families if family in identified)
-        sources = () if self.library else identified.values()
-        copied = (each for each in sources if any(model.engine_sha256 == self.fingerprint for model in each.values()))
-        return next(chain(named, copied), {})
+        for family in self.families:
+            if family in identified:
+                return identified[family]
+        own = self.fingerprint
+        copied = (each for each in identified.values() if own and any(m.engine_sha256 == own for m in each.values()))
+        return next(copied, {})
 
     @property
     def ports(self) -> Mapping[str, Port]:

@@ -172,13 +172,16 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
     return [f"aircraft={json.dumps(aircraft)}", *with_engine]
 
 
-def list_engine_notes(scenario: Scenario) -> list[str]:
-    """Return notes on a scenario's FMUs, and on changed models of engines that do not fly, which do nothing."""
+def list_engine_notes(scenario: Scenario, drawn: bool = False) -> list[str]:
+    """Return notes on FMUs and, unless engines are ``drawn``, on models of engines that do not fly."""
+    from cosim.engine.library import FMI2_SUFFIX
+    from cosim.simulation.engines import list_stations
     from cosim.spec.vehicle import is_file
 
-    engines = [scenario.engine, *(station.engine for station in scenario.stations.values() if station.engine)]
-    stated = () if any(map(is_file, engines)) else scenario.vehicle.get("identified", ())
-    flown = [engine.removesuffix("-fmi2") for engine in engines]
+    stations = list_stations(scenario, scenario.resolved_vehicle()[0])
+    engines = [scenario.engine, *(station.engine for station in stations if station and station.engine)]
+    stated = () if drawn or any(map(is_file, engines)) else scenario.vehicle.get("identified", ())
+    flown = [engine.removesuffix(FMI2_SUFFIX) for engine in engines]
     unused = [f"vehicle.identified.{name}: that engine does not fly" for name in stated if name not in flown]
     return unused + list_fmu_defects(*engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
