@@ -178,9 +178,10 @@ class Command:
         for mode in self.modes:
             parsed = read(self.sources(mode)[0])
             of.setdefault(mode, as_typed(parsed.short_description))
+            own = self.parameters(mode)
             for each in parsed.params:
                 name, text = each.arg_name, as_typed(each.description or "")
-                default = self.parameters(mode)[name][0].default
+                default = own[name][0].default
                 if name not in of:
                     of[name] = f"With --{mode}: {text[:1].lower()}{text[1:]}"
                 elif default and default != defaults.get(name, default):
@@ -402,7 +403,7 @@ class Command:
         if arguments.pop(_TRUST, False):
             trust_everything()
         arguments |= self.given
-        mode = next((each for each in self.modes if arguments.get(each)), "")
+        mode = next((each for each in self.modes if arguments.get(each) not in (None, False)), "")
         parameters = {name: parameter for name, (parameter, _) in self.parameters(mode).items()}
         self._check_mode(mode, arguments.keys() - parameters.keys() - {mode})
         if mode not in parameters:

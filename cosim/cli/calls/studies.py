@@ -8,7 +8,6 @@ from cosim.api.call import Result, Table
 from cosim.api.studies import study_settings
 from cosim.api.studies import sweep as fly_all
 from cosim.base.errors import InputError
-from cosim.campaign.study.keys import LIST_INDEX
 
 
 class KeysResult(Result):
@@ -28,6 +27,8 @@ class KeysResult(Result):
 
     def tables(self) -> list[Table]:
         """Return the keys, of those that differ in their places in lists alone the first."""
+        from cosim.campaign.study.keys import LIST_INDEX
+
         alike: dict[str, list[dict[str, Any]]] = {}
         for key in self.keys:
             alike.setdefault(LIST_INDEX.sub("#", key["key"]), []).append(key)

@@ -85,7 +85,6 @@ DEFAULT_S: dict[int, float] = {  # by message id; 0: not sent
     number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()
 }
 
-HEARTBEAT_ID = BY_NAME["HEARTBEAT"].id  # message id
 # Phase of each message in its interval: multiples of the golden ratio are spread evenly.
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 

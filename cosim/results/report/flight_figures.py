@@ -113,12 +113,12 @@ def first_answer(reader: Reader, summary: Summary, min_step_rad: float = 0.02) -
     It shows the time around that step; shaded are the delays on its way that the delay ledger states, one after the
     other.  None without a step of ``min_step_rad`` between two rows.
     """
-    log, step_s, rest = reader.log, summary.step_s, make_rest_columns(reader.log, summary)
+    log, step_s = reader.log, summary.step_s
     jumps = {axis: np.flatnonzero(np.abs(np.diff(log[f"{axis}_setpoint_rad"])) > min_step_rad) for axis in AXES}
     steps = [(int(rows[0]) + 1, axis) for axis, rows in jumps.items() if rows.size]
     if not steps:
         return None
-    row, axis = min(steps)
+    (row, axis), rest = min(steps), make_rest_columns(log, summary)
     begin = end = row * step_s
     spans, beyond = [], ("sensors.", "JSBSim")
     for owned in summary.delay_ledger:

@@ -185,9 +185,9 @@ def failsafes(
     from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
-    trust_named_code([engine, *controllers], Path())
     if len(controllers) > 1:
         raise InputError(f"controllers: {', '.join(controllers)}; allowed: one")
+    trust_named_code([engine, *controllers], Path())
     controller = next(iter(controllers), None)
     wind_speeds = tuple(winds) or WINDS_M_S
     conditions = Conditions(tuple(heights), wind_speeds, moving, flights, airborne, seed, nominal_engine)
