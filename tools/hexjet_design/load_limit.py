@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial
+from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
 from hexjet_design.loop.programme import EVEN_DELAYS, Bounds, InvertedPlant, Programme, need_solver, splines
 
 
@@ -43,9 +43,10 @@ class _Plant(InvertedPlant):
         self.name, self.late, self.step = "plant", delay + len(denominator) - len(numerator), step
         if self.late < 1:
             raise InputError("numerator: answers in the step of the command; it must be late by a step or more")
-        self.kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE])
-        self.kept = self.kept / self.kept.sum()
-        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
+        if any(abs(zero - 1.0) < CIRCLE_TOLERANCE for zero in zeros):
+            raise InputError("numerator: a zero at 1, behind which no loop is 1 at rest")
+        kept, inside = split_zeros(zeros)
+        self.kept = kept / kept.sum()
         self.inverted = inside * (numerator.sum() / denominator[0] / inside.sum())
         self.denominator, self._stable = denominator / denominator[0], polynomial(stable)
         self.is_double = self._integrals == 2
@@ -66,12 +67,13 @@ class _Plant(InvertedPlant):
         return self.to_command(longer), np.zeros((len(longer), 0)), np.zeros((0, 0))
 
     def evaluate(self, t: Array) -> LoadLimit:
-        acts = self.delayed(np.ones(1), 0) - self.delayed(t, self.late)
+        complementary = self.delayed(t, self.late)
+        acts = self.delayed(np.ones(1), 0) - complementary
         return LoadLimit(
             float(np.abs(self.angle_of_load(acts)).sum()) * self.step,
             float(np.abs(np.fft.rfft(acts, 1 << 17)).max()),
             float(np.linalg.norm(self.noise_of(t, t)[0])),
-            self.delayed(t, self.late),
+            complementary,
             self.samples * self.step,
         )
 
@@ -119,8 +121,8 @@ def least_load_error(
     """
     need_solver()
     n, d = (np.trim_zeros(np.atleast_1d(np.asarray(each, np.float64)), "f") for each in (numerator, denominator))
-    if not (len(n) and len(d) and np.isfinite([*n, *d, dt, delay, peak]).all() and dt > 0.0 and delay >= 0.0):
-        raise InputError("plant: finite coefficients, a dt above 0 and a delay of at least 0")
+    if not (len(n) and len(d) and np.isfinite([*n, *d, dt, delay, peak, window or 0.0]).all() and dt > 0.0 <= delay):
+        raise InputError("plant: finite coefficients, a dt above 0, a delay of at least 0; window: finite")
     steps = round(delay / dt)
     if abs(delay / dt - steps) > 1e-9:
         raise InputError(f"delay: {delay:g} s is not whole steps of {dt:g} s; sample_delayed has the exact plant")

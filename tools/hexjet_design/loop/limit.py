@@ -25,7 +25,7 @@ which is a little pessimistic: what it finds is then at most too high.  Clarabel
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -36,7 +36,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
-from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial
+from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
 from hexjet_design.loop.programme import EVEN_DELAYS, MAX_PEAK_FACTOR, Bounds, InvertedPlant, Programme, need_solver
 
 PRICE_STEP = 0.1  # fraction by which a bound is relaxed
@@ -200,13 +200,11 @@ class Plant(InvertedPlant):
         model = replace(channel, rate_filter_s=0.0, rate_latency=0).model("limit")
         if model.delay_samples != int(model.delay_samples):
             raise InputError(f"{channel.name}: a limit needs a delay of whole steps, not {model.delay_samples:g}")
-        zeros = [*model.zeros, *_pairs(model.zero_pairs)]
-        poles = [*model.poles, *_pairs(model.pole_pairs)]
+        zeros, poles = model.all_zeros, model.all_poles
         self.late = int(model.delay_samples) + channel.added_delay + len(poles) - len(zeros)
         self.denominator = polynomial(poles)
-        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE])
+        kept, inside = split_zeros(zeros)
         self.kept = kept / kept.sum()
-        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
         self.inverted = model.gain * float(kept.sum()) * inside
         self.is_double = any(abs(pole - 1.0) < CIRCLE_TOLERANCE for pole in poles)
         self.shift = max(self.rate_late - self.angle_late, 0)
@@ -251,7 +249,3 @@ class Plant(InvertedPlant):
             y,
             self.samples * self.step,
         )
-
-
-def _pairs(pairs: Sequence[tuple[float, float]]) -> list[complex]:
-    return [complex(real, side * imaginary) for real, imaginary in pairs for side in (1.0, -1.0)]

@@ -19,7 +19,7 @@ what was applied of the command, so limits do not wind it up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, exp, log, sqrt
 
@@ -91,8 +91,7 @@ class ModelForm:
     def of(cls, model: RateModel, target: Target) -> ModelForm:
         """Return a model in this form, its delay in whole steps, rounded to the nearest."""
         zeros, poles = model.all_zeros, model.all_poles
-        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE])
-        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
+        kept, inside = split_zeros(zeros)
         slow = max(model.poles, default=0.0)
         # A pole of the rate is an integrator if closer to 1 than this fraction of the slowest pole of ``t``.
         nearness = 0.5
@@ -245,6 +244,12 @@ def make_predictor(
 def polynomial(roots: Sequence[complex]) -> Array:
     """Return the coefficients in ``q`` of a polynomial with these roots in ``z``, which is 1 at ``q = 0``."""
     return np.atleast_1d(np.real(np.poly(roots)))
+
+
+def split_zeros(zeros: Iterable[complex]) -> tuple[Array, Array]:
+    """Return the polynomials of the zeros that cannot be inverted, on the unit circle or outside, and of the others."""
+    kept = [zero for zero in zeros if abs(zero) > 1.0 - CIRCLE_TOLERANCE]
+    return polynomial(kept), polynomial([zero for zero in zeros if abs(zero) <= 1.0 - CIRCLE_TOLERANCE])
 
 
 def _sections(poles: Sequence[complex]) -> list[Array]:

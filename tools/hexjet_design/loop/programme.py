@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from importlib.util import find_spec
-from math import pi
+from math import inf, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,7 +116,7 @@ class Programme:
             raise InputError(f"{plant.name}: no controller has a step error below the delay itself")
         of_t, of_y = basis or (splines(plant),) * 2
         self.of_t = plant.keep(of_t)
-        self.of_y = self.of_t[:, :0] if of_y is None else plant.keep(of_y)
+        self.of_y = self.of_t[:, :0] if of_y is None else self.of_t if of_y is of_t else plant.keep(of_y)
         step = max(1, plant.late // 6)
         near = np.arange(plant.late, min(10 * plant.late, plant.samples), max(1, step // 2))
         self.times = np.r_[near, np.arange(near[-1] + step, plant.samples, step)]
@@ -244,10 +244,9 @@ class Programme:
 
 def _describe_none(bounds: Bounds, status: str) -> str:
     """Return why a programme has no solution, by the solver's status: it is shown to have none, or was not solved."""
-    kept = (
-        f"a peak sensitivity of at most {bounds.peak_sensitivity:.3g}, noise {bounds.noise:.3g}"
-        f" and step error {bounds.step_error:.3g}"
-    )
+    kept = f"a peak sensitivity of at most {bounds.peak_sensitivity:.3g}"
+    kept += f", noise {bounds.noise:.3g}" if bounds.noise < inf else ""
+    kept += f" and step error {bounds.step_error:.3g}" if bounds.step_error < inf else ""
     if "Infeasible" in status:
         return f"no linear controller was found with {kept}"
     return f"the limit with {kept} is not known: the solver stopped before it was found: {status}"
