@@ -284,7 +284,8 @@ def estimate_at(
     count = len(white)
     loss = max(float(white @ white), count * (1e-7 * problem.swing) ** 2)
     slopes = _slopes(problem, form, x, linear)
-    jacobian = problem.whiten(np.column_stack([slopes, form.columns(problem, x)[:, : len(linear)]]), noise)
+    linear_slopes = [form.columns(problem, x)[:, : len(linear)]] if len(linear) else []
+    jacobian = problem.whiten(np.column_stack([slopes, *linear_slopes]), noise)
     if len(noise) > 1:
         jacobian = np.column_stack([jacobian, problem.earlier(residual, len(noise)) @ spread(len(noise))])
     fitted = np.setdiff1d(np.arange(jacobian.shape[1]), held)

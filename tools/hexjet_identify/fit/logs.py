@@ -53,9 +53,10 @@ class Log:
     def with_fewer_commands(self, seconds: float) -> Log:
         """Return the log with a command that moves on averaged over half of ``seconds``, which moves no delay."""
         many = int(0.5 * seconds / self.command_row)
-        if many < 2 or np.count_nonzero(np.diff(self.command)) < 0.5 * len(self.command):
+        rows = len(self.command)
+        if many < 2 or rows < 2 * many or np.count_nonzero(np.diff(self.command)) < 0.5 * rows:
             return self
-        count = len(self.command) // many * many
+        count = rows // many * many
         times, command = (values[:count].reshape(-1, many) for values in (self.command_times, self.command))
         begins = times.mean(axis=1) if self.is_straight else times[:, 0]
         return replace(self, command_times=begins, command=command.mean(axis=1))

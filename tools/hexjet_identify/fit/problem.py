@@ -71,8 +71,9 @@ class Problem:
         return np.asarray(rows * 1e-6 * np.sqrt(len(self.output)))
 
     def at(self, rows: Flags) -> Problem:
-        """Return the problem with these rows alone."""
-        logs = [log.at(rows[span]) for log, span in zip(self.logs, self.spans, strict=True)]
+        """Return the problem with these rows alone, and the logs that have any of them."""
+        parts = zip(self.logs, self.spans, strict=True)
+        logs = [log.at(rows[span]) for log, span in parts if rows[span].any()]
         return Problem(logs, self.knots, self.max_delay, self.drift[rows])
 
     def whiten(self, values: Array, noise: Array) -> Array:
@@ -121,10 +122,14 @@ class Problem:
         spread_out[self.grid if rows is None else self.grid[rows]] = values
         return spread_out
 
+    @cached_property
+    def _counts(self) -> Array:
+        """Rows before each place of the even clock."""
+        return np.concatenate([[0.0], np.cumsum(self.on_grid(np.ones(len(self.grid))))])
+
     def equations(self, order: int) -> Flags:
         """Return which rows have so many predecessors without a gap."""
-        counts = np.concatenate([[0.0], np.cumsum(self.on_grid(np.ones(len(self.grid))))])
-        return np.asarray(counts[self.grid + 1] - counts[np.maximum(self.grid - order, 0)] > order)
+        return np.asarray(self._counts[self.grid + 1] - self._counts[np.maximum(self.grid - order, 0)] > order)
 
     def earlier(self, values: Array, order: int) -> Array:
         """Return the values before each row with so many predecessors, a column for each, the nearest first."""

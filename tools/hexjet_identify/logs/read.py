@@ -69,15 +69,6 @@ def is_flight_log(path: Path) -> bool:
         return False
 
 
-def is_table(path: Path) -> bool:
-    """Return whether a file is read as a table, of text or Parquet."""
-    if not path.is_file():
-        return False
-    head = _head(path)
-    known = _controller_reader(head) is not None or any(head.startswith(mark) for mark, _ in (*_TABLES[1:], *_OTHERS))
-    return head.startswith(_TABLES[0][0]) or not (known or decode(head) is None)
-
-
 def _head(path: Path) -> bytes:
     return read_file(path, MAX_LOG_MB, SEARCHED)
 

@@ -233,10 +233,7 @@ def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str
         return doubts
     ends = []
     for rows in (early, ~early):
-        parts = zip(problem.logs, problem.spans, strict=True)
-        half = Problem(
-            [log.at(rows[span]) for log, span in parts if rows[span].any()], problem.knots, problem.max_delay
-        )
+        half = problem.at(rows)
         x, noise, _ = solve(half, chosen.form, chosen.x, chosen.noise, chosen.held)
         ends.append(estimate_at(half, chosen.form, x, noise, chosen.held))
     for name, values in (

@@ -127,11 +127,6 @@ class Causes:
     is_off: bool = False
 
     @property
-    def finds_nothing(self) -> bool:
-        """Whether no rate or force that moves is off by more than noise."""
-        return not self.is_off
-
-    @property
     def tells_inertia(self) -> bool:
         """Whether the moment of inertia about one axis is told."""
         return any(row.name.startswith(INERTIA) and row.parts[0].is_told for row in self.tried)

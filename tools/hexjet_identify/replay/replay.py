@@ -253,7 +253,7 @@ def are_explained(channels: Sequence[ChannelMeasures], causes: Causes) -> bool:
 
 def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
     """Return whether a channel that is off is the attitude's own error: an angle, where no rate or force is off."""
-    return channel.unit == "rad" and causes.finds_nothing
+    return channel.unit == "rad" and not causes.is_off
 
 
 def is_foreign(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
