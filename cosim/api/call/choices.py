@@ -78,9 +78,7 @@ def load_scenario(
     chosen = engine_choices(engines)
     if "engine" in chosen and scenario.stations:
         scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one engine for all stations
-    changes |= chosen
-    if seed is not None:
-        changes["seed"] = seed
+    changes |= chosen if seed is None else chosen | {"seed": seed}
     if model is not None:
         from cosim.spec.scenario import parameter_files
         from cosim.spec.vehicle import read_models
@@ -145,7 +143,6 @@ def plugin_changes(
 
 def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
     """Return the same as settings of a study, ``KEY=VALUE``."""
-
     return [f"{key}={json.dumps(value)}" for key, value in plugin_changes(metrics, wind=wind).items()]
 
 
@@ -161,28 +158,30 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
 def aircraft_settings(aircraft: str | None) -> list[str]:
     """Return settings of a study for another aircraft and its own engine; paths are relative to here."""
-
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
     if aircraft is None:
         return []
     aircraft = aircraft_seen_from(aircraft, Path())
-    engine = engine_of(aircraft)
-    with_engine = [] if engine is None else [f"engine={json.dumps(engine)}"]
-    return [f"aircraft={json.dumps(aircraft)}", *with_engine]
+    named = {"aircraft": aircraft, "engine": engine_of(aircraft)}
+    return [f"{key}={json.dumps(name)}" for key, name in named.items() if name is not None]
 
 
 def list_engine_notes(scenario: Scenario, drawn: bool = False) -> list[str]:
-    """Return notes on FMUs and, unless engines are ``drawn``, on models of engines that do not fly."""
+    """Return notes on FMUs and, unless engines are ``drawn``, on changed models of engines that do not fly."""
     from cosim.engine.library import FMI2_SUFFIX
     from cosim.simulation.engines import list_stations
-    from cosim.spec.vehicle import is_file
+    from cosim.spec.vehicle import is_file, load_vehicle
 
-    stations = list_stations(scenario, scenario.resolved_vehicle()[0])
+    vehicle = scenario.resolved_vehicle()[0]
+    stations = list_stations(scenario, vehicle)
     engines = [scenario.engine, *(station.engine for station in stations if station and station.engine)]
-    stated = () if drawn or any(map(is_file, engines)) else scenario.vehicle.get("identified", ())
+    is_checked = "identified" in scenario.vehicle and not drawn and not any(map(is_file, engines))
+    # The scenario of a recorded run states all models, those of the aircraft's other engines too.
+    own = load_vehicle(scenario.aircraft, folder=scenario.folder)[0].identified
+    changed = [name for name, model in vehicle.identified.items() if is_checked and model != own.get(name)]
     flown = [engine.removesuffix(FMI2_SUFFIX) for engine in engines]
-    unused = [f"vehicle.identified.{name}: that engine does not fly" for name in stated if name not in flown]
+    unused = [f"vehicle.identified.{name}: that engine does not fly" for name in changed if name not in flown]
     return unused + list_fmu_defects(*engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
 

@@ -129,9 +129,6 @@ def flown(made: Path, mark: Path, tmp_path: Path) -> Path:
     return tmp_path / "box"
 
 
-# ---- looking
-
-
 def test_commands_that_look_run_nothing(flown: Path, mark: Path, hexjet: Hexjet, tmp_path: Path) -> None:
     shutil.copytree(flown / "run", flown / "other")
     run, many = str(flown / "run"), str(flown / "many")
@@ -205,9 +202,6 @@ def test_a_page_of_the_folder_of_runs_compares_without_running(flown: Path, mark
     with pytest.raises(InputError, match="nothing is run to look at something"):
         write_page([str(flown / "run"), f"{flown / 'many'}:0"], flown / "another")
     assert not mark.exists()
-
-
-# ---- flying
 
 
 def commands(theirs: Path, flown: Path, out: Path) -> dict[str, tuple[list[str], list[Path]]]:
@@ -357,9 +351,6 @@ def test_settings_that_cannot_be_written_forget(theirs: Path, hexjet: Hexjet, tm
     assert hexjet(*words, "--trust", "--out", "a").status == 0
     assert set(open_campaign("a").columns["outcome"]) == {"completed"}
     assert hexjet(*words, "--out", "b").status == 2
-
-
-# ---- programs
 
 
 def test_a_program_names_its_own_code_and_not_that_of_files(theirs: Path, mark: Path, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from places import DOCS, ROOT
 import cosim
 from cosim import InputError
 from cosim.api import Progress, Result
+from cosim.api.call.choices import list_engine_notes
 from cosim.base.errors import Notice
 from cosim.cli import table
 from cosim.cli.main import run as run_command
@@ -36,6 +37,13 @@ CALLS = (
     "identify", "identify_bench", "identify_log", "margins", "prove", "rare", "replay", "search", "show", "sweep",
     "validate",
 )  # fmt: skip
+
+
+def test_a_changed_model_of_an_engine_that_does_not_fly_is_noted(tmp_path: Path) -> None:
+    changed = Scenario.load("hover", settings={"vehicle.identified.edf.roll.gain": 0.05})
+    assert list_engine_notes(changed) == ["vehicle.identified.edf: that engine does not fly"]
+    run = cosim.fly("hover", settings={"duration_s": 0.1}, out=tmp_path / "run")
+    assert list_engine_notes(Scenario.load(run.folder / "scenario.toml")) == []  # it states all models
 
 
 @pytest.mark.parametrize("name", CALLS)
