@@ -13,7 +13,7 @@ from benchmarks.suite import PARTS, Result, make_plan, measure
 from benchmarks.tables import ASKED, BESIDE, MACHINE, MISSED, tables
 from benchmarks.targets import to_dict
 from cosim import InputError, api
-from cosim.api.call import Limits, checked
+from cosim.api.call import Limits, check_types
 
 UNIT = (
     "Median [quartiles] of the rounds; cpu: processor time of the thread.  A unit is one bare JSBSim run(), timed in "
@@ -62,7 +62,7 @@ class BenchResult(api.Result):
         return [api.Table(each.title, ("", *each.columns), each.rows) for each in self._shown]
 
 
-@checked(steps=Limits(250), rounds=Limits(1), starts=Limits(1))
+@check_types(steps=Limits(250), rounds=Limits(1), starts=Limits(1))
 def benchmark(
     *,
     full: bool = False,

@@ -84,7 +84,7 @@ __all__ = [
     "versions",
 ]
 
-_WHERE = {  # module of each lazily imported name
+_LAZY_MODULES = {  # module of each lazily imported name
     "Command": "cosim.base.signals",
     "Snapshot": "cosim.stepper",
     "Stepper": "cosim.stepper",
@@ -105,41 +105,41 @@ _WHERE = {  # module of each lazily imported name
     "versions": "cosim.results.summary",
 }
 
-_ROOMS = ("identify",)  # subpackages of the lazy import
+_CALLABLE_PACKAGES = ("identify",)  # packages that are functions too
 
 
-class _Room(ModuleType):
-    """A package that is called like the function of its name in ``cosim.api``: ``cosim.identify(...)`` identifies."""
+class _CallablePackage(ModuleType):
+    """Package that can be called: ``cosim.identify(...)`` calls the function of that name in ``cosim.api``."""
 
     @property
     def __signature__(self) -> Any:
         from inspect import signature
 
-        return signature(self._call())
+        return signature(self._load_function())
 
-    def _call(self) -> Any:
+    def _load_function(self) -> Any:
         from importlib import import_module
 
         name = self.__name__.rpartition(".")[2]
         return getattr(import_module(f"cosim.api.{name}"), name)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return self._call()(*arguments, **named)
+        return self._load_function()(*arguments, **named)
 
 
-class _Package(ModuleType):
+class _LazyPackage(ModuleType):
     """Module type of the package: importing a submodule must not replace a function of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in _ROOMS and isinstance(value, ModuleType):
-            value.__class__ = _Room
+        if name in _CALLABLE_PACKAGES and isinstance(value, ModuleType):
+            value.__class__ = _CallablePackage
         super().__setattr__(name, value)
 
 
-sys.modules[__name__].__class__ = _Package
+sys.modules[__name__].__class__ = _LazyPackage
 
-select_modules()  # must run before other modules load
-load_with_reference()  # must run before numpy is imported
+select_modules()  # must precede every other import
+load_with_reference()  # must precede the import of numpy
 
 
 def __dir__() -> list[str]:
@@ -150,10 +150,10 @@ def __getattr__(name: str) -> Any:
     """Load what is asked for and nothing else: half of a short flight's time would go into imports."""
     from importlib import import_module
 
-    if name in _ROOMS:
+    if name in _CALLABLE_PACKAGES:
         return import_module(f"{__name__}.{name}")
-    if name in _WHERE:
-        return getattr(import_module(_WHERE[name]), name)
+    if name in _LAZY_MODULES:
+        return getattr(import_module(_LAZY_MODULES[name]), name)
     if name in __all__:
         from cosim.base.plugins.entry_points import load_tool_member
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
-    """Return warnings on a design's file and a scenario's times, besides those of the summary."""
+    """Return warnings that the summary lacks: a design that differs from its file, times after the flight's end."""
     from cosim.spec.controller_name import is_design
 
     lines = [f"scenario {scenario.name}: {text}" for text in scenario.after_the_end()]
@@ -66,10 +66,10 @@ def fly_watched(
     watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
     sink: KeepingSink | None = None,
 ) -> Run:
-    """Fly a scenario like ``cosim.fly``, with observers of the simulation or a log of its own.
+    """Fly a scenario like ``cosim.fly``, with further observers or another receiver of the log.
 
     ``watch`` makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
-    planned duration [s].  ``sink`` keeps of the log what it wants to, at least the columns of
+    planned duration [s].  ``sink`` may keep a part of the log, at least the columns of
     :func:`cosim.results.metrics.columns`; the summary has no delay ledger and no notes on how models and vehicle agree
     then, which take longer than a thousand steps.  Raises InputError.
     """
@@ -80,11 +80,11 @@ def fly_watched(
     from cosim.simulation.pacing import Pace
     from cosim.simulation.user_code import check_scenario_trust
 
-    scenario, own = opened(scenario, controller)
+    scenario, own = name_controller(scenario, controller)
     check_scenario_trust(scenario)  # trust is checked before metrics are read
     check_expected(scenario)
     with build(scenario, own, with_ledger=sink is None) as simulation:
-        replay = _replay(simulation) if scenario.requests is not None else None
+        replay = _attach_replay(simulation) if scenario.requests is not None else None
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)
         noting = None
@@ -105,7 +105,7 @@ def fly_watched(
         except FlightError as error:  # for example a full disk
             ending = Ending("failed", str(error))
         except KeyboardInterrupt:
-            if sink is not None:  # a campaign must stop here
+            if sink is not None:  # a campaign stops too
                 raise
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
@@ -119,11 +119,11 @@ def fly_watched(
             recording.replace_scenario(resolve(simulation)[0])
         recording.note_repeatable(simulation.check_repeatable())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
-        return with_page(run, shared_assets) if report else run
+        return write_run_page(run, shared_assets) if report else run
 
 
-def _replay(simulation: Simulation) -> Replay:
-    """Replace the commands by an autopilot that repeats the recorded requests.  Raises InputError."""
+def _attach_replay(simulation: Simulation) -> Replay:
+    """Attach an autopilot that repeats the recorded requests in place of commands.  Raises InputError."""
     from cosim.results.autopilot.request_log import Replay, read_requests
     from cosim.simulation.autopilot_setup import attach_autopilot
 
@@ -133,8 +133,8 @@ def _replay(simulation: Simulation) -> Replay:
     return Replay(pilot, read_requests(scenario.folder / scenario.requests))
 
 
-def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
-    """Return a scenario with its controller's name, and the controller if a program passed an object.
+def name_controller(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
+    """Return a loaded scenario that names ``controller``, and that controller's source if it is an object.
 
     The parameters are those of ``cosim.fly``.  Raises InputError.
     """
@@ -155,8 +155,8 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
     return scenario.replace(controller=own.name), own
 
 
-def with_page(run: Run, shared_assets: bool = False) -> Run:
-    """Write a run's page beside its log if it has a folder; return the run.  Raises FlightError."""
+def write_run_page(run: Run, shared_assets: bool = False) -> Run:
+    """Write a run's HTML page into its folder, if it has one, and return the run.  Raises FlightError."""
     if run.folder is not None:
         from cosim.results.report.flight import write_report
         from cosim.results.run import REPORT
@@ -174,7 +174,7 @@ def record(
 ) -> Recording:
     """Begin recording a flight in ``folder`` or in memory; ``contents``: files of the scenario.
 
-    ``sink`` may keep less in memory than all.  ``background``: a thread writes the rows.  Raises InputError if the
+    ``sink`` may keep a part of the log in memory.  ``background``: a thread writes the rows.  Raises InputError if the
     folder is not usable.
     """
     from cosim.results.log.columns import log_columns, logged_vehicle
@@ -194,7 +194,7 @@ def record(
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """Return ``parent/name-001``, or the first number that is free."""
+    """Return the path ``parent/name-001``, or the first number whose folder does not exist."""
     number = 1
     while (folder := parent / f"{name}-{number:03d}").exists():
         number += 1
@@ -202,7 +202,7 @@ def new_folder(parent: Path, name: str) -> Path:
 
 
 def reserve_folder(parent: Path, name: str) -> Path:
-    """Make the folder of :func:`new_folder` at once: two that ask at the same time get two.  Raises InputError."""
+    """Create the folder of :func:`new_folder`; concurrent callers get different folders.  Raises InputError."""
     while True:
         folder = new_folder(parent, name)
         try:

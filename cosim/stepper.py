@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.protocols import Applied
 from cosim.base.signals import Actuation, Command, Measured, PerJet, PerServo, Sample, State, Unallocated
-from cosim.flight import opened, record
+from cosim.flight import name_controller, record
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import IN_MEMORY_PREFIX, Source
@@ -29,18 +29,18 @@ from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 
 
-class Given(NamedTuple):
-    """Values given by a program from a step on."""
+class Inputs(NamedTuple):
+    """Inputs that a program holds from step ``k`` on."""
 
     k: int
-    command: Command | None  # None: as in the scenario
-    throttle: PerJet | None = None  # None: as the controller commands
+    command: Command | None  # None: the scenario's command
+    throttle: PerJet | None = None  # None: the controller's throttles
     tilt: PerServo | None = None
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Step of a flight to return to; it can be pickled and restored in another process.
+    """State of a flight at one step, to return to; it can be pickled and restored in another process.
 
     ``k`` is the step that comes next and ``given`` what a program gave up to there, in order.  ``flight`` is the
     SHA-256 of what flies, ``there`` that of the motion, the measurement and the engines' reports at that step.
@@ -49,12 +49,12 @@ class Snapshot:
     flight: str
     seed: int
     k: int
-    given: tuple[Given, ...]
+    given: tuple[Inputs, ...]
     there: str
 
 
 class _ManualController:
-    """A whole controller that repeats the throttles and tilts that a program sets."""
+    """Controller that passes on the throttles and tilts that a program sets."""
 
     level = "controller"
 
@@ -62,7 +62,7 @@ class _ManualController:
         self.reset()
 
     def reset(self) -> None:
-        """Clear the values set by a program."""
+        """Clear the throttles and tilts set by a program."""
         self.throttle: PerJet | None = None
         self.tilt: PerServo | None = None
 
@@ -71,7 +71,7 @@ class _ManualController:
 
 
 class Stepper:
-    """A flight that a program steps.
+    """Flight that a program advances step by step.
 
     It ends as every flight does, crashed, diverged, failed or at the scenario's end; then it can be reset, restored,
     made a run of, and not stepped.  A context manager, which frees engines and airframe.
@@ -111,7 +111,7 @@ class Stepper:
             raise InputError(
                 "actuators = True: throttles and tilts are given by hand, so there is no controller to name"
             )
-        scenario, self._source = opened(scenario, controller)
+        scenario, self._source = name_controller(scenario, controller)
         _refuse_autopilot(scenario)
         if self._manual is not None:
             manual, name = self._manual, f"{IN_MEMORY_PREFIX}by hand"
@@ -119,12 +119,12 @@ class Stepper:
             scenario = scenario.replace(controller=name)
         self._scenario, self._log = scenario, log
         self.simulation = build(scenario, self._source)
-        self._begin()
+        self._begin_recording()
 
-    def _begin(self) -> None:
-        """Begin the bookkeeping of a flight that is built already."""
+    def _begin_recording(self) -> None:
+        """Begin log, observers and input history of a flight that is built already."""
         self.ending: Ending | None = None
-        self._given: list[Given] = []
+        self._given: list[Inputs] = []
         self._steps_by_hand = 0
         self._observers = self.simulation.plugins.observers
         self._recording = record(self.simulation, None) if self._log else None
@@ -146,12 +146,12 @@ class Stepper:
 
     @property
     def state(self) -> State:
-        """True motion at that time."""
+        """True motion at the start of the next step."""
         return self.simulation.state
 
     @property
     def measured(self) -> Measured:
-        """Measurement at that time."""
+        """Measurement at the start of the next step."""
         return self.simulation.measured
 
     @property
@@ -192,11 +192,11 @@ class Stepper:
         if self.ending is not None:
             raise FlightError(f"the flight is over ({self.ending.outcome}: {self.ending.reason}); reset or restore it")
         if command is not None:
-            command = _checked(command)
+            command = _parse_command(command)
         if throttle is not None or tilt is not None:
             self._set_actuators(throttle, tilt)
         manual = self._manual
-        given = Given(self.k, command) if manual is None else Given(self.k, command, manual.throttle, manual.tilt)
+        given = Inputs(self.k, command) if manual is None else Inputs(self.k, command, manual.throttle, manual.tilt)
         if given[1:] != (self._given[-1][1:] if self._given else (None, None, None)):
             self._given.append(given)
         return self._advance(command)
@@ -205,13 +205,13 @@ class Stepper:
         if self._manual is None:
             raise InputError("throttle, tilt: a controller flies; Stepper(..., actuators=True) gives them by hand")
         if throttle is not None:
-            throttles = _numbers(throttle, len(self.simulation.vehicle.jets), "throttle")
+            throttles = _to_floats(throttle, len(self.simulation.vehicle.jets), "throttle")
             for number, value in enumerate(throttles, 1):
                 if not 0.0 <= value <= 1.0:
                     raise InputError(f"throttle {number} = {value:g}: must be from 0 to 1")
             self._manual.throttle = throttles
         if tilt is not None:
-            self._manual.tilt = _numbers(tilt, len(self.simulation.vehicle.actuators), "tilt")
+            self._manual.tilt = _to_floats(tilt, len(self.simulation.vehicle.actuators), "tilt")
 
     def _advance(self, command: Command | None) -> Sample:
         simulation = self.simulation
@@ -230,7 +230,7 @@ class Stepper:
         return sample
 
     def _observe(self, sample: Sample) -> None:
-        """Pass a step to the log, and to the observers that the scenario brings."""
+        """Pass a step to the log and to the scenario's observers."""
         if self._recording is not None:
             self._recording.observe(sample)
         try:
@@ -276,11 +276,11 @@ class Stepper:
             self.simulation, self._scenario = simulation, next_scenario
         else:
             self.simulation.reset()
-        self._begin()
+        self._begin_recording()
         return self.measured
 
     def snapshot(self) -> Snapshot:
-        """Return a snapshot of this step, to which the flight can return; it takes no time to make.
+        """Return a snapshot of this step, to which the flight can return.
 
         Raises
         ------
@@ -289,10 +289,10 @@ class Stepper:
         """
         if self.ending is not None:
             raise FlightError(f"the flight is over ({self.ending.outcome}); a snapshot is of one that is under way")
-        return Snapshot(self._identity(), self._scenario.seed, self.k, tuple(self._given), self._state_hash())
+        return Snapshot(self._flight_hash(), self._scenario.seed, self.k, tuple(self._given), self._state_hash())
 
     def restore(self, snapshot: Snapshot) -> Measured:
-        """Fly to the step of a snapshot with what was given on the way, and return what the sensors measure there.
+        """Fly again to a snapshot's step with the same inputs, and return what the sensors measure there.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class Stepper:
             If the way there is not the same again, so that this is another place: an engine or a controller answers
             otherwise when it is asked the same.  The flight is over then.
         """
-        if snapshot.flight != self._identity():
+        if snapshot.flight != self._flight_hash():
             raise InputError(
                 f"snapshot: is of another flight than {self._scenario.name} with {self._scenario.controller} and these "
                 "files of aircraft and engines"
@@ -333,7 +333,7 @@ class Stepper:
         values = simulation.state, simulation.measured, simulation.propulsion.output, simulation.controller.signals
         return sha256(repr(values).encode()).hexdigest()
 
-    def _identity(self) -> str:
+    def _flight_hash(self) -> str:
         simulation, source = self.simulation, self._source or self.simulation.controller_source
         parts = (
             self._scenario.model_copy(update={"seed": 0}).model_dump_json(),
@@ -345,7 +345,7 @@ class Stepper:
         return sha256("\n".join(parts).encode()).hexdigest()
 
     def run(self) -> Run:
-        """Finish the flight here and return it; its ``summary.by_hand`` counts the steps that were not the scenario's.
+        """End the flight here and return its run; ``summary.by_hand`` counts the steps with a program's inputs.
 
         Raises
         ------
@@ -376,8 +376,8 @@ def _refuse_autopilot(scenario: Scenario) -> None:
         raise InputError(f"scenario {scenario.name}: requests: an autopilot flies it, and is not stepped by hand")
 
 
-def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
-    """Return so many finite numbers.  Raises InputError."""
+def _to_floats(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
+    """Return ``count`` finite numbers.  Raises InputError that names ``what``."""
     try:
         numbers = tuple([float(value) for value in values])
     except (TypeError, ValueError):
@@ -387,15 +387,15 @@ def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...
     return numbers
 
 
-def _checked(command: Any) -> Command:
-    """Return a command of plain finite numbers.  Raises InputError."""
+def _parse_command(command: Any) -> Command:
+    """Return the command with its values as finite floats.  Raises InputError."""
     if not isinstance(command, Command):
         raise InputError(f"command: {type(command).__name__}: must be a cosim.Command")
-    roll, pitch, yaw = _numbers(command.attitude, 3, "command.attitude")
+    roll, pitch, yaw = _to_floats(command.attitude, 3, "command.attitude")
     rate = None
     if command.rate is not None:
-        p, q, r = _numbers(command.rate, 3, "command.rate")
+        p, q, r = _to_floats(command.rate, 3, "command.rate")
         rate = (p, q, r)
-    (altitude,) = _numbers((command.altitude,), 1, "command.altitude")
-    collective = None if command.collective is None else _numbers((command.collective,), 1, "command.collective")[0]
+    (altitude,) = _to_floats((command.altitude,), 1, "command.altitude")
+    collective = None if command.collective is None else _to_floats((command.collective,), 1, "command.collective")[0]
     return Command((roll, pitch, yaw), altitude, rate, collective, command.place)

@@ -16,7 +16,7 @@ from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px: plot, its margin, its title
 Corners = list[tuple[float, float]]
-SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes drawn to the right and upwards
+SECTION_AXES = ((0, 1), (0, 2), (1, 2))  # axes drawn to the right and up
 STYLE = (  # CSS of the drawing
     "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
     " .frame { fill: #fff; } .axis { stroke: #999; stroke-width: 0.8; } .whole { fill: #1f4e79; fill-opacity: 0.12;"
@@ -25,21 +25,21 @@ STYLE = (  # CSS of the drawing
 )
 
 
-def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
+def draw_attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     """Draw the moments attainable with all engines, and those without each engine as a line in roll and pitch.
 
     A section holds the weight and keeps the third moment at zero.  It is a whole SVG document; ``reach`` is what the
     layout can do, all engines well.
     """
     title = f"{vehicle.name}: attainable moments in hover"
-    root = begin_drawing(title, VIEW * len(SECTIONS), VIEW + 2 * TITLE, STYLE)
+    root = begin_drawing(title, VIEW * len(SECTION_AXES), VIEW + 2 * TITLE, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
     text(root, 12, 22, f"{vehicle.title}: moments in hover, N m", "name")
     caption = "filled: all engines; red: without each one, named by its number; the third moment is 0"
     if not reach.is_bounded:
         caption += "; found by search: there may be more"
     text(root, 12, 38, caption, "dim")
-    for number, (right, up) in enumerate(SECTIONS):
+    for number, (right, up) in enumerate(SECTION_AXES):
         whole, bound = _section(reach, right, up)
         without: dict[str, Corners] = {}
         if not number:
@@ -47,14 +47,14 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
                 section, _ = _section(reach.without([jet]), right, up, 12)
                 if section:
                     without[str(jet)] = section
-        _draw(root, number * VIEW, (right, up), whole, bound, without)
+        _draw_section(root, number * VIEW, (right, up), whole, bound, without)
     return finish_drawing(root)
 
 
 def _section(
     reach: Reach, right: int, up: int, directions: int = 24, bound_gap: float = 0.02
 ) -> tuple[Corners, Corners]:
-    """Return the corners of the attained moments, N m, and of their upper bound where that is far off.
+    """Return the corners of the attained moments [N m], and of their upper bound if its gap exceeds ``bound_gap``.
 
     Both are empty where the weight is not held or a size is not finite.  ``bound_gap``: of a moment, by which its bound
     is above it where that is drawn; a line is as wide.
@@ -76,12 +76,12 @@ def _section(
     return corners([size.lower for size in sizes]), corners([size.upper for size in sizes]) if far else []
 
 
-def _draw(
+def _draw_section(
     root: ET.Element, left_px: float, axes: tuple[int, int], whole: Corners, bound: Corners, without: dict[str, Corners]
 ) -> None:
     corners = [*whole, *bound, *(corner for section in without.values() for corner in section)]
-    wide = _largest(abs(x) for x, _ in corners)
-    high = _largest(abs(y) for _, y in corners)
+    wide = _find_scale(abs(x) for x, _ in corners)
+    high = _find_scale(abs(y) for _, y in corners)
     middle_x, middle_y, half = left_px + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
 
     def at(corner: tuple[float, float]) -> tuple[float, float]:
@@ -103,7 +103,7 @@ def _draw(
     text(root, left_px + 12, TITLE + VIEW + 12, f"{AXES[axes[0]]} and {AXES[axes[1]]}", "dim")
 
 
-def _largest(values: Iterable[float]) -> float:
-    """Return the scale of an axis; a small one for an axis without a moment."""
+def _find_scale(values: Iterable[float]) -> float:
+    """Return the largest magnitude as an axis's scale, at least a small number."""
     size = max(values, default=-inf)
     return size if size > 1e-9 else 1.0

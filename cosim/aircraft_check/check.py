@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.aircraft_check.authority_drawing import attainable_moments
+from cosim.aircraft_check.authority_drawing import draw_attainable_moments
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
@@ -38,13 +38,13 @@ HEIGHT_M, FLIGHT_S = 10.0, 5.0  # start and length of the hover test
 HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # limits in a calm hover
 # Plausible radius of gyration about an axis over the distance of the farthest part: 1 for a thin ring, small for a
 # dense core.
-GYRATION = (0.05, 1.0)
+GYRATION_RATIO_RANGE = (0.05, 1.0)
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Line:
-    """Result of one check: name, value and whether it is acceptable."""
+class CheckLine:
+    """Result of one check: name, value in words, and the fault if there is one."""
 
     name: str
     text: str
@@ -58,7 +58,7 @@ class AircraftCheck:
     aircraft: str
     title: str
     engine: str
-    lines: list[Line]
+    lines: list[CheckLine]
     authority: list[Authority]
     inertia: Vector3
     drawing: Path | None = None
@@ -73,7 +73,7 @@ class AircraftCheck:
 
     @property
     def is_fit(self) -> bool:
-        """Whether nothing is at fault."""
+        """Whether no check found a fault."""
         return not any(line.fault for line in self.lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -104,18 +104,18 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     flown |= {"name": "aircraft-check", "duration_s": FLIGHT_S, "initial": {"altitude_m": HEIGHT_M}}
     scenario = Scenario.from_table(flown, Path(), "aircraft-check")
     with build(scenario) as simulation:
-        lines = [_forces(simulation), _masses(simulation), *_sizes(vehicle)]
-        least, most = _thrust(simulation)
+        lines = [_check_jet_forces(simulation), _check_mass(simulation), *_check_gyration_radii(vehicle)]
+        least, most = _compute_thrust_range(simulation)
         count = len(vehicle.jets)
         losses: list[tuple[int, ...]] = [(), *((jet,) for jet in range(1, count + 1))]
         reach = compute_reach(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
         models = [
-            *_models(simulation),
-            *(Line("fuel", text) for text in note_missing_fuel_flow(vehicle, simulation.stations)),
+            *_check_models(simulation),
+            *(CheckLine("fuel", text) for text in note_missing_fuel_flow(vehicle, simulation.stations)),
         ]
-    lines += [_check_lift(authority[0]), *_check_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
+    lines += [_check_lift(authority[0]), *_check_axes(authority, vehicle.inertia_kg_m2), *models, _fly_hover(scenario)]
     return AircraftCheck(
         vehicle.name,
         vehicle.title,
@@ -123,7 +123,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         lines,
         authority,
         vehicle.inertia_kg_m2,
-        None if out is None else _draw(vehicle, out, reach),
+        None if out is None else _write_authority_drawing(vehicle, out, reach),
     )
 
 
@@ -140,7 +140,7 @@ def _authority_json(authority: Authority) -> dict[str, Any]:
     }
 
 
-def _forces(simulation: Simulation, tolerance: float = 1e-9) -> Line:
+def _check_jet_forces(simulation: Simulation, tolerance: float = 1e-9) -> CheckLine:
     """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     layout, propulsion = vehicle.layout(), simulation.propulsion
@@ -157,10 +157,10 @@ def _forces(simulation: Simulation, tolerance: float = 1e-9) -> Line:
             expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
     text = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
-    return Line("forces", text, "" if worst <= tolerance else f"more than {tolerance:g}")
+    return CheckLine("forces", text, "" if worst <= tolerance else f"more than {tolerance:g}")
 
 
-def _masses(simulation: Simulation) -> Line:
+def _check_mass(simulation: Simulation) -> CheckLine:
     """Compare mass, centre of gravity and inertia in JSBSim with those of the vehicle."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     frame.reset(simulation.scenario.initial, [ZERO3] * len(vehicle.jets), ZERO3)
@@ -177,17 +177,17 @@ def _masses(simulation: Simulation) -> Line:
         ),
     )
     text = f"{mass:.4g} kg, inertia {', '.join(f'{value:.4g}' for value in inertia)} kg m^2"
-    return Line("mass and inertia", text, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
+    return CheckLine("mass and inertia", text, "" if worst <= 1e-6 else f"JSBSim has others by {worst:.1e}")
 
 
-def _sizes(vehicle: Vehicle) -> list[Line]:
-    """Compare radii of gyration with how far the parts are from each axis: a wrong unit is far off."""
+def _check_gyration_radii(vehicle: Vehicle) -> list[CheckLine]:
+    """Compare radii of gyration with the farthest part's distance from each axis, to detect wrong units."""
     stations, lines = np.array(points_of(vehicle)), []
     for number, (axis, moment) in enumerate(zip("xyz", vehicle.inertia_kg_m2, strict=True)):
         radius = sqrt(moment / vehicle.mass_kg)
         across = np.delete(stations, number, axis=1)
         farthest = float(np.max(np.linalg.norm(across, axis=1)))
-        low, high = GYRATION
+        low, high = GYRATION_RATIO_RANGE
         fraction = radius / farthest if farthest else inf
         fault = (
             ""
@@ -195,11 +195,11 @@ def _sizes(vehicle: Vehicle) -> list[Line]:
             else f"is {fraction:.2g} of it, and bodies have {low:g} to {high:g}: which unit?"
         )
         text = f"radius of gyration {radius:.3g} m, the farthest part {farthest:.3g} m from the axis"
-        lines.append(Line(f"inertia about {axis}", text, fault))
+        lines.append(CheckLine(f"inertia about {axis}", text, fault))
     return lines
 
 
-def _thrust(simulation: Simulation) -> tuple[Array, Array]:
+def _compute_thrust_range(simulation: Simulation) -> tuple[Array, Array]:
     """Return the thrust of each engine at the allocation's lower and upper limits, N."""
     limits, count = simulation.vehicle.control.allocation, len(simulation.vehicle.jets)
     ends = []
@@ -212,17 +212,17 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     return ends[0], ends[1]
 
 
-def _check_lift(whole: Authority, min_lift: float = 1.15) -> Line:
+def _check_lift(whole: Authority, min_lift: float = 1.15) -> CheckLine:
     text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
-        return Line(
+        return CheckLine(
             "hover", text, "it does not lift off" if whole.lift_bound < 1.0 else "no balance was found that lifts it"
         )
     fault = "" if whole.lift >= min_lift else f"less than {min_lift:g}: height and attitude fight for it"
-    return Line("hover", text, fault)
+    return CheckLine("hover", text, fault)
 
 
-def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
+def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[CheckLine]:
     lines = []
     for number, axis in enumerate(AXES):
         moment = authority[0].moment_range(number)
@@ -231,7 +231,7 @@ def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
         if fault and moment.upper > 0.0:
             fault = "nothing was found that turns it while the weight is held"
         text = f"{moment.describe()} N m either way in hover, {turn.describe()} rad/s^2"
-        lines.append(Line(f"{axis} authority", text, fault))
+        lines.append(CheckLine(f"{axis} authority", text, fault))
     balanced = [
         without.lost[0] for without in authority[1:] if min(without.moment_range(axis).lower for axis in range(3)) > 0.0
     ]
@@ -245,48 +245,48 @@ def _check_axes(authority: Sequence[Authority], inertia: Vector3) -> list[Line]:
         text += (
             f"; without {', '.join(map(str, unproven))} nothing was found, which does not prove that there is nothing"
         )
-    return [*lines, Line("one engine out", text)]
+    return [*lines, CheckLine("one engine out", text)]
 
 
-def _models(simulation: Simulation) -> list[Line]:
-    """Compare each identified model with vehicle and engine, with full and with empty tank; a line a model."""
+def _check_models(simulation: Simulation) -> list[CheckLine]:
+    """Compare each identified model with vehicle and engine, with full and with empty tank; one line per model."""
     vehicle, lines = simulation.vehicle, []
     for family, models in vehicle.identified.items():
         scenario, engine = simulation.scenario, simulation.engine
         if family not in engine.families:
             if family not in list_engine_names():
                 text = f"not compared: state as engine the file of engine {family}"
-                lines += [Line(f"{axis} model, {family}", text) for axis in models]
+                lines += [CheckLine(f"{axis} model, {family}", text) for axis in models]
                 continue
             scenario = scenario.replace(engine=family)
             engine = load_engines(scenario, vehicle)[0]
         full = compare_models(scenario, vehicle, engine)
         empty = compare_models(scenario, vehicle.with_fuel(0.0), engine, "without fuel") if vehicle.fuel else []
         compared = {axis: [agreement for agreement in (*full, *empty) if agreement.axis == axis] for axis in models}
-        lines += [_model(axis, family, agreements) for axis, agreements in compared.items()]
+        lines += [_summarise_agreements(axis, family, agreements) for axis, agreements in compared.items()]
     return lines
 
 
-def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line:
+def _summarise_agreements(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> CheckLine:
     """Return the line on the worst comparison with a model: a note above ``MIN_REPORTED``, a fault if it is unfit."""
     name = f"{axis} model, {family}"
     if not agreements:
-        return Line(name, "not compared: its sample time is not the vehicle's control step")
+        return CheckLine(name, "not compared: its sample time is not the vehicle's control step")
     worst = max(agreements, key=lambda agreement: agreement.distance)
     text = f"{worst.numbers}{f', {worst.state}' if worst.state else ''}"
     if worst.is_unfit:
-        return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
-    return Line(
+        return CheckLine(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
+    return CheckLine(
         name,
         f"{text}: more than {100.0 * MIN_REPORTED:.0f} % off, which predictors feel" if worst.is_noteworthy else text,
     )
 
 
-def _flight(scenario: Scenario) -> Line:
+def _fly_hover(scenario: Scenario) -> CheckLine:
     """Fly a calm hover with the vehicle's own gains and sensor noise, and return the result."""
     run = fly(scenario)
     if run.outcome != "completed":
-        return Line("a calm hover", f"{run.outcome}: {run.reason}", "does not hover with its own gains")
+        return CheckLine("a calm hover", f"{run.outcome}: {run.reason}", "does not hover with its own gains")
     log = run.log
     height = float(np.max(np.abs(log["altitude_m"] - HEIGHT_M)))
     lean = float(np.degrees(np.max(np.hypot(log["roll_rad"], log["pitch_rad"]))))
@@ -294,10 +294,10 @@ def _flight(scenario: Scenario) -> Line:
         "" if height <= HEIGHT_ERROR_M and lean <= LEAN_DEG else f"more than {HEIGHT_ERROR_M:g} m or {LEAN_DEG:g} deg"
     )
     text = f"{FLIGHT_S:g} s with sensor noise, controller baseline: {height:.2g} m off, leans {lean:.2g} deg"
-    return Line("a calm hover", text, fault)
+    return CheckLine("a calm hover", text, fault)
 
 
-def _draw(vehicle: Vehicle, out: Path, reach: Reach) -> Path:
+def _write_authority_drawing(vehicle: Vehicle, out: Path, reach: Reach) -> Path:
     path = out / "aircraft.svg"
-    write_files({path: three_views(vehicle), out / "authority.svg": attainable_moments(vehicle, reach)})
+    write_files({path: three_views(vehicle), out / "authority.svg": draw_attainable_moments(vehicle, reach)})
     return path

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hexjet_prove.api.searches import RareResult, SearchResult
     from hexjet_prove.api.surveys import FailsafesResult, FaultsResult
 
-_WHERE = {  # module of each lazily imported name
+_LAZY_MODULES = {  # module of each lazily imported name
     "AircraftCheckResult": "checks",
     "CompareResult": "compare",
     "EngineCheckResult": "checks",
@@ -73,10 +73,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for and nothing else."""
-    if name in _WHERE:
+    if name in _LAZY_MODULES:
         from importlib import import_module
 
-        return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+        return getattr(import_module(f"{__name__}.{_LAZY_MODULES[name]}"), name)
     if name in __all__:
         from cosim.base.plugins.entry_points import load_tool_member
 

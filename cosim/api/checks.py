@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import FolderResult, Limits, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Result, Table, check_types
 from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from cosim.engine import CheckReport
     from cosim.engine.make.mapping_file import BegunMapping
 
-CHECK_FILES = ("check.json", "report.html")  # files that a check writes
-_MOMENTS = (  # note under the table of moments
+CHECK_FILES = ("check.json", "report.html")  # files that an engine check writes
+_MOMENTS_NOTE = (  # note under the table of moments
     "Largest moment either way while the weight is held and the other two moments are zero; all throttles and hinges "
     "are free within their limits."
 )
-_NOT_EXACT = (  # note if values are only bounded
+_BOUNDS_NOTE = (  # note if values are only bounded
     "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
     "not known."
 )
 
 
 class EngineCheckResult(FolderResult):
-    """Whether an FMU is fit to be an engine, and how it answers its throttle.
+    """Verdict on an FMU as an engine, with its static curve and step responses.
 
     ``check`` has everything; ``write`` leaves ``check.json`` and ``report.html``.
     """
@@ -52,12 +52,12 @@ class EngineCheckResult(FolderResult):
         return self.check.to_dict()
 
     def lines(self) -> list[str]:
-        """Return whether it is fit, and each problem."""
+        """Return the verdict, and a line for each problem."""
         verdict = "fit to fly" if self.is_fit else "not fit to fly"
         return [f"{self.check.name}: {verdict}", *(f"problem: {problem}" for problem in self.check.problems)]
 
     def tables(self) -> list[Table]:
-        """Return the findings."""
+        """Return the findings as one table."""
         return [Table("", ("finding", "what it is"), self.check.lines())]
 
     def _figures(self) -> Mapping[str, Any]:
@@ -66,7 +66,7 @@ class EngineCheckResult(FolderResult):
         return check_figures(self.check)
 
 
-@checked(step_s=Limits(0.0, is_open=True), time_limit_s=Limits(1.0))
+@check_types(step_s=Limits(0.0, is_open=True), time_limit_s=Limits(1.0))
 def check_engine(
     engine: str | Path,
     *,
@@ -117,7 +117,7 @@ def check_engine(
 
 
 class MappingResult(Result):
-    """A mapping file begun for an engine's FMU.  ``begun`` has everything, its ``text`` is the file."""
+    """Draft of a mapping file for an engine's FMU; ``begun.text`` is the file."""
 
     def __init__(self, begun: BegunMapping) -> None:
         self.begun = begun
@@ -125,17 +125,17 @@ class MappingResult(Result):
 
     @property
     def found(self) -> Mapping[str, str]:
-        """The variables of the ports that are ready, by port."""
+        """FMU variables by the engine port that they were assigned to."""
         return self.begun.found
 
     @property
     def open(self) -> Mapping[str, str]:
-        """Questions about the ports that are not ready, by port."""
+        """Questions about the engine ports without a variable, by port."""
         return self.begun.open
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing is open that an engine needs."""
+        """Whether every port that an engine needs has a variable."""
         return self.begun.is_complete
 
     def to_dict(self) -> dict[str, Any]:
@@ -150,13 +150,13 @@ class MappingResult(Result):
         }
 
     def lines(self) -> list[str]:
-        """Return the ports that were found and those to be stated."""
+        """Return a line for each port that has a variable, and for each that the user has to state."""
         begun = self.begun
         found = ", ".join(f"{port} = {name}" for port, name in begun.found.items()) or "no port"
         return [f"found: {found}", *(f"open: {port}: {trouble}" for port, trouble in begun.open.items())]
 
 
-@checked()
+@check_types()
 def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
     """Write a mapping file for an engine's FMU: the ports that are found, and what is to be stated of others.
 
@@ -187,7 +187,7 @@ def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
 
 
 class AircraftCheckResult(Result):
-    """Whether an aircraft is fit to fly: ``check`` has everything."""
+    """Verdict on an aircraft; ``check`` has the results of all checks."""
 
     def __init__(self, check: AircraftCheck) -> None:
         self.check = check
@@ -203,14 +203,14 @@ class AircraftCheckResult(Result):
         return self.check.to_dict()
 
     def lines(self) -> list[str]:
-        """Return whether it is fit, and each fault."""
+        """Return the verdict, and a line for each fault."""
         check = self.check
         faults = [f"{line.name}: {line.fault}" for line in check.lines if line.fault]
         verdict = "fit to fly" if check.is_fit else "not fit to fly"
         return [f"{check.aircraft} ({check.title}) with {check.engine}: {verdict}", *faults]
 
     def tables(self) -> list[Table]:
-        """Return the checks, and the moments with each engine out."""
+        """Return the checks' results, and the attainable moments with each engine out."""
         rows = []
         for row in self.check.authority:
             moments = [row.moment_range(axis).describe() for axis in range(3)]
@@ -218,14 +218,14 @@ class AircraftCheckResult(Result):
                 moments = ["falls" if row.cannot_hover else "none found", "", ""]
             rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))
         lines = [(line.name, line.text, line.fault) for line in self.check.lines]
-        meaning = _MOMENTS if self.check.is_exact else f"{_MOMENTS} {_NOT_EXACT}"
+        meaning = _MOMENTS_NOTE if self.check.is_exact else f"{_MOMENTS_NOTE} {_BOUNDS_NOTE}"
         return [
-            Table("", ("checked", "what it is", "fault"), lines),
+            Table("", ("check_types", "what it is", "fault"), lines),
             Table(meaning, ("engine out", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
         ]
 
 
-@checked()
+@check_types()
 def check_aircraft(
     aircraft: str | Path, engine: str | Path | None = None, *, out: str | Path | None = None
 ) -> AircraftCheckResult:

@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Progress, Result, Table, check_types
 from cosim.base.errors import InputError
 from cosim.base.trust import without_code
 from cosim.results.run import Run
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, LogComparison, Signal
 
 PAGE = "comparison.html"  # file name of the page
-LETTERS = "ABCDEFGH"  # labels of flights, one per colour
-SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")  # always compared
+LABELS = "ABCDEFGH"  # one label per colour of a flight
+DEFAULT_SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
 
 
 class CompareResult(Result):
-    """Two to eight flights over each other: metrics side by side, every signal against that of the first.
+    """Comparison of two to eight flights: metrics side by side, every signal against the first flight's.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class CompareResult(Result):
         self.files = {}
 
     def write(self, page: Path | str) -> CompareResult:
-        """Write the page and return this result, which has the file now.
+        """Write the comparison's page and return this result with its path.
 
         Parameters
         ----------
@@ -72,10 +72,10 @@ class CompareResult(Result):
         return _to_dict(self.flights, self.compared, self.report)
 
     def lines(self) -> list[str]:
-        """Return each flight, its distance from the first, and the inputs that differ."""
+        """Return a line for each flight, for its difference from the first, and for each input that differs."""
         from cosim.results.report.comparison import describe_pair, inputs_between
 
-        lines = [f"{flight.label[0]} {flight.source}: {describe(flight)}" for flight in self.flights]
+        lines = [f"{flight.label[0]} {flight.source}: {describe_flight(flight)}" for flight in self.flights]
         max_inputs = 12  # lines printed per pair; the page has all
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
             lines.append(" ".join(describe_pair(pair)))
@@ -86,7 +86,7 @@ class CompareResult(Result):
         return lines
 
     def tables(self) -> list[Table]:
-        """Return the metrics side by side, and of each pair the signals that were chosen or that differ first."""
+        """Return the metrics side by side, and per pair of flights the signals chosen or the first that differ."""
         from cosim.results.report.comparison import comparison_rows, signal_cells
 
         rows = [
@@ -101,27 +101,27 @@ class CompareResult(Result):
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
             cells = [
                 (signal.name, "the same", "", "", "", "") if signal.same else signal_cells(signal)
-                for signal in self._select(pair)
+                for signal in self._select_signals(pair)
             ]
             tables += [Table(flight.label, SIGNAL_TITLES, cells)] if cells and not pair.same else []
         return tables
 
-    def _select(self, pair: LogComparison) -> list[Signal]:
-        """Return the signals for a pair's table: those of the patterns, or position and the first to differ."""
+    def _select_signals(self, pair: LogComparison) -> list[Signal]:
+        """Return the signals for a pair's table: those of the patterns, else position and the first that differ."""
         from cosim.results.report.comparison import by_time
 
         if self._patterns:
             return [each for each in pair.signals if any(fnmatchcase(each.name, one) for one in self._patterns)]
         max_signals = 5  # further signals shown, first that differ
-        names = dict.fromkeys([*SIGNALS, *(signal.name for signal in by_time(pair.signals)[:max_signals])])
+        names = dict.fromkeys([*DEFAULT_SIGNALS, *(signal.name for signal in by_time(pair.signals)[:max_signals])])
         found = {signal.name: signal for signal in pair.signals}
         return [found[name] for name in names if name in found]
 
 
-SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")  # heads of the table of signals
+SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")  # column heads of the signal table
 
 
-@checked()
+@check_types()
 def compare(
     *flights: str | Path | Run,
     flight: Sequence[int] = (),
@@ -169,14 +169,14 @@ def compare(
 
     hears = progress or Progress()
     flights = tuple(expand_campaigns(flights, flight))
-    if not 2 <= len(flights) <= len(LETTERS):
+    if not 2 <= len(flights) <= len(LABELS):
         raise InputError(
-            f"compare: {len(flights)} flight{'s' if len(flights) != 1 else ''}; allowed: 2 to {len(LETTERS)}"
+            f"compare: {len(flights)} flight{'s' if len(flights) != 1 else ''}; allowed: 2 to {len(LABELS)}"
         )
     out = out if page else None
     if out is not None and page_path(Path(out)).exists():
         raise InputError(f"{page_path(Path(out))}: is there already; choose another name or remove it")
-    loaded = [_load_labelled_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]
+    loaded = [_load_labelled_flight(letter, each, hears.note) for letter, each in zip(LABELS, flights, strict=False)]
     loaded = _shift_times(loaded, shift or {})
     result = CompareResult(loaded, compare_with_first(loaded), signal)
     for pattern in signal:
@@ -191,7 +191,7 @@ def page_path(out: Path) -> Path:
 
 
 def write_page(names: Sequence[str], folder: Path) -> Path:
-    """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
+    """Write a page that compares recorded flights into a new folder, and return the page's path."""
     with without_code():
         page = compare(*names, out=folder).report
     assert page is not None
@@ -259,16 +259,16 @@ def _shift_times(flights: Sequence[ComparedFlight], shifts: Mapping[str, float])
 
     moved = list(flights)
     for letter, by in shifts.items():
-        index = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
+        index = LABELS.find(letter.strip().upper()) if letter.strip() else -1
         if not 0 <= index < len(moved) or not isfinite(by):
-            allowed = ", ".join(LETTERS[: len(moved)])
+            allowed = ", ".join(LABELS[: len(moved)])
             raise InputError(f"compare: shift: {letter}={by:g}: is not one of {allowed} = a number of seconds")
         moved[index] = shift_times(moved[index], by)
     return moved
 
 
 def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], page: Path | None) -> dict[str, Any]:
-    """Return the comparison as data for JSON, everything in SI."""
+    """Return the comparison as data for JSON, in SI units."""
     from cosim.results.report.comparison import inputs_between
 
     runs = []
@@ -291,7 +291,7 @@ def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison
     return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
 
 
-def describe(flight: ComparedFlight) -> str:
+def describe_flight(flight: ComparedFlight) -> str:
     """Return a sentence on a flight: what flew, how it ended, and remarks on its log."""
     if flight.run is None:
         text = "a log"

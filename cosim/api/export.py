@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from cosim.api.call import checked
+from cosim.api.call import check_types
 from cosim.base.errors import InputError
 from cosim.results.export import export_log
 from cosim.results.run import Run
 
 
-@checked()
+@check_types()
 def export(
     run: Run | str | Path, to: str, out: str | Path | None = None, *, rates: Literal["all", "px4"] = "all"
 ) -> Path:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FlightResult(Result):
-    """Result of a flight: ``run`` has everything."""
+    """Result of a flight; ``run`` has its log and summary."""
 
     short_lines = 6
 
@@ -112,11 +112,11 @@ def load(
     progress: Progress | None = None,
 ) -> Scenario:
     """Return a scenario with the choices of :func:`fly` applied.  Raises InputError for an invalid one."""
-    from cosim.api.call.choices import choose, plugin_changes
+    from cosim.api.call.choices import apply_choices, plugin_changes
     from cosim.base.storage.settings import as_several
 
     hears = progress or Progress()
-    chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
+    chosen = apply_choices(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
     changes = plugin_changes(tuple(as_several(metrics)), tuple(as_several(observers)), sensors, wind)
     if sensors or wind:  # expectations assume the stated sensors
         changes["expect"] = []
@@ -229,7 +229,7 @@ def fly(
     with ExitStack() as stack:
         watching: list[Observer] = [each for each in observers if not isinstance(each, str)]
         watching += [_FlightProgress(progress, loaded)] if progress is not None else []
-        watching += [stack.enter_context(_flightgear(flightgear, loaded))] if flightgear is not None else []
+        watching += [stack.enter_context(_open_flightgear(flightgear, loaded))] if flightgear is not None else []
         run = fly_watched(
             loaded,
             out,
@@ -238,7 +238,7 @@ def fly(
             realtime_factor=(1.0 if is_watched else None) if realtime_factor is None else realtime_factor or None,
             report=report,
             shared_assets=shared_assets,
-            watch=_watch_by_links(as_several(mavlink), stack) if mavlink else None,
+            watch=_publish_on_links(as_several(mavlink), stack) if mavlink else None,
         )
     for text in (*told, *run.summary.notes) if progress is None else ():
         notify(text)
@@ -253,21 +253,21 @@ class _FlightProgress:
         self._every = max(1, round(0.5 / scenario.step_s))
 
     def observe(self, sample: Sample) -> None:
-        """Report the step, if it is due."""
+        """Report the progress, if half a simulated second has passed since the last report."""
         if sample.k % self._every == 0:
             self._progress.update(self._scenario.name, sample.k, self._scenario.steps)
 
 
-def _watch_by_links(links: Sequence[str], stack: ExitStack) -> Any:
-    """Return the observer that publishes a flight to ground stations, with links open until ``stack`` closes."""
+def _publish_on_links(links: Sequence[str], stack: ExitStack) -> Any:
+    """Return an observer that publishes a flight to ground stations; its links are open until ``stack`` closes."""
     from cosim.groundstation.links import Links
 
     return stack.enter_context(Links(tuple(links))).make_read_only_observer()
 
 
 @contextmanager
-def _flightgear(port: str, scenario: Scenario) -> Iterator[Observer]:
-    """Yield an observer for FlightGear, which a tool provides by an entry point."""
+def _open_flightgear(port: str, scenario: Scenario) -> Iterator[Observer]:
+    """Yield an observer that sends a flight to FlightGear, provided by an installed tool."""
     from cosim.base.plugins.entry_points import load_hook
 
     if (viewer_of := load_hook("flightgear")) is None:

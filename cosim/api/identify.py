@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
+from cosim.api.call import FolderResult, Limits, Table, check_types, note_lines
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
@@ -31,12 +31,12 @@ class IdentifyResult(FolderResult):
 
     @property
     def found(self) -> bool:
-        """Whether the response tells a model."""
+        """Whether a model could be identified from the response."""
         return not self.identification.refused
 
     @property
     def model(self) -> RateModel:
-        """The first of the models, in discrete time."""
+        """Chosen model of the response, in discrete time."""
         return self.identification.model
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -49,7 +49,7 @@ class IdentifyResult(FolderResult):
         return self.identification.to_dict()
 
     def lines(self) -> list[str]:
-        """Return the sweep, the model or why there is none, and the comparison with the delay ledger."""
+        """Return lines on the sweep, on the model or why there is none, and on the delay ledger's comparison."""
         from cosim.identify.sweep.result import equations
 
         found = self.identification
@@ -66,7 +66,7 @@ class IdentifyResult(FolderResult):
         return [swept, *model, *ledger, *note_lines(found.notes)]
 
     def tables(self) -> list[Table]:
-        """Return the parameters of each model with their bounds."""
+        """Return the parameters of each model with their 95 % bounds."""
         from cosim.identify.page import WITH_BOUNDS
         from cosim.identify.sweep.result import fit_rows
 
@@ -79,7 +79,7 @@ class IdentifyResult(FolderResult):
         return {"response": response_figure(self.identification)}
 
 
-@checked(lags=Limits(0, 2))
+@check_types(lags=Limits(0, 2))
 def identify(
     subject: Subject,
     engine: str | Path | None = None,

@@ -10,11 +10,11 @@ from cosim.api.call import Result
 from cosim.base.storage.paths import data_folder, files_in, names_in
 
 Kind = Literal["scenarios", "studies", "engines", "aircraft", "controllers"]
-KINDS = get_args(Kind)  # what hexjet show can list
+KINDS = get_args(Kind)  # kinds that hexjet show lists
 
 
 class CatalogueResult(Result):
-    """List of what can be flown: ``catalogues`` has for each kind a list of entries with ``name`` and ``title``."""
+    """Names of what can be flown; ``catalogues`` has by kind a list of entries with ``name`` and ``title``."""
 
     def __init__(self, kinds: Iterable[str]) -> None:
         self.catalogues = {kind: catalogue(kind) for kind in kinds}
@@ -36,7 +36,7 @@ class CatalogueResult(Result):
 def catalogue(kind: str) -> list[dict[str, Any]]:
     """Return the entries of one kind, each with ``name`` and ``title``."""
     if kind in ("scenarios", "studies"):
-        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
+        return [_make_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
     if kind == "controllers":
         from cosim.control.predictors.registry import PREDICTORS
         from cosim.simulation.controllers.source import list_installed as custom_controllers
@@ -44,10 +44,10 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
         built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
         return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
     marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
-    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
+    return [_make_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
 
 
-def _entry(name: str, path: Path) -> dict[str, Any]:
+def _make_entry(name: str, path: Path) -> dict[str, Any]:
     from cosim.base.storage.toml import read_toml
 
     return {"name": name, "title": str(read_toml(path).get("title", ""))}

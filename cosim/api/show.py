@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cosim.api.call import Result, Table, checked
+from cosim.api.call import Result, Table, check_types
 from cosim.api.flights import FlightResult
 from cosim.api.listing import KINDS, Kind, catalogue
 from cosim.base.constants import GRAVITY
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
-_FILES = (  # files that can be shown, for messages
+_SHOWABLE_FILES = (  # files that can be shown, for messages
     "the folder of a run, a design or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
 )
-_TEXTS = ("name", "title", "description")  # keys left out of lists of values
+_TEXT_KEYS = ("name", "title", "description")  # keys that are no numbers
 
 
 class Number(NamedTuple):
-    """One number or word of a file, with its meaning."""
+    """One value of a file with unit and meaning."""
 
     name: str
     value: Any
@@ -55,34 +55,34 @@ class ShowResult(Result):
         return [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in self.items]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the first of :meth:`to_list`."""
+        """Return the first entry of :meth:`to_list`."""
         return self.to_list()[0]
 
     def lines(self) -> list[str]:
-        """Return name, kind, title and description of each entry; of a run its result."""
-        if (flight := self._flight()) is not None:
+        """Return name, kind, title and description of each entry, or a run's result."""
+        if (flight := self._open_flight_result()) is not None:
             return flight.lines()
         return [
             line
             for item in self.items
-            for line in (f"{item['name']}, {kind_of(item)}: {item['title']}", item["description"])
+            for line in (f"{item['name']}, {singular_kind(item)}: {item['title']}", item["description"])
             if line
         ]
 
     def tables(self) -> list[Table]:
-        """Return the numbers of each, in the units of a screen; of a run the tables of its flight."""
-        if (flight := self._flight()) is not None:
+        """Return a table of values per entry in display units (deg for rad), or a run's tables."""
+        if (flight := self._open_flight_result()) is not None:
             return flight.tables()
         return [Table("", ("number", "value", "unit", "meaning"), number_rows(item)) for item in self.items]
 
-    def _flight(self) -> FlightResult | None:
-        """Return the flight of a run, None for anything else."""
+    def _open_flight_result(self) -> FlightResult | None:
+        """Return the flight's result if a run is shown, else None."""
         from cosim.results.run import open_run
 
         return FlightResult(open_run(self.items[0]["name"])) if self.items[0]["kind"] == "runs" else None
 
 
-@checked()
+@check_types()
 def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
     """Return the values, units and meanings of a scenario, study, engine, aircraft, controller, run or design.
 
@@ -106,18 +106,18 @@ def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
     """
     with without_code():
         path = str(name)
-        file = None if kind else _design(path) or _engine_file(path) or _run(path) or _own_file(path)
-        return ShowResult([file] if file else _entries(path, [kind] if kind else KINDS))
+        file = None if kind else _show_design(path) or _show_mapping(path) or _show_run(path) or _show_file(path)
+        return ShowResult([file] if file else _find_entries(path, [kind] if kind else KINDS))
 
 
-def kind_of(item: Mapping[str, Any]) -> str:
+def singular_kind(item: Mapping[str, Any]) -> str:
     """Return the kind of an item in the singular."""
     kind = str(item["kind"])
     return {"studies": "study", "aircraft": "aircraft"}.get(kind, kind.removesuffix("s"))
 
 
 def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Return an item's numbers as texts, in the units of a screen."""
+    """Return an entry's values as texts, in display units (deg for rad)."""
     from cosim.results.wording import display_unit
 
     rows = []
@@ -125,15 +125,15 @@ def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
         unit, factor = display_unit(number.unit)
         value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
         unit = unit if value is not number.value or factor == 1.0 else number.unit
-        rows.append((number.name, _text(value), unit, number.meaning))
+        rows.append((number.name, _format_value(value), unit, number.meaning))
     return rows
 
 
-def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the entries of this name, one for each kind.  Raises InputError if there are none."""
+def _find_entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the library's entries called ``name``, one per kind.  Raises InputError if there are none."""
     catalogues = {kind: catalogue(kind) for kind in kinds}
     shown = [
-        {"kind": kind, **entry, "description": _entry_title(kind, name), "numbers": list(_numbers(kind, name))}
+        {"kind": kind, **entry, "description": _read_text(kind, name), "numbers": list(_list_numbers(kind, name))}
         for kind, entries in catalogues.items()
         for entry in entries
         if entry["name"] == name
@@ -141,15 +141,15 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
     if not shown:
         path = Path(name)
         if path.exists():
-            raise InputError(f"{name}: cannot be shown; allowed: a name of hexjet show, {_FILES}")
+            raise InputError(f"{name}: cannot be shown; allowed: a name of hexjet show, {_SHOWABLE_FILES}")
         names = {*KINDS, *(entry["name"] for entries in catalogues.values() for entry in entries)}
         names |= {str(other) for folder in {Path("runs"), path.parent} if folder.is_dir() for other in folder.iterdir()}
         raise InputError(f"nothing is called {name!r}; {similar(name, names)}")
     return shown
 
 
-def _run(name: str) -> dict[str, Any] | None:
-    """Return the result of the run in this folder, or None if it is no run.  Raises InputError."""
+def _show_run(name: str) -> dict[str, Any] | None:
+    """Return the description of the run in folder ``name``, or None if it is no run.  Raises InputError."""
     from cosim.results.report.requirements import checked_rows
     from cosim.results.run import SUMMARY, open_run
 
@@ -166,14 +166,14 @@ def _run(name: str) -> dict[str, Any] | None:
         "description": f"{summary.scenario}: {summary.aircraft}, engine {summary.engine_shown}, "
         f"controller {summary.controller_shown}, seed {summary.seed}",
         "numbers": [
-            Number(key, value, _unit(key), "; ".join(meanings.get(key, ())))
+            Number(key, value, _find_unit(key), "; ".join(meanings.get(key, ())))
             for key, value in summary.flat_metrics.items()
             if value is not None or key in meanings
         ],
     }
 
 
-def _own_file(name: str) -> dict[str, Any] | None:
+def _show_file(name: str) -> dict[str, Any] | None:
     """Return the description of a scenario's, study's or aircraft's file; None for other names.
 
     Raises InputError.
@@ -189,14 +189,15 @@ def _own_file(name: str) -> dict[str, Any] | None:
     kind = next((name for kind, name in kinds.items() if kind.matches(table)), None)
     if kind is None:
         return None
-    numbers = {"aircraft": _aircraft(name), "scenarios": _scenario(name, table), "studies": _file_rows(table, kind)}[
-        kind
-    ]
+    if kind == "aircraft":
+        numbers = _list_aircraft_numbers(name)
+    else:
+        numbers = _list_scenario_numbers(name, table) if kind == "scenarios" else _list_file_numbers(table, kind)
     described = {key: " ".join(str(table.get(key, "")).split()) for key in ("title", "description")}
     return {"kind": kind, "name": name, **described, "numbers": list(numbers)}
 
 
-def _design(name: str) -> dict[str, Any] | None:
+def _show_design(name: str) -> dict[str, Any] | None:
     """Return the description of a controller file, or None for other names.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
     from cosim.simulation.controllers.controller_file import AxisRecord, describe_proof, read_purpose
@@ -210,18 +211,18 @@ def _design(name: str) -> dict[str, Any] | None:
     margins = [
         number._replace(meaning=meaning_of(AxisRecord, number.name.rpartition(".")[2]))
         for axis, record in purpose.axes.items()
-        for number in _leaves(record.model_dump(exclude_none=True, exclude={"candidates"}), f"{axis}.")
+        for number in _list_leaf_numbers(record.model_dump(exclude_none=True, exclude={"candidates"}), f"{axis}.")
     ]
     return {
         "kind": "designs",
         "name": name,
         "title": f"{table['controller']} for {purpose.aircraft} with engine {purpose.engine}",
         "description": describe_proof(purpose),
-        "numbers": [*margins, *_file_rows(table["vehicle"], "vehicle")],
+        "numbers": [*margins, *_list_file_numbers(table["vehicle"], "vehicle")],
     }
 
 
-def _engine_file(name: str) -> dict[str, Any] | None:
+def _show_mapping(name: str) -> dict[str, Any] | None:
     """Return the description of an engine's mapping file, or None.  Its FMU is not run.
 
     Raises InputError.
@@ -251,8 +252,8 @@ def _engine_file(name: str) -> dict[str, Any] | None:
     }
 
 
-def _table(kind: str, name: str) -> dict[str, Any]:
-    """Return the content of its file; empty for a controller, which has none."""
+def _read_library_file(kind: str, name: str) -> dict[str, Any]:
+    """Return the tables of a library entry's TOML file; a controller has none."""
     if kind == "controllers":
         return {}
     inside = {"aircraft": f"{name}/vehicle.toml", "engines": f"{name}/engine.toml"}.get(kind, f"{name}.toml")
@@ -261,34 +262,34 @@ def _table(kind: str, name: str) -> dict[str, Any]:
     return read_toml(data_folder(kind) / inside)
 
 
-def _entry_title(kind: str, name: str) -> str:
-    return " ".join(str(_table(kind, name).get("description", "")).split())
+def _read_text(kind: str, name: str) -> str:
+    return " ".join(str(_read_library_file(kind, name).get("description", "")).split())
 
 
-def _numbers(kind: str, name: str) -> Iterator[Number]:
+def _list_numbers(kind: str, name: str) -> Iterator[Number]:
     if kind == "aircraft":
-        return _aircraft(name)
+        return _list_aircraft_numbers(name)
     if kind == "engines":
-        return _engine(name)
+        return _list_engine_numbers(name)
     if kind == "controllers":
-        return _controller(name)
-    table = _table(kind, name)
-    return _scenario(name, table) if kind == "scenarios" else _file_rows(table, kind)
+        return _list_controller_numbers(name)
+    table = _read_library_file(kind, name)
+    return _list_scenario_numbers(name, table) if kind == "scenarios" else _list_file_numbers(table, kind)
 
 
-def _scenario(name: str, table: Mapping[str, Any]) -> Iterator[Number]:
-    """Yield what flies, where the file leaves that to the defaults too, and what the file states."""
+def _list_scenario_numbers(name: str, table: Mapping[str, Any]) -> Iterator[Number]:
+    """Yield a scenario's aircraft, engine, controller and duration, defaults included, then what its file states."""
     from cosim.spec.meanings import meaning_of
     from cosim.spec.scenario import Scenario
 
     scenario = Scenario.load(name)
     first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
     for key in first:
-        yield Number(key, getattr(scenario, key), _unit(key), meaning_of(Scenario, key))
-    yield from _file_rows({key: value for key, value in table.items() if key not in first}, "scenarios")
+        yield Number(key, getattr(scenario, key), _find_unit(key), meaning_of(Scenario, key))
+    yield from _list_file_numbers({key: value for key, value in table.items() if key not in first}, "scenarios")
 
 
-def _aircraft(name: str) -> Iterator[Number]:
+def _list_aircraft_numbers(name: str) -> Iterator[Number]:
     from cosim.spec.vehicle import is_file, load_vehicle
 
     vehicle, _ = load_vehicle(name)
@@ -301,7 +302,7 @@ def _aircraft(name: str) -> Iterator[Number]:
         if product:
             yield Number(f"product {pair}", product, "kg m^2", f"integral of {pair} over the mass")
     yield Number("jets", jets, "", "engines" + ("" if vehicle.servo is None else " on two tilting banks"))
-    yield from _hinges(vehicle)
+    yield from _list_hinge_numbers(vehicle)
     for surface in vehicle.surfaces:
         yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
     arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
@@ -309,7 +310,7 @@ def _aircraft(name: str) -> Iterator[Number]:
         yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
     yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
     if vehicle.engine is not None and not any(is_file(each or vehicle.engine) for each in engines):
-        yield from _thrusts(vehicle, weight)
+        yield from _list_thrusts(vehicle, weight)
     if vehicle.servo is not None:
         yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
         yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")
@@ -319,10 +320,10 @@ def _aircraft(name: str) -> Iterator[Number]:
     yield Number("span", vehicle.aero.span_m, "m", "by which turbulence and limits are scaled")
     for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
         yield Number(f"drag area {axis}", area, "m^2", f"drag coefficient times area along {axis}")
-    yield from _dead_times(vehicle)
+    yield from _list_dead_times(vehicle)
 
 
-def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
+def _list_dead_times(vehicle: Vehicle) -> Iterator[Number]:
     """Yield the dead time of each identified model."""
     for engine, axes in vehicle.identified.items():
         for axis, model in axes.items():
@@ -335,8 +336,8 @@ def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
             )
 
 
-def _hinges(vehicle: Vehicle) -> Iterator[Number]:
-    """Yield the range of each hinge and what it moves."""
+def _list_hinge_numbers(vehicle: Vehicle) -> Iterator[Number]:
+    """Yield the range of each hinge, with the jets that it moves."""
     for hinge in vehicle.hinges:
         effects = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
         effects += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
@@ -349,11 +350,11 @@ def _hinges(vehicle: Vehicle) -> Iterator[Number]:
             yield Number(f"{name}, least", lowest, "rad", "the other end of its range")
 
 
-def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
-    """Yield the thrusts of the aircraft's own engines; ``weight`` in N."""
+def _list_thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
+    """Yield full thrust and thrust to weight of an aircraft's default engines; ``weight`` in N."""
     assert vehicle.engine is not None
     kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
-    full = {kind: _library_engine(kind)[1].curve.thrust[-1] for kind in dict.fromkeys(kinds)}
+    full = {kind: _load_library_engine(kind)[1].curve.thrust[-1] for kind in dict.fromkeys(kinds)}
     yield Number("engine", vehicle.engine, "", "what it is made for")
     for kind, thrust in full.items():
         at = ", ".join(str(number) for number, engine in enumerate(kinds, 1) if engine == kind)
@@ -363,8 +364,8 @@ def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
     yield Number("thrust to weight", total / weight, "", "all engines at full throttle")
 
 
-def _engine(name: str) -> Iterator[Number]:
-    definition, spec = _library_engine(name)
+def _list_engine_numbers(name: str) -> Iterator[Number]:
+    definition, spec = _load_library_engine(name)
     throttle = spec.curve.throttle
     yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
     # An engine without idling runs down by a lag; below this fraction of full thrust what remains is taken as 0.
@@ -386,8 +387,8 @@ def _engine(name: str) -> Iterator[Number]:
         )
 
 
-def _library_engine(name: str) -> tuple[EngineDefinition, EngineSpec]:
-    """Return the definition of a shipped engine, and the engine loaded at its own step.  Raises InputError."""
+def _load_library_engine(name: str) -> tuple[EngineDefinition, EngineSpec]:
+    """Return a shipped engine's definition, and the engine loaded at its internal step.  Raises InputError."""
     from cosim.engine import find_source, load_engine
 
     source = find_source(name)
@@ -395,7 +396,7 @@ def _library_engine(name: str) -> tuple[EngineDefinition, EngineSpec]:
     return source.engine, load_engine(source, {}, source.engine.internal_step)
 
 
-def _controller(name: str) -> Iterator[Number]:
+def _list_controller_numbers(name: str) -> Iterator[Number]:
     from cosim.control.predictors.registry import PREDICTORS
 
     spec = PREDICTORS.get(name)
@@ -410,8 +411,8 @@ def _controller(name: str) -> Iterator[Number]:
         yield Number(parameter.name, value, parameter.unit, f"{parameter.text}{span}")
 
 
-def _file_rows(table: Mapping[str, Any], kind: str) -> Iterator[Number]:
-    """Yield a row for each key of a file; one for each entry of a list of tables."""
+def _list_file_numbers(table: Mapping[str, Any], kind: str) -> Iterator[Number]:
+    """Yield a value for each key of a file, and for each entry of a list of tables."""
     from cosim.campaign.study.study import Study
     from cosim.spec.meanings import meaning_of
     from cosim.spec.scenario import Scenario
@@ -419,34 +420,34 @@ def _file_rows(table: Mapping[str, Any], kind: str) -> Iterator[Number]:
 
     model = {"scenarios": Scenario, "studies": Study}.get(kind, Vehicle)
     for key, value in table.items():
-        if key not in _TEXTS:
-            yield from (leaf._replace(meaning=meaning_of(model, key)) for leaf in _leaves({key: value}, ""))
+        if key not in _TEXT_KEYS:
+            yield from (leaf._replace(meaning=meaning_of(model, key)) for leaf in _list_leaf_numbers({key: value}, ""))
 
 
-def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
+def _list_leaf_numbers(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
+            yield from _list_leaf_numbers(value, f"{prefix}{key}.")
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, item in enumerate(value):
-                yield Number(f"{prefix}{key}.{number}", " ".join(_text_values(item)), "", "")
+                yield Number(f"{prefix}{key}.{number}", " ".join(_format_leaves(item)), "", "")
         else:
-            yield Number(f"{prefix}{key}", value, _unit(key), "")
+            yield Number(f"{prefix}{key}", value, _find_unit(key), "")
 
 
-def _text_values(table: Mapping[str, Any]) -> Iterator[str]:
-    return (f"{leaf.name}={_text(leaf.value)}" for leaf in _leaves(table, ""))
+def _format_leaves(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{leaf.name}={_format_value(leaf.value)}" for leaf in _list_leaf_numbers(table, ""))
 
 
-def _unit(key: str) -> str:
+def _find_unit(key: str) -> str:
     from cosim.campaign.study.key import unit_of
 
     return unit_of(key)
 
 
-def _text(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, list):
-        return "[" + ", ".join(_text(element) for element in value) + "]"
+        return "[" + ", ".join(_format_value(element) for element in value) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)

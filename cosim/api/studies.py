@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Progress, Result, Table, check_types
 from cosim.api.call.choices import aircraft_settings, list_engine_notes, plugin_settings
 from cosim.base.storage.settings import as_settings, as_texts
 
@@ -37,7 +37,7 @@ class SweepResult(Result):
         return self.campaign.columns
 
     def fly_again(self, flight: int, out: Path | str | None = None) -> RepeatedFlight:
-        """Fly one of the flights again, recorded in full, and return it with ``same``: whether it is so bit for bit.
+        """Fly one flight again with a full log; the result's ``same`` says whether it repeats bit for bit.
 
         Parameters
         ----------
@@ -60,20 +60,20 @@ class SweepResult(Result):
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self._summary
 
     def lines(self) -> list[str]:
-        """Return how often each controller succeeds, and each against the first."""
+        """Return each controller's success rate, and its comparison with the first controller."""
         from cosim.campaign.analysis.summary import comparison_lines, success_lines, with_referee
 
         flown = with_referee(success_lines(self._summary), self.campaign.folder)
         return [line.strip() for line in (*flown, *comparison_lines(self._summary))]
 
     def table(self) -> Any:
-        """Return the flights as a ``pandas.DataFrame``, a row each."""
+        """Return the flights as a ``pandas.DataFrame``, one per row."""
         from cosim.results.log.tables import make_table
 
         return make_table(self.columns)
 
     def tables(self) -> list[Table]:
-        """Return the metrics' medians."""
+        """Return the medians of the metrics as one table."""
         from cosim.campaign.analysis.summary import spread_table
 
         titles, rows = spread_table(self._summary)
@@ -92,7 +92,7 @@ def study_settings(
     metrics: Sequence[str],
     wind: str | None,
 ) -> list[str]:
-    """Return the settings of a study, with aircraft, engine and blocks of the user's; paths are meant from here."""
+    """Return a study's settings with aircraft, engine, metrics and wind added; paths are made absolute."""
     import json
 
     from cosim.base.trust import trust_named_code
@@ -104,7 +104,7 @@ def study_settings(
     return [*vehicle, *engines, *as_settings(settings), *plugin_settings(tuple(metrics), wind)]
 
 
-@checked()
+@check_types()
 def sweep(
     name: str | Path,
     *,
@@ -225,15 +225,15 @@ def sweep(
             engine_notes = list_engine_notes(study.base(), "engine" in study.drawn or bool(study.case))
             for text in (*engine_notes, *study.notes(), *design_warnings(study), *model_notes(study)):
                 hears.note(text)
-        campaign = run_campaign(study, folder, flying, resume, tell_tally(hears))
+        campaign = run_campaign(study, folder, flying, resume, report_tally(hears))
     return SweepResult(campaign, write_campaign_report(campaign))
 
 
-def tell_tally(progress: Progress) -> Any:
+def report_tally(progress: Progress) -> Any:
     """Return a callback that reports the number of finished flights and their outcomes to a :class:`Progress`."""
 
-    def tell(tally: Tally, done: int, of: int) -> None:
+    def report(tally: Tally, done: int, of: int) -> None:
         shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))
         progress.update(shares if of else f"{done} flights", done, of)
 
-    return tell
+    return report

@@ -12,21 +12,21 @@ from typing import Any, Literal, Union, get_args, get_origin
 from cosim.api.call import Progress
 
 
-class _Unknown:
-    """A type that is imported for type checkers alone; no option has a value of it."""
+class _UnimportedType:
+    """Placeholder of a type that only type checkers import; no option has such a value."""
 
 
-class _Types(dict[str, Any]):
-    """The names of a module, in which one that is imported for type checkers alone is :class:`_Unknown`."""
+class _ModuleNamespace(dict[str, Any]):
+    """Namespace of a module, in which a name imported only for type checkers is :class:`_UnimportedType`."""
 
     def __missing__(self, name: str) -> Any:
-        return getattr(__import__("builtins"), name, _Unknown)
+        return getattr(__import__("builtins"), name, _UnimportedType)
 
 
 def read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool, tuple[type, type] | None] | None:
-    """Return the type of an option's value, whether there may be several, and the types of pairs; None: no option."""
+    """Return an option's value type, whether it repeats, and the types of NAME=VALUE pairs; None: no option."""
     if isinstance(annotation, str):
-        annotation = eval(annotation, {}, _Types(inspect.unwrap(function).__globals__))
+        annotation = eval(annotation, {}, _ModuleNamespace(inspect.unwrap(function).__globals__))
     members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
     if Progress in members:
         return None
@@ -47,8 +47,8 @@ def read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool,
     return (str, False, None) if Any in members else None
 
 
-def as_typed(text: str) -> str:
-    """Return a text of a docstring as a terminal shows it: without marks of code and what is Python's alone."""
+def format_docstring(text: str) -> str:
+    """Return a docstring's text for a terminal: without code marks and without remarks on Python."""
     text = re.sub(r"; in Python [^.;]*| or ``\{.*?\}``", "", text)
     text = re.sub(r"(^|[.;] )None: ", lambda found: f"{found[1]}{'By' if found[1] != '; ' else 'by'} default ", text)
     paragraphs = text.replace("``", "").split("\n\n")

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from cosim.api.identify import IdentifyResult
 
 
-def _name_of(path: str) -> str:
-    """Return the last part of a name or a path, without its ending."""
+def _stem(path: str) -> str:
+    """Return the last part of a name or a path, without file ending."""
     return Path(path).absolute().stem if path.endswith((".fmu", ".toml")) else Path(path).absolute().name
 
 
@@ -24,7 +24,7 @@ def _show_paths(paths: Iterable[Path] | Path) -> None:
 
 
 def _show_aircraft(path: Path) -> None:
-    """Print a new aircraft's file and what to do with it, and note whose its models are."""
+    """Print a new aircraft's file and the next commands, and note that its models are copies."""
     from cosim.spec.vehicle import load_vehicle
 
     folder = path.parent if path.parent.is_absolute() else f"./{path.parent}"
@@ -38,12 +38,12 @@ def _show_aircraft(path: Path) -> None:
 
 
 def _show_project(folder: Path) -> None:
-    """Print what to do with a new project."""
+    """Print the next commands for a new project."""
     echo(f"{folder}\ncd {folder}\nhexjet fly flight.toml\nhexjet sweep study.toml\npython compare.py")
 
 
 def _show_mapping(result: Any, verbose: bool) -> None:
-    """Print what is found and what is open, and what to do next."""
+    """Print a draft mapping's assigned and open ports, and the next command."""
     show_result(result, verbose)
     mapping = result.files["mapping"]
     echo(f"next: hexjet engine check {mapping}" if result.is_complete else f"next: state in {mapping} what is open")
@@ -91,7 +91,7 @@ aircraft_check = Command(
     "cosim.api.checks:check_aircraft",
     "./mine",
     options={"engine": "--engine"},
-    folder=lambda arguments: f"check-{_name_of(arguments['aircraft'])}",
+    folder=lambda arguments: f"check-{_stem(arguments['aircraft'])}",
     succeeded=lambda result: result.is_fit,
     ends="Status 1: something is not as it must be.",
 )
@@ -149,7 +149,7 @@ engine_check = Command(
     "cosim.cli.calls.engine:check",
     "their.fmu --step 0.004",
     like="cosim.api.checks:check_engine",
-    folder=lambda arguments: f"check-{_name_of(arguments['engine'])}",
+    folder=lambda arguments: f"check-{_stem(arguments['engine'])}",
     succeeded=lambda result: result.is_fit,
     ends="Status 0: fit; 1: unfit; 2: not usable.",
 )
@@ -160,7 +160,7 @@ engine_identify = Command(
     given={"subject": "engine"},
     hidden=("aircraft", "controller", "substeps", "seed"),
     metavars={"hold": "NAME=VALUE", "settings": "PARAMETER=VALUE"},
-    folder=lambda arguments: f"identify-{_name_of(arguments['engine'])}",
+    folder=lambda arguments: f"identify-{_stem(arguments['engine'])}",
     succeeded=lambda result: result.found,
 )
 engine_map = Command(
@@ -187,7 +187,7 @@ gcs = Command(
     bare={"web": "8765"},
     ends="Status, of the last flight: 0 completed within its limits; 1 it failed or went beyond them; 2 wrong input.",
     succeeded=lambda result: result.runs[-1].summary.succeeded,
-    show=lambda result: None,  # it has printed everything while it ran
+    show=lambda result: None,  # the command prints while it runs
 )  # fmt: skip
 identify = Command(
     "identify",

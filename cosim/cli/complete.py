@@ -6,24 +6,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-_KINDS = {
+_LIBRARY_KINDS = {  # by option or argument
     "aircraft": ("aircraft",), "controller": ("controllers",), "engine": ("engines",), "from": ("aircraft",),
     "scenario": ("scenarios",), "name": ("scenarios", "studies", "engines", "aircraft", "controllers"),
 }  # fmt: skip
-_RUNS = ("folder", "log", "flights", "name", "run")  # arguments that name a run
+_RUN_ARGUMENTS = ("folder", "log", "flights", "name", "run")  # arguments that name a run
 
 
-def completer_of(argument: str, names: tuple[str, ...]) -> Callable[[Any], list[str]] | None:
-    """Return what gives the words that may follow for an option of these names, or for an argument."""
-    kinds = _KINDS.get(names[0][2:] if names else argument)
-    is_run = not names and argument in _RUNS
+def make_completer(argument: str, names: tuple[str, ...]) -> Callable[[Any], list[str]] | None:
+    """Return a function that lists completions for an option of these names or for an argument, or None."""
+    kinds = _LIBRARY_KINDS.get(names[0][2:] if names else argument)
+    is_run = not names and argument in _RUN_ARGUMENTS
     if kinds is None and not is_run:
         return None
 
-    def complete(context: Any) -> list[str]:
+    def list_completions(context: Any) -> list[str]:
         from cosim.api.listing import catalogue
 
-        before, equals, begun = context.incomplete.rpartition("=")  # of N=NAME
+        before, equals, begun = context.incomplete.rpartition("=")  # such as 2=turbojet
         found = [entry["name"] for kind in kinds or () for entry in catalogue(kind)]
         words = [f"{before}{equals}{name}" for name in sorted(found) if name.startswith(begun)]
         runs = Path("runs")
@@ -31,4 +31,4 @@ def completer_of(argument: str, names: tuple[str, ...]) -> Callable[[Any], list[
         folders.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         return words + [str(path) for path in folders if str(path).startswith(context.incomplete)]
 
-    return complete
+    return list_completions

@@ -17,12 +17,12 @@ from cosim.base.wording import printable, printable_line
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-_bars: list[Bar] = []  # on the terminal now
+_bars: list[Bar] = []  # progress bars on the terminal now
 
 
 @contextmanager
-def without_bars() -> Iterator[None]:
-    """Take bars off the terminal meanwhile: they draw over what is written, and take its brackets for markup."""
+def hide_progress_bars() -> Iterator[None]:
+    """Hide progress bars meanwhile: they draw over other output and read its brackets as markup."""
     stopped = list(_bars)
     for bar in stopped:
         bar.stop()
@@ -35,7 +35,7 @@ def without_bars() -> Iterator[None]:
 
 @contextmanager
 def output_to_stderr(active: bool) -> Iterator[None]:
-    """Send what an FMU or a library prints to standard error, while a flight must leave standard output alone."""
+    """Redirect what FMUs and libraries print to standard error, so that standard output has nothing but JSON."""
     if not active:
         yield
         return
@@ -56,7 +56,7 @@ def output_to_stderr(active: bool) -> Iterator[None]:
 
 
 class TerminalProgress(Progress):
-    """Shows a call on a terminal: notes on standard error, and a bar of how far it is and how long the rest takes.
+    """Shows a call's progress on a terminal: notes on standard error, and a bar with the remaining time.
 
     ``notes`` is what notes are called; empty: none is printed.  Ctrl-C is answered in a line; ``goes_on`` is the
     command that goes on, ``{folder}`` that of the call.
@@ -79,10 +79,10 @@ class TerminalProgress(Progress):
             self._bar.stop()
             _bars.remove(self._bar)
         if isinstance(error, KeyboardInterrupt) and self._goes_on:
-            error.add_note(REPORTED)
-            echo(f"hexjet: stopped{self._describe_kept()}", err=True)
+            error.add_note(INTERRUPT_REPORTED)
+            echo(f"hexjet: stopped{self._describe_kept_flights()}", err=True)
 
-    def _describe_kept(self) -> str:
+    def _describe_kept_flights(self) -> str:
         if not self._done and not self._of:
             return " before the first flight"
         flown = f"{self._done} of {self._of}" if self._of else f"{self._done}"
@@ -90,31 +90,31 @@ class TerminalProgress(Progress):
         return f"; {kept}: {self._goes_on.format(folder=self._folder)} goes on"
 
     def begin(self, folder: Path) -> None:
-        """Keep the folder."""
+        """Store the folder of the results, to name it on Ctrl-C."""
         self._folder = folder
 
     def note(self, text: str) -> None:
-        """Print it on standard error."""
+        """Print a note on standard error."""
         if self._notes:
-            with without_bars():
+            with hide_progress_bars():
                 echo(f"hexjet: {self._notes}: {printable_line(text)}", err=True)
 
     def update(self, part: str, done: int, of: int) -> None:
-        """Show how far the call is."""
+        """Update the progress bar."""
         self._is_concluding = done == of == 0
         if not self._is_concluding:
             self._done, self._of = done, of
         if self._is_shown:
-            bar = self._bar = self._bar or self._start()
+            bar = self._bar = self._bar or self._start_bar()
             bar.update(bar.task_ids[0], description=printable(part), completed=done, total=of or None)
 
-    def _start(self) -> Bar:
+    def _start_bar(self) -> Bar:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        # The processor is for the flights.
+        # A bar is refreshed rarely, to leave the processor to the flights.
         bar = Bar(*columns, console=Console(stderr=True), transient=True, refresh_per_second=2)
         bar.add_task("")
         bar.start()
@@ -122,11 +122,11 @@ class TerminalProgress(Progress):
         return bar
 
 
-REPORTED = "told"  # note of an interruption
+INTERRUPT_REPORTED = "told"  # exception's note: already printed
 
 
 def show_result(result: Result, verbose: bool = False, screen: int = 24) -> None:
-    """Print a result: its lines, its tables, and where its files are.
+    """Print a result: its lines, its tables, and the paths of its files.
 
     Without ``verbose``, what has a page and is longer than a ``screen`` of lines is printed in short: no tables, and
     no more lines than the result says.
@@ -152,12 +152,12 @@ def show_result(result: Result, verbose: bool = False, screen: int = 24) -> None
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:
-    """Whether the cells of a column are numbers, so far as they have anything in them."""
+    """Return whether all cells of a column that are not empty are numbers."""
     return all(re.match(r"[-+<>]?\s*\.?\d", cell) for cell in cells if cell.strip("- "))
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print a text as it is, but for control characters; ``err``: on standard error."""
+    """Print a text with control characters escaped; ``err``: on standard error."""
     print(printable(text), file=sys.stderr if err else sys.stdout, end="\n" if nl else "", flush=True)
 
 
@@ -167,7 +167,7 @@ def note(text: str) -> None:
 
 
 def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:
-    """Print a line, broken at the terminal's width unless ``wrap`` is off; ``marked``: with rich's markup in it."""
+    """Print a line, wrapped at the terminal's width unless ``wrap`` is off; ``marked``: it has rich's markup."""
     terminal().print(text, highlight=False, markup=marked, soft_wrap=not wrap)
 
 
@@ -180,14 +180,14 @@ def show_table(
     name_width: int | None = None,
     **table_options: Any,
 ) -> None:
-    """Print a table, nothing where it has no rows.
+    """Print a table, or nothing if it has no rows.
 
     Parameters
     ----------
     titles, rows
         Texts of the headings and of each row's cells; rich's markup counts in them.
     right
-        Columns that stand to the right, counted from 0.
+        Columns that are aligned to the right, counted from 0.
     plain
         Brackets are no markup, numbers have no colour, and long words are folded.
     name_width
@@ -212,11 +212,11 @@ def show_table(
         terminal().print(table, **({"highlight": False, "markup": False} if plain else {}))
 
 
-def lay_out(
+def format_help(
     usage: str, about: str, sections: Mapping[str, Sequence[tuple[str, str]]], example: str = "",
     width: int | None = None,
 ) -> str:  # fmt: skip
-    """Return a help: usage, text, sections of names with meanings, example; ``width``: else the terminal's."""
+    """Return a help text: usage, description, sections of names with meanings, example; None: terminal's width."""
     wide = width or min(get_terminal_size((80, 24)).columns, 110)
     lines = [*wrap(f"Usage: {usage}", wide, subsequent_indent="  "), ""]
     for paragraph in about.split("\n\n"):
@@ -236,26 +236,26 @@ def lay_out(
 
 
 def terminal() -> Any:
-    """Return where tables go: as wide as the terminal, or as COLUMNS says, also in a pipe."""
+    """Return the console that prints tables, as wide as COLUMNS states, else as the terminal."""
     import os
     from io import StringIO
 
     from rich.console import Console as Rich
 
-    class Console(Rich):
-        """Whoever read the output may go before its end: no failure, and what rich makes of it is one."""
+    class PlainConsole(Rich):
+        """Console that leaves a broken pipe to the caller, and escapes control characters."""
 
         def on_broken_pipe(self) -> None:
             raise
 
         def render_str(self, text: str, **how: Any) -> Any:
-            """Make what is printed of a text, which a file may state, without its control characters."""
+            """Render a text, which may come from a file, with control characters escaped."""
             return super().render_str(printable(text), **how)
 
-    pipe_width = 120  # where COLUMNS states none
-    if sys.stdout is None:  # closed by whoever started this
-        return Console(file=StringIO(), width=pipe_width, emoji=False)
+    pipe_width = 120  # columns, unless COLUMNS states them
+    if sys.stdout is None:  # closed by the parent process
+        return PlainConsole(file=StringIO(), width=pipe_width, emoji=False)
     columns = os.environ.get("COLUMNS", "")
     if columns.isdigit():
-        return Console(width=max(int(columns), 20), emoji=False)
-    return Console(emoji=False) if sys.stdout.isatty() else Console(width=pipe_width, emoji=False)
+        return PlainConsole(width=max(int(columns), 20), emoji=False)
+    return PlainConsole(emoji=False) if sys.stdout.isatty() else PlainConsole(width=pipe_width, emoji=False)

@@ -17,43 +17,43 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything, without_code
-from cosim.cli.annotations import as_typed, read_type
-from cosim.cli.console import TerminalProgress, echo, lay_out, output_to_stderr, show_result
+from cosim.cli.annotations import format_docstring, read_type
+from cosim.cli.console import TerminalProgress, echo, format_help, output_to_stderr, show_result
 
 if TYPE_CHECKING:
     from cyclopts import App, CycloptsError
 
 DONE, FLIGHT_FAILED = 0, 1
-# Options whose name is not that of the argument: several values are given one by one.
-_NAMES = {
+# Options named unlike their argument: a sequence's option is in the singular, as it is repeated for each value.
+_OPTION_NAMES = {
     "controllers": "controller", "engines": "engine", "metrics": "metric", "observers": "observer", "settings": "set",
 }  # fmt: skip
-# What stands for a value, by the name of its argument.
+# Placeholder of a value in the help, by argument.
 _METAVARS = {
     "aircraft": "NAME|DIR", "controller": "NAME|FILE", "controllers": "NAME|FILE", "engine": "NAME|FILE",
     "folder": "DIR", "metrics": "NAME", "observers": "NAME", "out": "DIR", "scenario": "NAME|FILE", "sensors": "NAME",
     "settings": "KEY=VALUE", "wind": "NAME|FILE",
 }  # fmt: skip
-_KINDS = {int: "N", float: "X", str: "TEXT", Path: "FILE"}
-# Endings of files that commands write or read; any other name, such as runs/v1.2, is a folder's.
-_FILES = frozenset((
+_TYPE_PLACEHOLDERS = {int: "N", float: "X", str: "TEXT", Path: "FILE"}
+# Endings of files that commands write or read; any other path, such as runs/v1.2, names a folder.
+_FILE_ENDINGS = frozenset((
     ".bin", ".c", ".csv", ".fmu", ".h", ".htm", ".html", ".jpg", ".json", ".jsonl", ".log", ".mat", ".mcap", ".md",
     ".parquet", ".pdf", ".png", ".py", ".ssp", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
 ))  # fmt: skip
 # Options that every command may add.
 _JSON, _TRUST, _VERBOSE, _QUIET = "as_json", "trust", "verbose", "quiet"
-_HELP = ("-h", "--help")
+_HELP_FLAGS = ("-h", "--help")
 
 
 @dataclass(frozen=True)
 class Option:
-    """An option or an argument of a command, for one argument of its function."""
+    """Option or argument of a command, made from one parameter of its function."""
 
     argument: str
-    names: tuple[str, ...]  # none: it is an argument there too
-    kind: Any  # of the value, or of each of several
+    names: tuple[str, ...]  # empty: a positional argument
+    kind: Any  # type of each value
     several: bool
-    pairs: tuple[type, type] | None  # of name and value, if it is a mapping
+    pairs: tuple[type, type] | None  # types of NAME=VALUE, for a mapping
     metavar: str
     text: str
     default: Any
@@ -62,7 +62,7 @@ class Option:
 
     @property
     def label(self) -> str:
-        """What the help shows of it."""
+        """Names and placeholder of the value, as the help shows them."""
         if self.kind is bool:
             short = "".join(f"{name}, " for name in self.names if name[1] != "-")
             return f"{short}{self.names[0]}" if not self.default else f"{self.names[0]}/--no-{self.names[0][2:]}"
@@ -70,7 +70,7 @@ class Option:
 
     @property
     def meaning(self) -> str:
-        """What it is, what is allowed, and its default."""
+        """Description, allowed values and default, as the help shows them."""
         parts = [self.text] if self.text else []
         choices = get_args(self.kind) if get_origin(self.kind) is Literal else ()
         parts += [f"[{'|'.join(map(str, choices))}]"] if choices else []
@@ -82,66 +82,66 @@ class Option:
 
 @dataclass(frozen=True)
 class Command:
-    """How a function is called from the command line."""
+    """Command of the command line, made from a function's parameters and docstring."""
 
-    # Words behind ``hexjet``.
+    # Words after ``hexjet``.
     name: str
     # ``module:name``, imported when the command runs or its help is shown.
     function: str
     # The rest of a command line after ``hexjet NAME``.
     example: str
-    # Names of options that are not those of their arguments, by argument, blanks between several: the first is
-    # shown, the others are known too.
+    # Names of options that differ from their arguments' names, by argument, separated by blanks. The help shows
+    # the first; the others are accepted.
     options: Mapping[str, str] = field(default_factory=dict)
-    # What stands for values in the help, by argument, where it is not what their names stand for everywhere.
+    # Placeholders of values in the help, by argument, where they differ from the usual ones.
     metavars: Mapping[str, str] = field(default_factory=dict)
-    # Arguments that the command states itself, which are no options.
+    # Arguments with values that the command sets; they are no options.
     given: Mapping[str, Any] = field(default_factory=dict)
-    # Values of options that may stand without one, by argument.
+    # Values of options that may be written without a value, by argument.
     bare: Mapping[str, str] = field(default_factory=dict)
-    # Makes the name of the folder in ``runs/`` that is written where ``out`` is not named, of all arguments; None:
-    # none is.
+    # Returns the name of the new folder in ``runs/`` from all arguments, if ``out`` is not stated; None: no folder
+    # is written.
     folder: Callable[[Mapping[str, Any]], str | None] | None = None
-    # Whether a result is status 0; else it is 1.
+    # Whether the exit status of a result is 0; else it is 1.
     succeeded: Callable[[Any], bool] = lambda result: True
-    # What the help says of the exit status.
+    # Paragraph of the help on the exit status.
     ends: str = ""
-    # Whether it may run code of the user's, which ``--trust`` allows.
+    # Whether the command may run the user's code, which ``--trust`` allows.
     runs_code: bool = True
-    # Print a result, whole where it has an argument ``verbose``; and make what ``--json`` prints.  Without ``data``
-    # there is no such option.
+    # Prints a result, with ``--verbose`` if the function has an argument ``verbose``; and returns the data that
+    # ``--json`` prints (None: the command has no ``--json``).
     show: Callable[..., None] = show_result
     data: Callable[[Any], Any] | None = lambda result: result.to_dict()
-    # Endings of files that ``out`` may be; else it is a folder.
+    # Endings of the files that ``out`` may name; empty: it names a folder.
     writes: tuple[str, ...] = ()
-    # Another function, ``module:name``, whose arguments are handed on by the ``**choices`` of this one: they are
-    # options too, and have its texts.
+    # Another function, ``module:name``, which receives this function's ``**choices``: its arguments are options too,
+    # with the texts of its docstring.
     like: str = ""
-    # Other functions, ``module:name``, by the option that calls each of them in place of this one.
+    # Other functions, ``module:name``, by the option that selects each of them in place of this function.
     modes: Mapping[str, str] = field(default_factory=dict)
     # Arguments of the function that the command line does not offer.
     hidden: tuple[str, ...] = ()
-    # What a note of the call is called on standard error.
+    # Word that precedes a note of the call on standard error.
     notes: str = "note"
-    # The command that goes on with a call that was stopped, ``{folder}`` that of the call; without it
+    # Command that continues a call that was interrupted, with ``{folder}`` for its folder; empty:
     # ``hexjet NAME {folder} --resume``.
     goes_on: str = ""
-    # Called before the function with all arguments, such as for warnings.
+    # Called with all arguments before the function, for example to print warnings.
     before: Callable[[Mapping[str, Any]], None] = lambda arguments: None
 
     @cached_property
     def call(self) -> Callable[..., Any]:
-        """The function."""
-        return _import(self.function)
+        """Function of the command, imported at the first use."""
+        return _import_function(self.function)
 
     def sources(self, mode: str = "") -> list[Callable[..., Any]]:
-        """Return the function, or that of a mode, and that whose arguments it hands on."""
+        """Return the function, or that of ``mode``, and the function that receives its ``**choices``."""
         if mode:
-            return [_import(self.modes[mode])]
-        return [self.call, *([_import(self.like)] if self.like else [])]
+            return [_import_function(self.modes[mode])]
+        return [self.call, *([_import_function(self.like)] if self.like else [])]
 
     def parameters(self, mode: str = "") -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
-        """Return the arguments of :meth:`sources`, each with the function that has it."""
+        """Return the parameters of :meth:`sources`, each with the function that declares it."""
         found: dict[str, tuple[inspect.Parameter, Callable[..., Any]]] = {}
         for function in self.sources(mode):
             for name, parameter in inspect.signature(function).parameters.items():
@@ -151,7 +151,7 @@ class Command:
 
     @cached_property
     def all_parameters(self) -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
-        """The arguments of the function and of its modes, with an option for each mode."""
+        """Parameters of the function and of its modes, with one for each mode's option."""
         found = self.parameters()
         for mode in self.modes:
             (function,), own = self.sources(mode), self.parameters(mode)
@@ -163,39 +163,39 @@ class Command:
 
     @cached_property
     def texts(self) -> tuple[str, dict[str, str]]:
-        """What the function is for, and what each of its arguments is, as its docstring says it."""
+        """Description of the command, and of each argument, from the docstrings."""
         from docstring_parser import DocstringStyle, parse
 
-        def read(function: Callable[..., Any]) -> Any:
+        def parse_docstring(function: Callable[..., Any]) -> Any:
             return parse(inspect.getdoc(function) or "", DocstringStyle.NUMPYDOC)
 
-        first, *others = map(read, self.sources())
+        first, *others = map(parse_docstring, self.sources())
         more = [each for each in (first.long_description or "").split("\n\n") if not each.startswith(">>>")]
         about = [text for text in (first.short_description, *more, self.ends) if text]
         parameters = [each for parsed in (*reversed(others), first) for each in parsed.params]
-        of = {each.arg_name.lstrip("*"): as_typed(each.description or "") for each in parameters}
+        of = {each.arg_name.lstrip("*"): format_docstring(each.description or "") for each in parameters}
         defaults = {name: each.default for name, (each, _) in self.parameters().items()}
         for mode in self.modes:
-            parsed = read(self.sources(mode)[0])
-            of.setdefault(mode, as_typed(parsed.short_description))
+            parsed = parse_docstring(self.sources(mode)[0])
+            of.setdefault(mode, format_docstring(parsed.short_description))
             own = self.parameters(mode)
             for each in parsed.params:
-                name, text = each.arg_name, as_typed(each.description or "")
+                name, text = each.arg_name, format_docstring(each.description or "")
                 default = own[name][0].default
                 if name not in of:
                     of[name] = f"With --{mode}: {text[:1].lower()}{text[1:]}"
                 elif default and default != defaults.get(name, default):
                     of[name] += f" With --{mode} {default} by default."
-        return "\n\n".join(as_typed(text) for text in about), of
+        return "\n\n".join(format_docstring(text) for text in about), of
 
     @cached_property
     def declared(self) -> list[Option]:
-        """Every option and argument but those of this class, in the function's order; texts are left out."""
-        found = (self._declare(parameter, function) for parameter, function in self.all_parameters.values())
+        """Options and arguments from the functions' parameters, in their order, without texts."""
+        found = (self._make_option(parameter, function) for parameter, function in self.all_parameters.values())
         return [option for option in found if option is not None]
 
-    def _declare(self, parameter: inspect.Parameter, function: Callable[..., Any]) -> Option | None:
-        """Return the option of an argument; None where it has none."""
+    def _make_option(self, parameter: inspect.Parameter, function: Callable[..., Any]) -> Option | None:
+        """Return the option of a parameter; None if it has none."""
         name, several = parameter.name, parameter.kind is parameter.VAR_POSITIONAL
         if name in self.given or name in self.hidden:
             return None
@@ -203,12 +203,12 @@ class Command:
         if read is None:
             return None
         kind, repeats, pairs = read
-        base = _NAMES.get(name, name.removesuffix("_s")).replace("_", "-")
+        base = _OPTION_NAMES.get(name, name.removesuffix("_s")).replace("_", "-")
         names = tuple(self.options.get(name, f"--{base}").split())
-        # The name that Python has is known too.
+        # The parameter's name in Python is accepted too.
         names = tuple(dict.fromkeys((*names, f"--{base}", f"--{name.replace('_', '-')}")))
         is_argument = parameter.kind is not parameter.KEYWORD_ONLY and not self._is_option(parameter)
-        metavar = self.metavars.get(name) or _METAVARS.get(name) or _KINDS.get(kind, "CHOICE")
+        metavar = self.metavars.get(name) or _METAVARS.get(name) or _TYPE_PLACEHOLDERS.get(kind, "CHOICE")
         unit = name.rpartition("_")[2]
         metavar = unit.upper() if kind is float and unit in ("s", "hz", "mb") else metavar
         if is_argument:
@@ -222,12 +222,12 @@ class Command:
         )  # fmt: skip
 
     def _is_option(self, parameter: inspect.Parameter) -> bool:
-        """Whether an argument that Python takes by its place is an option: a folder to write, and what has a name."""
+        """Return whether a positional parameter is an option: ``out``, or one with a name in ``options``."""
         return parameter.name == "out" or parameter.name in self.options
 
     @property
     def rows(self) -> list[Option]:
-        """Every option and argument with its text, those that all commands have last."""
+        """Options and arguments with their texts, the ones common to all commands last."""
         texts = self.texts[1]
         rows = []
         for option in self.declared:
@@ -236,13 +236,13 @@ class Command:
                 kinds = "folder or file" if self.writes else "folder"
                 text = f"The {kinds} that is written, by default a new folder in runs/."
             rows.append(Option(**vars(option) | {"text": text}))
-        return rows + self._added
+        return rows + self._common_options
 
     @property
-    def _added(self) -> list[Option]:
-        """The options that are none of the function's."""
+    def _common_options(self) -> list[Option]:
+        """Options common to all commands: output as JSON, verbosity, trust."""
         added = [("--json", _JSON, "Print one JSON object and nothing else.")] if self.data is not None else []
-        if self._shows_more:
+        if self._has_verbose:
             added.append(("--verbose -v", _VERBOSE, "Print the tables too that the page has."))
         added.append(("--quiet -q", _QUIET, "Print nothing but errors."))
         if self.runs_code:
@@ -254,15 +254,15 @@ class Command:
         ]
 
     @property
-    def _shows_more(self) -> bool:
+    def _has_verbose(self) -> bool:
         return "verbose" in inspect.signature(self.show).parameters
 
     def help(self, width: int | None = None) -> str:
-        """Return the help, ``width`` columns wide, by default as the terminal."""
+        """Return the help text, ``width`` columns wide; None: the terminal's width."""
         options, arguments = [each for each in self.rows if each.names], [each for each in self.rows if not each.names]
         usage = [each.metavar + ("..." if each.several else "") for each in arguments]
         usage = [text if each.required else f"[{text}]" for text, each in zip(usage, arguments, strict=True)]
-        return lay_out(
+        return format_help(
             " ".join(["hexjet", self.name, "[OPTIONS]", *usage]),
             self.texts[0],
             {
@@ -274,21 +274,21 @@ class Command:
         )
 
     def app(self, *, with_help: bool = False) -> App:
-        """Return what reads the options; ``with_help``: for the completion of a shell, with their texts."""
+        """Return the parser of the options; ``with_help``: with their texts, for a shell's completion."""
         from cyclopts import App, Parameter
 
-        from cosim.cli.complete import completer_of
+        from cosim.cli.complete import make_completer
 
         kind = inspect.Parameter
         parameters = []
-        for option in self.rows if with_help else [*self.declared, *self._added]:
+        for option in self.rows if with_help else [*self.declared, *self._common_options]:
             default = () if option.several else kind.empty if option.required else option.default
             stated = Parameter(
                 name=option.names or option.metavar,
                 negative=[f"--no-{name[2:]}" for name in option.names] if option.default is True else (),
-                validator=_check(option),
+                validator=_make_validator(option),
                 help=option.text,
-                completer=completer_of(option.argument, option.names),
+                completer=make_completer(option.argument, option.names),
                 consume_multiple=False,
                 allow_repeating=True,
                 show_default=False,
@@ -300,60 +300,60 @@ class Command:
             typed: Any = Annotated[Union[value, None] if default is None else value, stated]  # noqa: UP007 - made of a value
             parameters.append(kind(option.argument, place, default=default, annotation=typed))
 
-        def read(*values: Any, **named: Any) -> None:
-            """Stand for the function."""
+        def placeholder(*values: Any, **named: Any) -> None:
+            """Give the parser a signature; it is never called."""
 
         signature = inspect.Signature(sorted(parameters, key=lambda each: each.kind))
-        vars(read)["__signature__"] = signature
-        read.__annotations__ = {name: each.annotation for name, each in signature.parameters.items()}
-        read.__doc__ = self.texts[0].partition("\n")[0] if with_help else None
-        app = App(name=self.name.split()[-1], help_flags=_HELP if with_help else [], version_flags=[])
-        app.default(read)
+        vars(placeholder)["__signature__"] = signature
+        placeholder.__annotations__ = {name: each.annotation for name, each in signature.parameters.items()}
+        placeholder.__doc__ = self.texts[0].partition("\n")[0] if with_help else None
+        app = App(name=self.name.split()[-1], help_flags=_HELP_FLAGS if with_help else [], version_flags=[])
+        app.default(placeholder)
         return app
 
     def read(self, words: Sequence[str]) -> dict[str, Any]:
-        """Return the arguments that a command line states.  Raises InputError."""
+        """Return the arguments that the words of a command line state.  Raises InputError."""
         from cyclopts import CycloptsError
 
         try:
             _, bound, _ = self.app().parse_args(
-                list(self._complete_bare(words)), exit_on_error=False, print_error=False, help_on_error=False
+                list(self._insert_bare_values(words)), exit_on_error=False, print_error=False, help_on_error=False
             )
         except CycloptsError as error:
-            raise InputError(self._explain(error)) from None
+            raise InputError(self._explain_parse_error(error)) from None
         arguments = dict(bound.arguments)
         for option in self.declared:
             if option.pairs is not None and option.argument in arguments:
-                arguments[option.argument] = _as_mapping(option, arguments[option.argument])
+                arguments[option.argument] = _parse_pairs(option, arguments[option.argument])
         return arguments
 
     def check_out(self, out: str | None) -> None:
-        """Raise InputError where ``out`` ends like a file of another kind than the command writes."""
+        """Raise InputError if ``out`` is, or by its ending names, a file that this command does not write."""
         if out is None:
             return
         path, ending = Path(out), Path(out).suffix.lower()
         wanted = f"a folder, or a file that ends in {' or '.join(self.writes)}" if self.writes else "a folder"
         if path.is_file() and ending not in self.writes:
             raise InputError(f"--out {out}: is a file; hexjet {self.name} writes {wanted}")
-        if ending in _FILES and ending not in self.writes and not path.is_dir():
+        if ending in _FILE_ENDINGS and ending not in self.writes and not path.is_dir():
             raise InputError(f"--out {out}: names a file by its ending; hexjet {self.name} writes {wanted}")
 
     def _check_mode(self, mode: str, others: Iterable[str]) -> None:
-        """Raise InputError for arguments that the function of a mode has not, or that another mode has."""
+        """Raise InputError if ``others``, arguments unknown to the function of ``mode``, are stated."""
         names = {each.argument: each.names[0] if each.names else each.metavar for each in self.declared}
         for other in sorted(others):
             home = next((each for each in self.modes if other in (each, *self.parameters(each))), "")
             raise InputError(f"{names[other]}: goes {f'without --{mode}' if mode else f'with --{home}'}")
 
-    def _complete_bare(self, words: Sequence[str]) -> Iterator[str]:
-        """Yield the words, with a value behind an option that may stand without one."""
+    def _insert_bare_values(self, words: Sequence[str]) -> Iterator[str]:
+        """Yield the words, with the value from ``bare`` after an option that is written without one."""
         values = {name: self.bare[each.argument] for each in self.declared if each.argument in self.bare
                   for name in each.names}  # fmt: skip
         for word, following in zip(words, [*words[1:], "-"], strict=False):
             yield f"{word}={values[word]}" if word in values and following.startswith("-") else word
 
-    def _explain(self, error: CycloptsError) -> str:
-        """Return the line for words that are no options of this command."""
+    def _explain_parse_error(self, error: CycloptsError) -> str:
+        """Return one line on words that this command does not accept."""
         from cyclopts import exceptions
 
         text, token = " ".join(str(error).split()), cast(Any, getattr(error, "token", None))
@@ -377,10 +377,10 @@ class Command:
         return f"{text} (hexjet {self.name} --help)"
 
     def _explain_unknown(self, name: str) -> str:
-        """Return what to use instead of an option that is not there."""
+        """Return one line on an unknown option, with its replacement or the nearest option."""
         if (removed := describe_removed(f"hexjet {self.name} {name}")) is not None:
             return f"{name}: {removed}"
-        options = [*self.declared, *self._added]
+        options = [*self.declared, *self._common_options]
         if any("--set" in each.names for each in options):
             from cosim.spec.scenario import describe_meant
 
@@ -392,14 +392,14 @@ class Command:
         return f"No such option {name!r}{f'; did you mean {close[0]!r}?' if close else ''}"
 
     def run(self, words: Sequence[str]) -> int:
-        """Run it with the words of a command line, print what it came to, and return the exit status."""
-        if set(_HELP) & set(words[: [*words, "--"].index("--")]):
+        """Run the command with these words, print its result, and return the exit status."""
+        if set(_HELP_FLAGS) & set(words[: [*words, "--"].index("--")]):
             echo(self.help())
             return DONE
         arguments = self.read(words)
         self.check_out(arguments.get("out"))
         as_json, quiet = arguments.pop(_JSON, False), arguments.pop(_QUIET, False)
-        shown = {_VERBOSE: arguments.pop(_VERBOSE, False)} if self._shows_more else {}
+        shown = {_VERBOSE: arguments.pop(_VERBOSE, False)} if self._has_verbose else {}
         if arguments.pop(_TRUST, False):
             trust_everything()
         arguments |= self.given
@@ -411,20 +411,20 @@ class Command:
         if self.folder is not None and arguments.get("out") is None:
             from cosim.flight import new_folder
 
-            if (name := self.folder(_Arguments(parameters, arguments))) is not None:
+            if (name := self.folder(_CompleteArguments(parameters, arguments))) is not None:
                 arguments["out"] = str(new_folder(Path("runs"), name))
         with ExitStack() as stack:
             stack.enter_context(nullcontext() if self.runs_code else without_code())
             stack.enter_context(output_to_stderr(as_json))
             if quiet:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(devnull, "w"))))
-            self.before(_Arguments(parameters, arguments))
+            self.before(_CompleteArguments(parameters, arguments))
             if "progress" in parameters:
                 again = self.goes_on or f"hexjet {self.name} {{folder}} --resume"
                 goes_on = again if "resume" in parameters else ""
                 shows = TerminalProgress(as_json or quiet, goes_on, "" if quiet else self.notes)
                 arguments["progress"] = stack.enter_context(shows)
-            result = self.sources(mode)[0](*_by_place(parameters, arguments), **arguments)
+            result = self.sources(mode)[0](*_take_positional(parameters, arguments), **arguments)
         if as_json and self.data is not None:
             echo(dumps(self.data(result)))
         elif not quiet:
@@ -432,22 +432,22 @@ class Command:
         return DONE if self.succeeded(result) else FLIGHT_FAILED
 
 
-class _Arguments(dict[str, Any]):
-    """Arguments of a call, those that are not stated with their defaults."""
+class _CompleteArguments(dict[str, Any]):
+    """Arguments of a call; defaults complete the stated ones."""
 
     def __init__(self, parameters: Mapping[str, inspect.Parameter], stated: Mapping[str, Any]) -> None:
         super().__init__({name: each.default for name, each in parameters.items()} | dict(stated))
 
 
-def _import(name: str) -> Callable[..., Any]:
-    """Return a function ``module:name``."""
+def _import_function(name: str) -> Callable[..., Any]:
+    """Return the function called ``module:name``."""
     module, _, function = name.partition(":")
     found: Callable[..., Any] = getattr(import_module(module), function)
     return found
 
 
-def _by_place(parameters: Mapping[str, inspect.Parameter], arguments: dict[str, Any]) -> list[Any]:
-    """Take the arguments out that a function takes by their places alone, and return them."""
+def _take_positional(parameters: Mapping[str, inspect.Parameter], arguments: dict[str, Any]) -> list[Any]:
+    """Remove and return the arguments that the function takes as ``*values``."""
     values: list[Any] = []
     for name, parameter in parameters.items():
         if parameter.kind is parameter.VAR_POSITIONAL:
@@ -455,20 +455,20 @@ def _by_place(parameters: Mapping[str, inspect.Parameter], arguments: dict[str, 
     return values
 
 
-def _check(option: Option) -> Callable[[Any, Any], None]:
-    """Return what refuses a number that is not finite or beyond the limits of an argument."""
+def _make_validator(option: Option) -> Callable[[Any, Any], None]:
+    """Return a validator that refuses numbers that are not finite or outside the option's limits."""
 
-    def check(kind: Any, value: Any) -> None:
+    def validate(kind: Any, value: Any) -> None:
         for each in value if isinstance(value, (list, tuple)) else (value,):
             if isinstance(each, float) and not isfinite(each):
                 raise ValueError(f"{each} is not a finite number")
             if option.limits is not None and each is not None and each not in option.limits:
                 raise ValueError(f"{each:g}; allowed: {option.limits}")
 
-    return check
+    return validate
 
 
-def _as_mapping(option: Option, texts: Sequence[str]) -> dict[Any, Any]:
+def _parse_pairs(option: Option, texts: Sequence[str]) -> dict[Any, Any]:
     """Return texts ``NAME=VALUE`` as a mapping.  Raises InputError."""
     assert option.pairs is not None
     pairs: dict[Any, Any] = {}

@@ -19,13 +19,13 @@ from cosim.base.errors import RESOURCE_ERRNOS, STDOUT_NAME, FlightError, InputEr
 from cosim.base.trust import command_trust_scope
 from cosim.base.wording import printable_line
 from cosim.cli import table
-from cosim.cli.console import REPORTED, echo, lay_out, note
+from cosim.cli.console import INTERRUPT_REPORTED, echo, format_help, note
 from cosim.cli.trust import trust_prompt
 
-DONE, FLIGHT_FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143  # the last two as shells have them
+DONE, FLIGHT_FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143  # last: 128 + number of the signal
 SHELLS = ("bash", "zsh", "fish")
 _ABOUT = "Co-simulation of the Hex-Jet: JSBSim airframe, FMU engines, predictor-based control."
-_OPTIONS = (
+_GLOBAL_OPTIONS = (
     ("--version", "Show the version and end."),
     (f"--install-completion [{'|'.join(SHELLS)}]", "Let a shell complete commands, options and names."),
     ("--help", "Show this and end; hexjet COMMAND --help tells a command's options, with an example."),
@@ -33,33 +33,33 @@ _OPTIONS = (
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, by which a batch system or a service manager asks a process to end."""
+    """Raised on SIGTERM, by which batch systems and service managers ask a process to end."""
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command ``hexjet``: exits with 0, 1 (the flight failed) or 2 (wrong input, one line)."""
-    # A character that the terminal lacks must not fail a command.
+    # A character that the terminal's encoding lacks must not end a command.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
-    warnings.showwarning = _show_notices(warnings.showwarning)
+    warnings.showwarning = _make_warning_printer(warnings.showwarning)
     words = sys.argv[1:] if arguments is None else arguments
     try:
         with treat_sigterm_as_interrupt(), command_trust_scope(trust_prompt(), words):
             status = run(words)
             if sys.stdout is not None:
                 sys.stdout.flush()
-    except BrokenPipeError:  # whoever read the output has gone
-        _drop_output()
+    except BrokenPipeError:  # the reader of the output has ended
+        _discard_output()
         status = DONE
     except (InputError, FlightError, OSError, MemoryError) as error:
         if isinstance(error, OSError) and error.errno not in (*RESOURCE_ERRNOS, errno.ENAMETOOLONG):
             raise
-        message, status = _explain(error)
-        _complain(message)
+        message, status = _explain_error(error)
+        _print_error(message)
     except KeyboardInterrupt as stop:
-        if REPORTED not in getattr(stop, "__notes__", ()):
-            _complain("stopped; what was written before is kept")
+        if INTERRUPT_REPORTED not in getattr(stop, "__notes__", ()):
+            _print_error("stopped; what was written before is kept")
         status = TERMINATED if isinstance(stop, Terminated) else INTERRUPTED
     sys.exit(status)
 
@@ -71,7 +71,7 @@ def run(words: list[str]) -> int:
         return WRONG_INPUT
     first, *others = words
     if first == "__complete":
-        _complete(words)
+        _print_completions(words)
     elif first in ("-h", "--help"):
         _note_taken_names()
         echo(describe())
@@ -93,27 +93,27 @@ def run(words: list[str]) -> int:
 
 
 def describe(width: int | None = None) -> str:
-    """Return the help of all commands in groups; what another package adds is imported for its line."""
+    """Return the help of all commands in groups, also of those that other packages add."""
     there = {name.partition(" ")[0] for name in table.list_names()} - table.HIDDEN
     sections = {
         title: [(name, line) for name, line in commands.items() if name in there]
-        for title, commands in table.GROUPS.items()
+        for title, commands in table.HELP_GROUPS.items()
     }
-    sections[table.OTHERS] = [(name, _first_line(name)) for name in sorted(there - set(table.LINES))]
-    return lay_out("hexjet [OPTIONS] COMMAND ...", _ABOUT, sections | {"Options": _OPTIONS}, width=width)
+    sections[table.OTHERS_TITLE] = [(name, _headline(name)) for name in sorted(there - set(table.DESCRIPTIONS))]
+    return format_help("hexjet [OPTIONS] COMMAND ...", _ABOUT, sections | {"Options": _GLOBAL_OPTIONS}, width=width)
 
 
 def describe_collection(name: str, width: int | None = None) -> str:
     """Return the help of commands whose first word is ``name``."""
-    rows = [(each.partition(" ")[2], _first_line(each)) for each in table.list_names(name) if each not in table.HIDDEN]
-    about = f"{(line := table.LINES.get(name, name))[:1].upper()}{line[1:]}."
-    if name in table.OWN:  # a command too
-        return f"{table.load(name).help(width)}\n\n{lay_out(f'hexjet {name} COMMAND ...', '', {'Commands': rows})}"
-    return lay_out(f"hexjet {name} COMMAND ...", about, {"Commands": rows}, width=width)
+    rows = [(each.partition(" ")[2], _headline(each)) for each in table.list_names(name) if each not in table.HIDDEN]
+    about = f"{(line := table.DESCRIPTIONS.get(name, name))[:1].upper()}{line[1:]}."
+    if name in table.NATIVE:  # such as hexjet identify
+        return f"{table.load(name).help(width)}\n\n{format_help(f'hexjet {name} COMMAND ...', '', {'Commands': rows})}"
+    return format_help(f"hexjet {name} COMMAND ...", about, {"Commands": rows}, width=width)
 
 
-def _first_line(name: str) -> str:
-    """Return the first sentence of a command's help, or why it is not there."""
+def _headline(name: str) -> str:
+    """Return the first sentence of a command's help, or why the command cannot be loaded."""
     try:
         return table.load(name).texts[0].partition("\n")[0]
     except InputError as error:
@@ -121,20 +121,20 @@ def _first_line(name: str) -> str:
 
 
 def _note_taken_names() -> None:
-    """Say which installed packages add a command of a name that is taken: theirs is not reached."""
+    """Print a note on each command of another package whose name is already taken."""
     for name, entries in table.added().items():
-        if name in table.OWN or name in {each.partition(" ")[0] for each in table.OWN}:
+        if name in table.NATIVE or name in {each.partition(" ")[0] for each in table.NATIVE}:
             package = entries[0].dist.name if entries[0].dist else "an installed package"
             note(f"{name} of {package} is not reached: hexjet has that command")
 
 
-def _complete(words: list[str]) -> None:
-    """Print what may follow the words, for a shell's script."""
-    _make_tree()(words, exit_on_error=False)
+def _print_completions(words: list[str]) -> None:
+    """Print the words that may follow, for a shell's completion script."""
+    _make_completion_app()(words, exit_on_error=False)
 
 
-def _make_tree() -> Any:
-    """Return the whole command line for the completion of a shell: a command is imported when its words are typed."""
+def _make_completion_app() -> Any:
+    """Return an app of all commands with their options, for a shell's completion."""
     from cyclopts import App
 
     root = App(name="hexjet", version_flags=[])
@@ -155,26 +155,26 @@ def _make_tree() -> Any:
 
 
 def _install_completion(shell: str) -> None:
-    """Write what a shell needs to complete the command, and say where."""
+    """Write the completion script of a shell, and print its path."""
     if shell not in SHELLS:
         raise InputError(f"--install-completion: {shell!r}: {nearest(shell, SHELLS)}")
-    path: Path = _make_tree().install_completion(shell=shell, add_to_startup=False)
+    path: Path = _make_completion_app().install_completion(shell=shell, add_to_startup=False)
     echo(f"{path}: a new {shell} completes hexjet")
 
 
 @contextmanager
 def treat_sigterm_as_interrupt() -> Iterator[None]:
-    """Answer SIGTERM, and the end of the terminal (SIGHUP), as Ctrl-C is answered; not what is ignored (nohup)."""
+    """Raise KeyboardInterrupt on SIGTERM and SIGHUP, unless ignored (nohup), so that they act as Ctrl-C does."""
 
-    def end(number: int, frame: object) -> None:
+    def raise_terminated(number: int, frame: object) -> None:
         raise Terminated
 
     handlers = {}
     # Only the main thread may set signal handlers.
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
+        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # Windows has no SIGHUP
             if signal.getsignal(number) is not signal.SIG_IGN:
-                handlers[number] = signal.signal(number, end)
+                handlers[number] = signal.signal(number, raise_terminated)
     try:
         yield
     finally:
@@ -182,43 +182,43 @@ def treat_sigterm_as_interrupt() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _explain(error: InputError | FlightError | OSError | MemoryError) -> tuple[str, int]:
-    """Return the line for an error that ends a command, and the exit status."""
+def _explain_error(error: InputError | FlightError | OSError | MemoryError) -> tuple[str, int]:
+    """Return the message of an error that ends a command, and the exit status."""
     if isinstance(error, InputError):
         return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
     if isinstance(error, MemoryError):
         return "the memory that this process may have is used up", FLIGHT_FAILED
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
         return f"{error.filename}: is longer than a file's name can be", WRONG_INPUT
-    return (_machine_trouble(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
+    return (_describe_os_error(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
 
 
-def _machine_trouble(error: OSError) -> str:
-    """Return in words what the machine has no more of; what standard output did not take is dropped."""
+def _describe_os_error(error: OSError) -> str:
+    """Describe an error of the system, such as a full disk; discard output that could not be written."""
     if error.filename != STDOUT_NAME:
         return f"{error.strerror}; temporary files are in {tempfile.gettempdir()}"
-    _drop_output()
+    _discard_output()
     return f"{STDOUT_NAME}: {error.strerror}"
 
 
-def _drop_output() -> None:
-    """Send what is still to be written nowhere: Python flushes at its end, and would fail with words of its own."""
+def _discard_output() -> None:
+    """Redirect standard output to the null device, because Python's flush at exit would fail."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, sys.stdout.fileno())
     os.close(nothing)
 
 
-def _show_notices(show_other: Callable[..., None]) -> Callable[..., None]:
-    """Return what shows a warning: a notice of ours as one line on standard error, any other as before."""
+def _make_warning_printer(show_other: Callable[..., None]) -> Callable[..., None]:
+    """Return a ``showwarning`` that prints a :class:`Notice` in one line, and any other warning by ``show_other``."""
 
-    def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
+    def show_warning(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
         if issubclass(category, Notice):
             note(str(message))
         else:
             show_other(message, category, *where, **options)
 
-    return show
+    return show_warning
 
 
-def _complain(message: str) -> None:
+def _print_error(message: str) -> None:
     echo(f"hexjet: {printable_line(message)}", err=True)

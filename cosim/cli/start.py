@@ -17,7 +17,7 @@ from cosim.base.runtime.kernels import set_for_command
 def main() -> None:
     """Run the command ``hexjet``."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
-    _collect_seldom()
+    _limit_garbage_collection()
     set_for_command()
     open_standard_streams()
     sys.stdout = named_output()
@@ -27,15 +27,15 @@ def main() -> None:
     command()
 
 
-def _collect_seldom() -> None:
-    """Let Python look for garbage in circles now and then only, and not in what is left at the end of the process."""
-    # The hundred thousand objects that a command imports stay, so that collecting them is in vain.
+def _limit_garbage_collection() -> None:
+    """Let Python collect garbage rarely, and not at the process's end."""
+    # The 100 000 objects that a command imports live to its end, so that searching them frees nothing.
     gc.set_threshold(200_000, 20, 100)
     atexit.register(gc.freeze)
 
 
 def open_standard_streams() -> None:
-    """Open to nothing whatever of standard input, output and error is closed, as in a daemon's child.
+    """Open standard streams that are closed, as in a daemon's child, to the null device.
 
     Else the next files that are opened get their numbers, and what a library prints is written into a log.
     """
@@ -51,8 +51,8 @@ def open_standard_streams() -> None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
 
-class _Output(io.FileIO):
-    """Standard output, which says so where it takes no more: the system's error has no name."""
+class _NamedOutput(io.FileIO):
+    """Standard output whose write errors name it, which the system's errors do not."""
 
     def write(self, data: Any, /) -> int:
         try:
@@ -62,10 +62,10 @@ class _Output(io.FileIO):
 
 
 def named_output() -> io.TextIOWrapper:
-    """Return standard output as it is, but that an error of it has its name."""
+    """Return standard output with the same settings, whose write errors name it."""
     now = sys.stdout
     return io.TextIOWrapper(
-        io.BufferedWriter(_Output(1, "w", closefd=False)),
+        io.BufferedWriter(_NamedOutput(1, "w", closefd=False)),
         encoding=now.encoding,
         errors=now.errors,
         line_buffering=now.isatty(),

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from cosim.cli.declare import Command
 
 # The entry point NAME adds hexjet NAME, and GROUP.NAME adds hexjet GROUP NAME.
-ADDED = "hexjet.commands"
-GROUPS = {
+ENTRY_POINT_GROUP = "hexjet.commands"
+HELP_GROUPS = {
     "Fly": {
         "fly": "fly a scenario and leave a run's folder",
         "replay": "fly a recorded flight again, and judge a model by it",
@@ -49,32 +49,32 @@ GROUPS = {
         "export": "write a log, a controller or the vehicle for other tools",
     },
 }
-# What developers of this project use, which the help leaves out.
+# Commands for this project's developers, which the help leaves out.
 HIDDEN = frozenset(("benchmark", "engine build"))
-OTHERS = "Of other packages"
-LINES = {name: line for commands in GROUPS.values() for name, line in commands.items()}
+OTHERS_TITLE = "Of other packages"
+DESCRIPTIONS = {name: line for commands in HELP_GROUPS.values() for name, line in commands.items()}
 # Commands of this package, each declared under its name in cosim/cli/commands.py, with _ between its words.
-OWN = frozenset((
+NATIVE = frozenset((
     "aircraft check", "aircraft new", "compare", "engine build", "engine check", "engine identify", "engine map",
     "export", "fly", "gcs", "identify", "new", "open", "show", "sweep",
 ))  # fmt: skip
-_COLLECTIONS = frozenset(("aircraft", "engine", "export", "identify", "sitl"))  # commands of two words begin with these
+_COLLECTIONS = frozenset(("aircraft", "engine", "export", "identify", "sitl"))  # first words of two-word commands
 
 
 @cache
 def added() -> Mapping[str, tuple[EntryPoint, ...]]:
-    """Return what installed packages add, by the words of its command; read only where it is needed."""
+    """Return the entry points of commands that installed packages add, by the command's words."""
     from importlib.metadata import entry_points
 
     found: dict[str, tuple[EntryPoint, ...]] = {}
-    for entry in entry_points(group=ADDED):
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
         name = entry.name.replace(".", " ")
         found[name] = (*found.get(name, ()), entry)
     return found
 
 
-def is_here(entry: EntryPoint) -> bool:
-    """Return whether the package of an entry point is there; a wheel leaves out some of the sources."""
+def is_installed(entry: EntryPoint) -> bool:
+    """Return whether the package of an entry point is installed; a wheel leaves out some tools."""
     from importlib.util import find_spec
 
     try:
@@ -84,13 +84,13 @@ def is_here(entry: EntryPoint) -> bool:
 
 
 def list_names(collection: str = "") -> list[str]:
-    """Return the commands that there are; ``collection``: those whose first word it is."""
-    names = {*OWN, *(name for name, entries in added().items() if is_here(entries[0]))}
+    """Return the names of all commands, or of those whose first word is ``collection``."""
+    names = {*NATIVE, *(name for name, entries in added().items() if is_installed(entries[0]))}
     return sorted(name for name in names if not collection or name.startswith(f"{collection} "))
 
 
 def is_collection(name: str) -> bool:
-    """Return whether commands of two words begin with a name."""
+    """Return whether ``name`` is the first word of two-word commands."""
     return name in _COLLECTIONS or any(each.startswith(f"{name} ") for each in added())
 
 
@@ -100,20 +100,20 @@ def is_collection_alone(words: list[str]) -> bool:
 
 
 def find(words: list[str]) -> tuple[str, list[str]]:
-    """Return the command that a command line begins with, and the words behind it.  Raises InputError for none."""
+    """Return the name of a command line's command, and the words after it.  Raises InputError if there is none."""
     first = words[0]
-    if first in OWN and first not in _COLLECTIONS:
+    if first in NATIVE and first not in _COLLECTIONS:
         return first, words[1:]
     for count in (2, 1):
         name = " ".join(words[:count])
         if (removed := describe_removed(f"hexjet {name}")) is not None:
             raise InputError(f"{name}: {removed}")
-        if len(words) >= count and (name in OWN or name in added()):
+        if len(words) >= count and (name in NATIVE or name in added()):
             return name, words[count:]
     if is_collection(first):
         inner = [name.partition(" ")[2] for name in list_names(first)]
         if not inner:
-            # Loading one of them says which package is missing.
+            # Loading one of these commands reports which package is missing.
             return next(name for name in added() if name.startswith(f"{first} ")), words[1:]
         raise InputError(f"No such command {words[1]!r}; {nearest(words[1], inner)} (hexjet {first} --help)")
     names = {name.partition(" ")[0] for name in list_names()}
@@ -121,8 +121,8 @@ def find(words: list[str]) -> tuple[str, list[str]]:
 
 
 def load(name: str) -> Command:
-    """Return a command; nothing but its own declaration is imported for it.  Raises InputError for one of a package."""
-    if name in OWN:
+    """Return a command by its name.  Raises InputError if an installed package's command cannot be loaded."""
+    if name in NATIVE:
         command: Command = getattr(import_module("cosim.cli.commands"), name.replace(" ", "_"))
         return command
     entry, *others = added()[name]
@@ -132,7 +132,7 @@ def load(name: str) -> Command:
     try:
         loaded: Any = entry.load()
     except Exception as error:
-        # The module of somebody else may raise anything.
+        # Another package's module may raise any exception.
         if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
             reason = f"needs {error.name!r}, which is not installed; the sources of {packages[0]} have it"
             raise InputError(f"{name}: {reason}") from None

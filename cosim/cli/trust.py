@@ -5,16 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 
-from cosim.cli.console import echo, without_bars
+from cosim.cli.console import echo, hide_progress_bars
 
 
 def trust_prompt() -> Callable[[Sequence[str]], bool] | None:
-    """Return what asks the user whether folders are run; None where nobody is at a terminal."""
+    """Return a function that asks the user whether to run code of folders; None without a terminal."""
     return _ask_for_trust if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 
 
 def _ask_for_trust(folders: Sequence[str]) -> bool:
-    with without_bars():
+    with hide_progress_bars():
         echo("Code that you have not flown before, or that has changed:", err=True)
         for folder in folders:
             echo(f"  {folder}", err=True)

@@ -18,7 +18,7 @@ from cosim.control.autopilot.modes import LandedState, Severity
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import Answer, MissionItem, Request, Result, SetParameter, Sticks
 from cosim.control.autopilot.status import Status
-from cosim.flight import record, with_page
+from cosim.flight import record, write_run_page
 from cosim.groundstation.exchange import Exchange, FlightInfo, Snapshot
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import RequestLog
@@ -113,7 +113,7 @@ class SessionFlight:
             reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
         self.recording.shorten_scenario(steps)
         run = self.recording.finish(ending.outcome, reason, wall, self.pace.report)
-        return with_page(run) if report else run
+        return write_run_page(run) if report else run
 
     def close(self) -> None:
         if self.log is not None:

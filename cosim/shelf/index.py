@@ -21,12 +21,12 @@ from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.spec.controller_name import describe_controller
 
-INDEX = "index.html"  # file name of the page
-GENERATOR = "hexjet open"  # marks the page as ours, in its title
+INDEX_NAME = "index.html"  # file name of the page
+TITLE_MARK = "hexjet open"  # in the title of pages written here
 TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"  # template of the page
-RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"  # kinds of results
+RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"  # kinds of rows
 SCENARIO = "scenario.toml"  # file of a run that was not completed
-LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # logs of other flight controllers
+LOG_ENDINGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of logs of other flight controllers
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
 
@@ -60,17 +60,17 @@ def write_index(folder: Path) -> Path:
 
     from cosim.results.report.cards import Card, Page
 
-    rows = [entry._asdict() | {"page": _link(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
-    page = folder / INDEX
-    if page.exists() and GENERATOR not in read_file(page, first=1000).decode(errors="replace"):
+    rows = [entry._asdict() | {"page": _url(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
+    page = folder / INDEX_NAME
+    if page.exists() and TITLE_MARK not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
     data = json.dumps(rows, allow_nan=False).replace("<", "\\u003c")
     content = Markup(read_text(TEMPLATE).replace("{}</script>", f"{data}</script>", 1))
-    Page(GENERATOR, f"Runs in {folder.resolve().name}", [Card("", content=content)]).write(page)
+    Page(TITLE_MARK, f"Runs in {folder.resolve().name}", [Card("", content=content)]).write(page)
     return page
 
 
-def _link(entry: Entry) -> str:
+def _url(entry: Entry) -> str:
     return f"{quote(entry.name)}/{quote(entry.page)}" if entry.page else ""
 
 
@@ -83,7 +83,7 @@ def _is_candidate(entry: os.DirEntry[str]) -> bool:
     if entry.name[:1] == ".":
         return False
     return entry.is_dir(follow_symlinks=False) or (
-        entry.is_file(follow_symlinks=False) and Path(entry.name).suffix.lower() in LOGS
+        entry.is_file(follow_symlinks=False) and Path(entry.name).suffix.lower() in LOG_ENDINGS
     )
 
 
@@ -100,7 +100,7 @@ def read_entry(folder: Path) -> Entry:
             return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
     if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
-        return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, page)
+        return Entry(folder.name, CAMPAIGN, _describe_study(folder / STUDY) | began, {}, page)
     kind = PAGE if page else UNFINISHED if (folder / SCENARIO).is_file() else ""
     return Entry(folder.name, kind, began, {}, page)
 
@@ -114,7 +114,7 @@ def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     return details
 
 
-def _study(path: Path) -> dict[str, str]:
+def _describe_study(path: Path) -> dict[str, str]:
     """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states.
 
     A scenario over whose own file something was written has no title: what flies is another.

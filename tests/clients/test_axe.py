@@ -19,7 +19,7 @@ from patience import PATIENCE
 from places import script
 from shelves import shelf
 
-from cosim.flight import with_page
+from cosim.flight import write_run_page
 from cosim.results.report.flight import write_report
 from cosim.results.run import begin_run
 from cosim.shelf.index import write_index
@@ -81,7 +81,7 @@ def test_a_flight(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
     for sample in samples(200):
         recording.observe(sample)
     path = tmp_path / "report.html"
-    write_report(with_page(recording.finish("completed", "", wall_s=0.1)), path)
+    write_report(write_run_page(recording.finish("completed", "", wall_s=0.1)), path)
     with opened(browser, path.as_uri(), scheme) as page:
         page.wait_for_function("document.documentElement.dataset.replay", timeout=1000 * PATIENCE)
         assert complaints(page, axe) == []

@@ -13,7 +13,7 @@ from comparisons import compare_report
 from flights import STEP, samples, scenario, setup
 from patience import PATIENCE
 
-from cosim.flight import with_page
+from cosim.flight import write_run_page
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import strips
@@ -32,7 +32,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
     recording = begin_run(setup(), scenario(), None)
     for sample in samples(2000):
         recording.observe(sample)
-    run = with_page(recording.finish("completed", "", wall_s=0.1))
+    run = write_run_page(recording.finish("completed", "", wall_s=0.1))
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(run, path)
     return run, path

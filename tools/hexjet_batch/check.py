@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cosim.api.call import Progress, Result, Table, checked
-from cosim.api.call.choices import choose
+from cosim.api.call import Progress, Result, Table, check_types
+from cosim.api.call.choices import apply_choices
 from cosim.api.flights import fly
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
@@ -128,7 +128,7 @@ class CheckResult(Result):
         page.write(self.files["report"])
 
 
-@checked()
+@check_types()
 def check(
     scenario: Scenario | str | Path,
     out: str | Path | None = None,
@@ -171,7 +171,7 @@ def check(
     InputError
         For what a batch does not cover.
     """
-    flown = choose(scenario, controller, aircraft, engine, settings, note=(progress or Progress()).note)
+    flown = apply_choices(scenario, controller, aircraft, engine, settings, note=(progress or Progress()).note)
     flown = flown.model_copy(update={"substeps": runs, "expect": [], "require": []})
     (flight,) = fly_batch([flown])
     if flight.ending is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import FolderResult, Limits, Progress, Table, checked
+from cosim.api.call import FolderResult, Limits, Progress, Table, check_types
 from cosim.api.call.choices import engine_for, list_fmu_defects
 from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import load_hook
@@ -88,7 +88,7 @@ class DesignResult(FolderResult):
         return design_figures(self.designed)
 
 
-@checked(
+@check_types(
     amplitude=Limits(0.0, 0.5, is_open=True),
     max_sensitivity=Limits(1.05, 10.0),
     delay_tolerance=Limits(0.0, 1.0),

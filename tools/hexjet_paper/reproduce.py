@@ -20,7 +20,7 @@ from scipy import constants
 
 import cosim
 from cosim import FlightError, InputError, Run, Scenario, fly, load_vehicle, versions
-from cosim.api.call import Limits, Progress, checked
+from cosim.api.call import Limits, Progress, check_types
 from cosim.campaign import as_finished
 from cosim.files import data_folder, write_whole
 from cosim.identify import fit, identify_axis, identify_engine
@@ -58,7 +58,7 @@ Say = Callable[[str, int, int], None]  # label, done, total
 Task = tuple[Callable[..., Any], tuple[Any, ...]]  # function and its arguments
 
 
-@checked(workers=Limits(1, 64))
+@check_types(workers=Limits(1, 64))
 def reproduce(out: str | Path = "runs/paper", *, workers: int = 2, progress: Progress | None = None) -> Reproduction:
     """Reproduce the paper: every experiment on the linear plant and in six degrees of freedom, number by number.
 

@@ -8,8 +8,8 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Literal
 
 from cosim import FlightError, InputError, Scenario
-from cosim.api.call import Limits, checked
-from cosim.api.call.choices import choose, load_scenario
+from cosim.api.call import Limits, check_types
+from cosim.api.call.choices import apply_choices, load_scenario
 from cosim.base.signals import AXES, Vector3
 from cosim.files import map_os_errors
 from cosim.simulation.axis_chain import is_turned_by_throttle
@@ -192,7 +192,7 @@ def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> di
     return paths
 
 
-@checked(rate=Limits(50, 2000))
+@check_types(rate=Limits(50, 2000))
 def list_parameters(
     autopilot: Literal["px4", "ardupilot", "betaflight"],
     *,
@@ -240,7 +240,7 @@ def list_parameters(
         raise InputError(f"target {target}: allowed for {autopilot}: {', '.join(targets)}")
     if script and autopilot != "ardupilot":
         raise InputError(f"script: {autopilot} has none; allowed is ardupilot")
-    scenario = choose("hover", gains, aircraft)
+    scenario = apply_choices("hover", gains, aircraft)
     if script:
         return format_mixer_script(scenario.resolved_vehicle()[0])
     return format_firmware_parameters(autopilot, scenario, 1.0 / rate, target, (4, int(release[2:])))

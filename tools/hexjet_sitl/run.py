@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from cosim import FlightError, InputError, Run, Scenario, design
-from cosim.api.call import Limits, Progress, checked
-from cosim.api.call.choices import choose
+from cosim.api.call import Limits, Progress, check_types
+from cosim.api.call.choices import apply_choices
 from cosim.api.flights import FlightResult
 from cosim.base.geodesy import gravity
 from cosim.base.outcomes import Outcome
@@ -20,7 +20,7 @@ from cosim.base.protocols import Observer
 from cosim.base.signals import Sample
 from cosim.base.storage.settings import as_settings
 from cosim.files import parse_numbers, write_whole
-from cosim.flight import new_folder, record, with_page
+from cosim.flight import new_folder, record, write_run_page
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import AUTOPILOT
 from cosim.simulation.build import build
@@ -182,7 +182,7 @@ def fly_autopilot(
             report |= asdict(autopilot.counts) | autopilot.details | _identify_parameters(firmware, autopilot.details)
             (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(outcome, reason, wall, pace.report if realtime_factor else None)
-            return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)
+            return AutopilotRun(write_run_page(run) if page else run, autopilot.counts, label)
     finally:
         autopilot.close()
 
@@ -210,7 +210,7 @@ class AutopilotResult(FlightResult):
         return [*super().lines(), lockstep, *gains]
 
 
-@checked(
+@check_types(
     realtime_factor=Limits(0.0), time_limit_s=Limits(0.1, 600.0), port=Limits(1024, 65000),
     instance=Limits(0, MAX_INSTANCES), hold_from_s=Limits(0.0), station=Limits(1024, 65535),
 )  # fmt: skip
@@ -317,7 +317,7 @@ def fly(
             )
 
     def load(designed: str | None) -> Scenario:
-        return choose(scenario, designed, aircraft, engine, settings, seed, hears.note)
+        return apply_choices(scenario, designed, aircraft, engine, settings, seed, hears.note)
 
     gains = gains or ("designed" if autopilot == "betaflight" else "vehicle")
     words = [*(["designed"] if autopilot == "betaflight" else []), "vehicle", "stock"]

@@ -14,13 +14,13 @@ from cosim.base.errors import InputError, nearest
 if TYPE_CHECKING:
     import inspect
 
-P = ParamSpec("P")  # parameters of the wrapped function
-R = TypeVar("R")  # its return type
-_MAX_SHOWN = 40  # characters of a wrong value in a message
+P = ParamSpec("P")  # parameters of a wrapped function
+R = TypeVar("R")  # result type of a wrapped function
+_MAX_VALUE_CHARACTERS = 40  # of a wrong value in a message
 
 
 class Limits(NamedTuple):
-    """The numbers that an argument may be."""
+    """Range of numbers that an argument may have."""
 
     least: float
     most: float = inf
@@ -36,18 +36,18 @@ class Limits(NamedTuple):
         return lower if self.most == inf else f"{lower}, at most {self.most:g}"
 
 
-def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that raises InputError, in one line, for arguments of other types than annotated.
+def check_types(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator that checks arguments against their annotated types and ``limits``.
 
-    And for numbers that are not finite, or not in their ``limits``.
+    Raises InputError, in one line, also for numbers that are not finite.
     """
 
-    def with_checks(call: Callable[P, R]) -> Callable[P, R]:
+    def decorate(call: Callable[P, R]) -> Callable[P, R]:
         # Adapters are made at the first call, so that importing the module stays quick.
         adapters: dict[str, Any] = {}
 
         @functools.wraps(call)
-        def with_check(*arguments: P.args, **named: P.kwargs) -> R:
+        def call_checked(*arguments: P.args, **named: P.kwargs) -> R:
             import inspect
 
             signature = inspect.signature(call)
@@ -60,24 +60,24 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
             except TypeError as error:
                 raise InputError(f"{call.__name__}: {error}") from None
             if not adapters:
-                adapters.update(_adapters(call))
+                adapters.update(_make_type_adapters(call))
             for name, value in bound.arguments.items():
                 parameter = signature.parameters[name]
-                check = functools.partial(_valid, call, parameter, adapters[name], limits.get(name))
+                check = functools.partial(_validate_argument, call, parameter, adapters[name], limits.get(name))
                 several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
                 if several and len(value) == 1 and isinstance(value[0], (list, tuple)):
                     value = value[0]
                 bound.arguments[name] = tuple(map(check, value)) if several else check(value)
             return call(*bound.args, **bound.kwargs)
 
-        vars(with_check)["limits"] = limits
-        return with_check
+        vars(call_checked)["limits"] = limits
+        return call_checked
 
-    return with_checks
+    return decorate
 
 
 def _check_value(where: str, value: Any, limits: Limits | None) -> None:
-    """Raise InputError for a number that cannot be meant, and for a text that names nothing."""
+    """Raise InputError for a number that is not finite or outside ``limits``, and for a text with a zero byte."""
     if isinstance(value, float) and not isfinite(value):
         raise InputError(f"{where}: {value:g} is no finite number")
     if limits is not None and value is not None and value not in limits:
@@ -86,25 +86,25 @@ def _check_value(where: str, value: Any, limits: Limits | None) -> None:
         raise InputError(f"{where}: {str(value)!r} has a zero in it, and is no name")
 
 
-def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
-    """Return what checks each argument; what a call returns may be a class that it imports when it is called."""
+def _make_type_adapters(call: Callable[..., Any]) -> dict[str, Any]:
+    """Return pydantic's type adapter of each argument by name."""
     import inspect
 
     from pydantic import InstanceOf, TypeAdapter
 
-    def as_instances(hint: Any) -> Any:
-        """Return the type with our own classes replaced by instance checks, which do not validate fields."""
+    def check_instances(hint: Any) -> Any:
+        """Return the type with this package's classes replaced by instance checks, which do not validate fields."""
         if isinstance(hint, type) and hint.__module__.startswith("cosim"):
             return InstanceOf[hint]  # type: ignore[misc]
         if get_origin(hint) in (Union, UnionType):
-            return Union[tuple(map(as_instances, get_args(hint)))]  # noqa: UP007 - made of a tuple
+            return Union[tuple(map(check_instances, get_args(hint)))]  # noqa: UP007 - made of a tuple
         return hint
 
     names, hints = vars(inspect.getmodule(call)), inspect.get_annotations(call)
-    return {name: TypeAdapter(as_instances(eval(hint, names))) for name, hint in hints.items() if name != "return"}
+    return {name: TypeAdapter(check_instances(eval(hint, names))) for name, hint in hints.items() if name != "return"}
 
 
-def _valid(
+def _validate_argument(
     call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any, limits: Limits | None, value: Any
 ) -> Any:
     """Return an argument, converted to its annotated type.  Raises InputError."""
@@ -121,7 +121,7 @@ def _valid(
             valid = adapter.validate_python((value,))
     except ValidationError as error:
         shown = repr(value)
-        shown = shown if len(shown) <= _MAX_SHOWN else f"{shown[: _MAX_SHOWN - 3]}..."
+        shown = shown if len(shown) <= _MAX_VALUE_CHARACTERS else f"{shown[: _MAX_VALUE_CHARACTERS - 3]}..."
         wrong = error.errors(include_url=False)
         listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
         names = listed[0].split("'")[1::2] if listed else []  # pydantic's text: 'a', 'b' or 'c'

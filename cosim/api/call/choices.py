@@ -14,11 +14,11 @@ from cosim.base.trust import trust_named_code
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
-# Receives one sentence for each input that is ignored or reinterpreted.
+# Callback that receives one sentence for each input that is ignored or reinterpreted.
 Note = Callable[[str], None]
 
 
-def choose(
+def apply_choices(
     scenario: Scenario | str | Path,
     controller: str | Path | None = None,
     aircraft: str | Path | None = None,
@@ -28,7 +28,7 @@ def choose(
     note: Note = lambda text: None,
     model: str | Path | None = None,
 ) -> Scenario:
-    """Return the scenario with these choices applied.  Raises InputError for an invalid one."""
+    """Return the scenario with controller, aircraft, engine and settings replaced.  Raises InputError."""
     from cosim.spec.scenario import Scenario
 
     texts = tuple(as_settings(settings))
@@ -51,7 +51,7 @@ def load_scenario(
     aircraft: str | None = None,
     note: Note = lambda text: None,
 ) -> Scenario:
-    """Return the scenario with the command line's choices applied; ``note`` is told of what they replace."""
+    """Return the scenario with a command line's choices applied; ``note`` receives a line on a replaced controller."""
     from cosim.spec.controller_name import is_design, seen_from
 
     designed = Path(controller) if controller is not None and is_design(controller) else None
@@ -60,7 +60,7 @@ def load_scenario(
 
         scenario, controller = apply_controller(scenario, designed, settings, aircraft), None
     else:
-        scenario = _read(scenario, settings)
+        scenario = _apply_settings(scenario, settings)
     changes: dict[str, Any] = {}
     keys = {text.partition("=")[0].strip() for text in settings}
     if aircraft is not None:
@@ -69,9 +69,9 @@ def load_scenario(
         aircraft = aircraft_seen_from(aircraft, Path())
         changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
         if controller is None and model is None and designed is None and "controller" not in keys:
-            changes |= _controller_without_a_model(aircraft, scenario, note)
+            changes |= _replace_model_based_controller(aircraft, scenario, note)
     if controller is not None:
-        # On the command line a file is relative to the current folder, in a scenario to the scenario's.
+        # A command line's file is relative to the current folder, a scenario's file to the scenario's folder.
         changes["controller"] = seen_from(controller, Path())
         if any(text.strip().startswith("controller_parameters") for text in settings):
             changes["controller_parameters"] = scenario.controller_parameters
@@ -88,12 +88,12 @@ def load_scenario(
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []
     scenario = scenario.replace(**changes) if changes else scenario
-    # A wrong key is reported before anything is built.
+    # Check the vehicle now, so that a wrong key is reported before anything is built.
     scenario.resolved_vehicle()
     return scenario
 
 
-def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
+def _apply_settings(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
     """Return a scenario, given as object, name or file, with settings applied.  Raises InputError."""
     from cosim.base.storage.toml import parse_setting, set_path
     from cosim.spec.scenario import Scenario
@@ -109,8 +109,8 @@ def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
     return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
 
 
-def _controller_without_a_model(aircraft: str, scenario: Any, note: Note) -> dict[str, str]:
-    """Return the baseline, with a note, if the predictor needs a model that the other aircraft lacks."""
+def _replace_model_based_controller(aircraft: str, scenario: Any, note: Note) -> dict[str, str]:
+    """Return the baseline controller, with a note, if the predictor needs a model that the aircraft lacks."""
     from cosim.control.predictors.registry import BASELINE, PREDICTORS
     from cosim.spec.vehicle import load_vehicle
 
@@ -130,24 +130,24 @@ def _controller_without_a_model(aircraft: str, scenario: Any, note: Note) -> dic
 def plugin_changes(
     metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
 ) -> dict[str, Any]:
-    """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
+    """Return the user's metrics, observers, sensors and wind as changes of a scenario, files by absolute paths."""
     from cosim.spec.controller_name import seen_from
 
-    def from_here(name: str) -> str:
+    def absolute(name: str) -> str:
         return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
 
-    changes: dict[str, Any] = {"metrics": [from_here(name) for name in metrics]} if metrics else {}
-    changes |= {"observers": [from_here(name) for name in observers]} if observers else {}
-    return changes | {key: from_here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
+    changes: dict[str, Any] = {"metrics": [absolute(name) for name in metrics]} if metrics else {}
+    changes |= {"observers": [absolute(name) for name in observers]} if observers else {}
+    return changes | {key: absolute(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
 
 
 def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
-    """Return the same as settings of a study, ``KEY=VALUE``."""
+    """Return the user's metrics and wind as settings of a study, ``KEY=VALUE``."""
     return [f"{key}={json.dumps(value)}" for key, value in plugin_changes(metrics, wind=wind).items()]
 
 
 def engine_for(aircraft: str, engine: str | None) -> str:
-    """Return the named engine, or else the aircraft's own.  Raises InputError if there is none."""
+    """Return ``engine`` if named, else the aircraft's default engine.  Raises InputError if there is none."""
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
     chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
@@ -157,7 +157,7 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
 
 def aircraft_settings(aircraft: str | None) -> list[str]:
-    """Return settings of a study for another aircraft and its own engine; paths are relative to here."""
+    """Return a study's settings for another aircraft with its default engine; a path is made absolute."""
     from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
     if aircraft is None:
@@ -168,7 +168,7 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
 
 
 def list_engine_notes(scenario: Scenario, drawn: bool = False) -> list[str]:
-    """Return notes on FMUs and, unless engines are ``drawn``, on changed models of engines that do not fly."""
+    """Return notes on FMUs and, unless engines are ``drawn``, on changed models of engines that are not flown."""
     from cosim.engine.library import FMI2_SUFFIX
     from cosim.simulation.engines import list_stations
     from cosim.spec.vehicle import is_file, load_vehicle
@@ -177,7 +177,7 @@ def list_engine_notes(scenario: Scenario, drawn: bool = False) -> list[str]:
     stations = list_stations(scenario, vehicle)
     engines = [scenario.engine, *(station.engine for station in stations if station and station.engine)]
     is_checked = "identified" in scenario.vehicle and not drawn and not any(map(is_file, engines))
-    # The scenario of a recorded run states all models, those of the aircraft's other engines too.
+    # A recorded run's scenario states every model of its aircraft, also those of engines that it does not fly.
     own = load_vehicle(scenario.aircraft, folder=scenario.folder)[0].identified
     changed = [name for name, model in vehicle.identified.items() if is_checked and model != own.get(name)]
     flown = [engine.removesuffix(FMI2_SUFFIX) for engine in engines]
@@ -186,7 +186,7 @@ def list_engine_notes(scenario: Scenario, drawn: bool = False) -> list[str]:
 
 
 def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> list[str]:
-    """Return the violations of FMI of foreign FMUs seen from ``folder``, and the risk of those in this process."""
+    """Return violations of FMI by engine FMUs (relative to ``folder``), and the risk of running them in process."""
     from cosim.spec.vehicle import is_file
 
     lines = []
@@ -202,7 +202,7 @@ def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None
 
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Return ``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
+    """Return engine texts ``NAME`` or ``STATION=NAME`` as changes of a scenario.  Raises InputError for duplicates."""
     from cosim.spec.vehicle import file_seen_from
 
     changes: dict[str, Any] = {}
@@ -210,7 +210,7 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
         number, equals, name = text.partition("=")
         station = number.strip() if equals and number.strip().isdigit() else None
         engine = (name if station else text).strip()
-        # On the command line a file is relative to the current folder, in a scenario to the scenario's.
+        # A command line's file is relative to the current folder, a scenario's file to the scenario's folder.
         engine = file_seen_from(engine, Path())
         target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
         if "engine" in target:

@@ -23,7 +23,7 @@ class Progress:
         notify(text)
 
     def update(self, part: str, done: int, of: int) -> None:
-        """Hear how far the call is: ``done`` parts ``of`` all, 0 where that is not known.
+        """Report that ``done`` of ``of`` parts are finished; ``of`` is 0 if their number is unknown.
 
         ``part``: what is being done, or what became of the flights so far.
         """
@@ -34,12 +34,12 @@ class WholeLine(str):
 
 
 def note_lines(notes: Iterable[str]) -> list[str]:
-    """Return notes as lines of a result."""
+    """Return notes as lines ``note: ...`` of a result."""
     return [WholeLine(f"note: {note}") for note in notes]
 
 
 class Table(NamedTuple):
-    """A table of a result, as texts."""
+    """Table of a result: title, column heads and cells, all as texts."""
 
     title: str
     columns: Sequence[str]
@@ -62,7 +62,7 @@ class Result:
     short_lines: ClassVar[int | None] = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as a table of numbers, texts and lists, SI, printed by ``hexjet ... --json``."""
+        """Return the result in SI units as data for JSON, as ``hexjet ... --json`` prints it."""
         raise NotImplementedError
 
     @property
@@ -89,7 +89,7 @@ class Result:
         return next(iter(self.lines()), "")
 
     def table(self) -> Any:
-        """Return the first of its tables as a ``pandas.DataFrame`` of texts; of a sweep the flights, a row each.
+        """Return the first table as a ``pandas.DataFrame`` of texts; a sweep returns its flights, one per row.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Result:
         return f"<{type(self).__name__}: {self.verdict}{where}>"
 
     def _repr_html_(self) -> str:
-        """Return lines and tables for notebooks, and where the page is."""
+        """Return lines, tables and the page's path as HTML for notebooks."""
         from html import escape
 
         first, *others = self.lines() or [""]
@@ -146,7 +146,7 @@ class FolderResult(Result):
     """Result of a call whose files are in one folder."""
 
     def write(self, folder: Path | str) -> Self:
-        """Write its files and return this result, which has them now.
+        """Write the result's files into a folder and return this result with their paths.
 
         Parameters
         ----------

@@ -23,7 +23,7 @@ def check(engine: str, **choices: Any) -> Result:
 
 
 class ControllerCheckResult(Result):
-    """What the FMU of a controller is told and answers, and whether a second of hover is twice the same."""
+    """Inputs and outputs of a controller's FMU, and whether a hover of 1 s repeats exactly."""
 
     def __init__(self, path: Path) -> None:
         fmu = read_controller_fmu(path)
@@ -47,18 +47,18 @@ class ControllerCheckResult(Result):
 
     @property
     def is_fit(self) -> bool:
-        """Whether it hovers, and answers the same again."""
+        """Whether the hover was completed and repeats exactly."""
         return self.run.outcome == "completed" and bool(self.found["repeatable"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything."""
+        """Return all findings."""
         return dict(self.found)
 
     def lines(self) -> list[str]:
-        """Return whether it is fit to fly."""
+        """Return the verdict in one line."""
         return [f"{self.found['controller']}: {'fit to fly' if self.is_fit else 'not fit to fly'}"]
 
     def tables(self) -> list[Table]:
-        """Return what it is."""
+        """Return the findings as one table."""
         texts = {key: ", ".join(each) if isinstance(each, list) else str(each) for key, each in self.found.items()}
         return [Table("", ("finding", "what it is"), list(texts.items()))]

@@ -10,26 +10,26 @@ from cosim.api.flights import FlightResult, load
 from cosim.api.flights import fly as fly_scenario
 from cosim.base.errors import InputError
 
-_LOADED = (
+_LOAD_ARGUMENTS = (  # passed on to load()
     "controller", "aircraft", "engine", "settings", "model", "seed", "metrics", "observers", "sensors", "wind",
     "unchecked_engine",
 )  # fmt: skip
 
 
 class RepeatedResult(FlightResult):
-    """A flight of a campaign that was flown again."""
+    """Result of a campaign's flight that was flown again."""
 
     def __init__(self, repeated: Any) -> None:
         super().__init__(repeated.run)
         self.repeated = repeated
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the summary, and whether it is the same."""
+        """Return the summary, and whether the flight repeated exactly."""
         again = self.repeated
         return super().to_dict() | {"flight": again.number, "same": again.same, "otherwise": again.otherwise}
 
     def lines(self) -> list[str]:
-        """Return the lines of the flight, and whether it is what it was."""
+        """Return the lines of the flight, and whether it repeated exactly."""
         first, *others = super().lines()
         return [first, f"flight {self.repeated.number}: {self.repeated.verdict}", *self.repeated.otherwise, *others]
 
@@ -73,7 +73,7 @@ def fly(
     if realtime and realtime_factor is not None:
         raise InputError("realtime and realtime_factor (--rtf): give one of them")
     finish_killed(Path(scenario))
-    chosen = {name: choices.pop(name) for name in _LOADED if name in choices}
+    chosen = {name: choices.pop(name) for name in _LOAD_ARGUMENTS if name in choices}
     loaded = load(scenario, progress=progress, **chosen)
     label = short_name(chosen["controller"]) if "controller" in chosen else loaded.controller
     run = fly_scenario(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Limits, Result, checked
+from cosim.api.call import Limits, Result, check_types
 from cosim.api.call.choices import list_engine_notes
 from cosim.api.flights import load
 from cosim.base.wording import printable
@@ -32,11 +32,11 @@ class SessionResult(Result):
         return {"runs": [run.summary.model_dump(mode="json") for run in self.runs], "links": self.counts}
 
     def lines(self) -> list[str]:
-        """Return in a line how it went."""
-        return [session_line(self.runs, self.counts)]
+        """Return one line that sums up the session."""
+        return [describe_session(self.runs, self.counts)]
 
 
-@checked(realtime_factor=Limits(0.0), duration_s=Limits(0.0, is_open=True), log_limit_mb=Limits(1.0))
+@check_types(realtime_factor=Limits(0.0), duration_s=Limits(0.0, is_open=True), log_limit_mb=Limits(1.0))
 def gcs(  # noqa: PLR0913 - the options of a command
     scenario: str = "hover",
     *,
@@ -121,14 +121,14 @@ def gcs(  # noqa: PLR0913 - the options of a command
         else:
             session.set_stability_checker(make_checker(session.scenario))
         _print_session(session, opened, log_limit_mb)
-        with stop_on_signals(session), _live_line(opened):
+        with stop_on_signals(session), _show_live_line(opened):
             runs = session.run()
-        echo(session_line(runs, opened.frame_counts))
+        echo(describe_session(runs, opened.frame_counts))
         return SessionResult(runs, opened.frame_counts)
 
 
 def _print_session(session: Session, links: Links, log_mb: float) -> None:
-    """Print where to connect, what flies, and where it is recorded."""
+    """Print the links' addresses, the vehicle, and the folder of the recording."""
     from cosim.groundstation.session_flight import estimate_hourly_mb
     from cosim.spec.scenario import controller_shown
 
@@ -154,8 +154,8 @@ def _print_session(session: Session, links: Links, log_mb: float) -> None:
     echo("ready; Ctrl-C ends it")
 
 
-def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
-    """Describe a session: flights, the last one's end, late steps, what the links refused, and how to repeat it."""
+def describe_session(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
+    """Describe a session: flights, the last one's end, late steps, refused frames, and the command to repeat it."""
     from shlex import quote
 
     last, beyond = runs[-1], runs[-1].summary.exceeded
@@ -166,7 +166,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     return "; ".join(
         [
             ", ".join([f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.summary.ending}", *beyond]),
-            *_late_steps(runs),
+            *_describe_late_steps(runs),
             f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
             f"{signatures} bad signatures",
             *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),
@@ -176,8 +176,8 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     )
 
 
-def _late_steps(runs: Sequence[Run]) -> list[str]:
-    """Return how many steps of all flights were late, where the end of the only flight does not say so."""
+def _describe_late_steps(runs: Sequence[Run]) -> list[str]:
+    """Describe how many steps of all flights were late, unless the only flight's ending says so."""
     paced = [run.summary for run in runs if run.summary.pacing is not None]
     if not paced:
         return ["not paced"]
@@ -200,8 +200,8 @@ def _describe_link(url: str) -> str:
 
 
 @contextmanager
-def _live_line(links: Links) -> Iterator[None]:
-    """Show a line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
+def _show_live_line(links: Links) -> Iterator[None]:
+    """Show the flight's state in one line of a terminal, twice a second, from a thread as a terminal may be slow."""
     if not sys.stderr.isatty():
         yield
         return
@@ -209,16 +209,16 @@ def _live_line(links: Links) -> Iterator[None]:
 
     over = threading.Event()
 
-    def show() -> None:
+    def print_updates() -> None:
         last_shown = 0
         while not over.wait(0.5):
             for message in links.exchange.messages:
                 if message.number > last_shown:
                     last_shown = message.number
                     print(f"\r\x1b[K{message.severity.name.lower()}: {printable(message.text)}", file=sys.stderr)
-            print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{_format_state_line(links)}", end="", file=sys.stderr, flush=True)
 
-    thread = threading.Thread(target=show, name="live line", daemon=True)
+    thread = threading.Thread(target=print_updates, name="live line", daemon=True)
     thread.start()
     try:
         yield
@@ -228,7 +228,7 @@ def _live_line(links: Links) -> Iterator[None]:
         print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
-def _state(links: Links) -> str:
+def _format_state_line(links: Links) -> str:
     snapshot = links.exchange.snapshot
     if snapshot is None:
         return ""

@@ -11,22 +11,22 @@ from cosim.base.errors import InputError
 
 
 class KeysResult(Result):
-    """What can be varied."""
+    """Keys that a study can vary."""
 
     def __init__(self, keys: list[dict[str, Any]], scenario: str) -> None:
         self.keys, self.scenario = keys, scenario
         self.files = {}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return each key with its value now, its unit, and what it may be."""
+        """Return each key with its nominal value, unit and allowed values."""
         return {"keys": self.keys}
 
     def lines(self) -> list[str]:
-        """Return how many there are, and with which values."""
+        """Return the number of keys, and the scenario whose values are shown."""
         return [f"{len(self.keys)} keys, with their values in scenario {self.scenario}"]
 
     def tables(self) -> list[Table]:
-        """Return the keys, of those that differ in their places in lists alone the first."""
+        """Return a table of the keys; of keys that differ only in list indices the first."""
         from cosim.campaign.study.keys import LIST_INDEX
 
         alike: dict[str, list[dict[str, Any]]] = {}

@@ -16,7 +16,7 @@ from command_tools import Done, Hexjet
 from places import DESIGNS
 
 from cosim import fly
-from cosim.api.call.choices import choose
+from cosim.api.call.choices import apply_choices
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.paths import data_folder
@@ -372,18 +372,18 @@ def test_a_design_knows_where_its_aircraft_and_engine_are(hexjet: Hexjet, tmp_pa
     design.write_text(text)
     there = tmp_path / "ours/gryphon", tmp_path / "ours/my-engine/engine.fmu"
     proven = proof_study("ours/gryphon.toml", "99%@95%").base()
-    margins = choose("hover", controller="ours/gryphon.toml")
+    margins = apply_choices("hover", controller="ours/gryphon.toml")
     for flown in (proven, margins):
         assert (flown.aircraft, flown.engine) == tuple(map(str, there))
-    assert choose("hover", controller="ours/gryphon.toml", engine="edf").engine == "edf"
+    assert apply_choices("hover", controller="ours/gryphon.toml", engine="edf").engine == "edf"
     with pytest.raises(InputError, match="designed for aircraft 'gryphon', not for 'quadjet'"):
-        choose("hover", controller="ours/gryphon.toml", aircraft="quadjet")
+        apply_choices("hover", controller="ours/gryphon.toml", aircraft="quadjet")
     (tmp_path / "ours/my-engine/engine.fmu").rename(tmp_path / "elsewhere.fmu")
     with pytest.raises(InputError, match=f"engine 'my-engine', which is not at {there[1]}; give its file as engine"):
         proof_study("ours/gryphon.toml", "99%@95%")
     there[0].rename(tmp_path / "elsewhere")
     with pytest.raises(InputError, match=f"aircraft 'gryphon', which is not at {there[0]}; name it as aircraft"):
-        choose("hover", controller="ours/gryphon.toml")
+        apply_choices("hover", controller="ours/gryphon.toml")
 
 
 def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) -> None:

@@ -315,7 +315,7 @@ def test_a_flight_that_could_not_be_flown_is_told_so_again(tmp_path: Path, hexje
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: bool) -> None:
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
-    from cosim.api.studies import tell_tally
+    from cosim.api.studies import report_tally
     from cosim.campaign.store import Tally
     from cosim.cli.console import TerminalProgress
 
@@ -328,7 +328,7 @@ def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: 
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("TERM", "xterm")
     with TerminalProgress(quiet) as progress:
-        tell = tell_tally(progress)
+        tell = report_tally(progress)
         for done in range(90, 101):
             tally.add("smith", done < 100, "completed")
             tell(tally, done, 200)

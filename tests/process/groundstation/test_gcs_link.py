@@ -20,7 +20,7 @@ from gcs_tools import HEXJET, Station, VehicleProcess
 from patience import FLIGHT_PATIENCE, PATIENCE
 
 from cosim.base.errors import InputError
-from cosim.cli.calls.gcs import session_line
+from cosim.cli.calls.gcs import describe_session
 from cosim.flight import reserve_folder
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.signing import read_key
@@ -154,7 +154,7 @@ def test_a_session_ends_with_a_line_that_tells_how_it_went(vehicle: Any, tmp_pat
     gcs.process.send_signal(signal.SIGINT)
     out, _ = gcs.process.communicate(timeout=PATIENCE)
     run, later = tmp_path / "run", tmp_path / "run-3"
-    line = session_line([open_run(each) for each in (run, later)], json.loads(out)["links"])
+    line = describe_session([open_run(each) for each in (run, later)], json.loads(out)["links"])
     told = re.fullmatch(
         r"2 flights, the last completed, nothing checked; stopped by SIGINT in the air; (\d+) of (\d+) steps late "
         r"in all 2 flights; (\d+) frames taken, (\d+) refused \((.*)\); 3 bad signatures; "
@@ -180,12 +180,12 @@ def test_late_steps_are_said_once() -> None:
         return SimpleNamespace(summary=summary, folder=Path("runs/one"))
 
     counts = {"refused": {}, "failures": {}, "taken": 0}
-    alone = session_line([run(100, 3, told=True)], counts)
+    alone = describe_session([run(100, 3, told=True)], counts)
     assert alone.startswith("1 flight, the last flew 100 steps, 3 of them late; 0 frames taken, ")
-    assert session_line([run(100, 0, told=False)], counts).startswith(
+    assert describe_session([run(100, 0, told=False)], counts).startswith(
         "1 flight, the last flew 100 steps; 0 of 100 steps late; "
     )
-    assert session_line([run(100, 3, told=True), run(50, 1, told=True)], counts).startswith(
+    assert describe_session([run(100, 3, told=True), run(50, 1, told=True)], counts).startswith(
         "2 flights, the last flew 50 steps, 1 of them late; 4 of 150 steps late in all 2 flights; "
     )
 

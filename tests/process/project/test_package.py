@@ -24,7 +24,7 @@ from command_tools import Hexjet
 from places import ROOT, script
 
 from cosim.base.compiled import MODULES, PURE_VARIABLE, SHARED
-from cosim.cli.table import OWN
+from cosim.cli.table import NATIVE
 
 UNCOMPILED = bool(os.environ.get(PURE_VARIABLE))
 COMPILED = (
@@ -214,7 +214,7 @@ def test_the_installed_command_has_a_help_as_all_its_commands_have(installed: Pa
     alone = subprocess.run([installed / "hexjet"], cwd=tmp_path, capture_output=True, text=True)
     assert (alone.returncode, alone.stderr) == (2, listed)
     helps = run(installed / "python", "-c", HELPS, cwd=tmp_path).splitlines()
-    assert {f"hexjet {name}" for name in (*OWN, "paper", "sitl px4")} <= {line.rpartition(" ")[0] for line in helps}
+    assert {f"hexjet {name}" for name in (*NATIVE, "paper", "sitl px4")} <= {line.rpartition(" ")[0] for line in helps}
     assert min(int(line.rpartition(" ")[2]) for line in helps) > 2
 
 

@@ -24,7 +24,7 @@ from cosim.results.export import log_path
 
 ALL = {name: table.load(name) for name in table.list_names()}
 DECLARED = {name: each for name, each in ALL.items() if isinstance(each, Command)}
-POINTS = f"""[{table.ADDED}]
+POINTS = f"""[{table.ENTRY_POINT_GROUP}]
 added = added_commands:greet
 absent = module_that_nobody_has.command:run
 broken = added_commands:nothing
@@ -53,11 +53,11 @@ SET = "--set KEY=VALUE sets keys of the scenario: did you mean"
 
 
 def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
-    assert len(table.LINES) == sum(map(len, table.GROUPS.values()))
-    assert set(table.LINES) == {name.partition(" ")[0] for name in ALL} - table.HIDDEN
+    assert len(table.DESCRIPTIONS) == sum(map(len, table.HELP_GROUPS.values()))
+    assert set(table.DESCRIPTIONS) == {name.partition(" ")[0] for name in ALL} - table.HIDDEN
     listed = describe(80)
     assert max(map(len, listed.splitlines())) <= 80
-    for name in table.LINES:
+    for name in table.DESCRIPTIONS:
         assert f"\n  {name} " in listed, name
 
 
@@ -277,7 +277,7 @@ def test_two_packages_with_one_name_are_refused_by_their_names(tmp_path: Path) -
     other = tmp_path / "other_commands-2.0.dist-info"
     other.mkdir()
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-commands\nVersion: 2.0\n")
-    (other / "entry_points.txt").write_text(f"[{table.ADDED}]\nadded = added_commands:greet\n")
+    (other / "entry_points.txt").write_text(f"[{table.ENTRY_POINT_GROUP}]\nadded = added_commands:greet\n")
     with pytest.raises(InputError) as error:
         run(["added"])
     packages = str(error.value).removeprefix("added: ").removesuffix(" both add it; uninstall all but one")
@@ -309,9 +309,9 @@ def test_names_that_tools_add_are_those_that_are_typed() -> None:
     own = {
         name
         for name in cosim.__all__
-        if name not in {*cosim._WHERE, *cosim._ROOMS, "EngineError", "FlightError", "InputError"}
+        if name not in {*cosim._LAZY_MODULES, *cosim._CALLABLE_PACKAGES, "EngineError", "FlightError", "InputError"}
     }
-    own |= {name for name in cosim.api.__all__ if name not in cosim.api._WHERE}
+    own |= {name for name in cosim.api.__all__ if name not in cosim.api._LAZY_MODULES}
     assert own == {name for name in entries["hexjet.api"] if "." not in name}
     for name in own:
         assert getattr(cosim if name in cosim.__all__ else cosim.api, name).__module__.startswith("hexjet_")

@@ -13,7 +13,7 @@ from flights import exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.cli.main import run as run_command
-from cosim.flight import with_page
+from cosim.flight import write_run_page
 from cosim.results.comparison import ComparedFlight, Signal, compare_with_first, list_input_differences, make_time_base
 from cosim.results.log import readers
 from cosim.results.log.arrow import write_table
@@ -88,7 +88,7 @@ def flown(steps: int = 500, folder: Path | None = None, **known: Any) -> Run:
     recording = begin_run(setup(**known), scenario(), folder)
     for sample in samples(steps):
         recording.observe(sample)
-    return with_page(recording.finish("completed", "", wall_s=0.1))
+    return write_run_page(recording.finish("completed", "", wall_s=0.1))
 
 
 def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from comparisons import compare_report
 from cosim import InputError, Scenario, Stepper, fly, open_run
 from cosim.campaign.study.keys import with_values
 from cosim.cli.main import run as run_command
-from cosim.flight import opened
+from cosim.flight import name_controller
 from cosim.results.report.comparison import run_labels
 from cosim.shelf.index import read_entry
 from cosim.simulation.controllers.controller_file import apply_controller
@@ -64,7 +64,7 @@ def test_a_program_names_a_design_as_the_command_does(
     """The whole scenario: law, gains, models, no expectations, the file with its hash; and a flight by steps too."""
     monkeypatch.chdir(tmp_path)
     commanded = apply_controller("roll-doublet", design)
-    programmed, own = opened(given, kind("my-design.toml"))
+    programmed, own = name_controller(given, kind("my-design.toml"))
     assert own is None
     assert programmed.stated() == commanded.stated()
     with Stepper(programmed.replace(duration_s=0.2), controller=kind("my-design.toml")) as flight:

@@ -23,7 +23,7 @@ from packed_columns import unpack
 
 from cosim.base.errors import FlightError
 from cosim.base.signals import Command, Sample
-from cosim.flight import with_page
+from cosim.flight import write_run_page
 from cosim.results.comparison import ComparedFlight
 from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemoryLog
@@ -67,7 +67,7 @@ def flown(
     recording = begin_run(setup(**known), scenario(), folder)
     for sample in samples(steps):
         recording.observe(change(sample))
-    return with_page(recording.finish(outcome, reason, wall_s=0.1))
+    return write_run_page(recording.finish(outcome, reason, wall_s=0.1))
 
 
 @pytest.fixture(scope="module")

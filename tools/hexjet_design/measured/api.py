@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import FolderResult, Limits, Progress, Table, checked
-from cosim.api.call.choices import choose, list_engine_notes
+from cosim.api.call import FolderResult, Limits, Progress, Table, check_types
+from cosim.api.call.choices import apply_choices, list_engine_notes
 from cosim.base.signals import AXES
 from cosim.spec.scenario import Scenario
 
@@ -79,7 +79,7 @@ class MarginsResult(FolderResult):
         return figures(self.measured)
 
 
-@checked(
+@check_types(
     from_hz=Limits(0.0, is_open=True),
     to_hz=Limits(0.0, is_open=True),
     period_s=Limits(0.0, is_open=True),
@@ -163,7 +163,7 @@ def margins(
     hears, done = progress or Progress(), 0
     check_results_folder(out, *RESULT_FILES)
     named = controller if isinstance(controller, (str, Path)) else None
-    chosen, on = choose(scenario, named, aircraft, engine, settings, seed, hears.note), axes or AXES
+    chosen, on = apply_choices(scenario, named, aircraft, engine, settings, seed, hears.note), axes or AXES
     for line in list_engine_notes(chosen):
         hears.note(line)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cosim import FlightError, InputError, Scenario
-from cosim.api.call import Progress, Result, checked
-from cosim.api.call.choices import choose
+from cosim.api.call import Progress, Result, check_types
+from cosim.api.call.choices import apply_choices
 from cosim.base.trust import remember_written
 from cosim.blocks import build
 from cosim.engine.library import FMI_VERSIONS, BuildError, EngineDefinition, VariableDefinition, archive_path, build_one
@@ -72,7 +72,7 @@ class ControllerExport(Result):
         return [f"the C {verdict} the flight of {done.steps} steps", *figures, *missing]
 
 
-@checked()
+@check_types()
 def export_controller(
     scenario: Scenario | str | Path = "roll-doublet",
     out: str | Path | None = None,
@@ -133,7 +133,7 @@ def export_controller(
     from hexjet_sitl.firmware_parameters import find_torque_scale
 
     hears, folder = progress or Progress(), Path(name if out is None else out)
-    flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
+    flown = apply_choices(scenario, controller, aircraft, engine, settings, note=hears.note)
     source = next((Path(each.file).name for each in flown.parameter_files if each.kind == "design"), "")
     vehicle, _ = flown.resolved_vehicle()
     torques = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in inside}

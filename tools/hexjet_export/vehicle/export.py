@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cosim import FlightError, InputError, Scenario, versions
-from cosim.api.call import Progress, Result, checked
-from cosim.api.call.choices import choose
+from cosim.api.call import Progress, Result, check_types
+from cosim.api.call.choices import apply_choices
 from cosim.base.storage.files import read_file
 from cosim.base.trust import remember_written
 from cosim.engine.library import (
@@ -73,7 +73,7 @@ class VehicleExport(Result):
         ]
 
 
-@checked()
+@check_types()
 def export_vehicle(
     scenario: Scenario | str | Path = "roll-doublet",
     out: str | Path | None = None,
@@ -127,7 +127,7 @@ def export_vehicle(
         For a scenario that cannot be flown so, a folder that is not empty, and where there is no C compiler.
     """
     hears = progress or Progress()
-    flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
+    flown = apply_choices(scenario, controller, aircraft, engine, settings, note=hears.note)
     if sys.platform != "linux":
         raise InputError(
             f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"

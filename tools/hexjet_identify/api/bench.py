@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cosim.api.call import Limits, checked
+from cosim.api.call import Limits, check_types
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_settings
 from cosim.base.trust import trust_named_code
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hexjet_identify.bench.result import BenchIdentifyResult
 
 
-@checked(longest_delay_s=Limits(0.0, 4.0, is_open=True))
+@check_types(longest_delay_s=Limits(0.0, 4.0, is_open=True))
 def identify_bench(
     *logs: str | Path,
     command: str | None = None,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cosim.api.call import Limits, checked
+from cosim.api.call import Limits, check_types
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 
@@ -20,7 +20,7 @@ VALIDATION = ("validation.json", "report.html")
 FAMILY = "edf-as-flown"
 
 
-@checked(
+@check_types(
     engine=Limits(1),
     longest_delay_s=Limits(0.0, 5.0, is_open=True),
     working_step_s=Limits(0.0, is_open=True),
@@ -138,7 +138,7 @@ def _signals_of(
     return signals._replace(setpoint=setpoint or signals.setpoint)
 
 
-@checked()
+@check_types()
 def validate(
     model: str | Path,
     log: str | Path,

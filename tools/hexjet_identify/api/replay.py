@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import FolderResult, Limits, Progress, Table, checked, note_lines
-from cosim.api.call.choices import choose
+from cosim.api.call import FolderResult, Limits, Progress, Table, check_types, note_lines
+from cosim.api.call.choices import apply_choices
 from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
 
@@ -68,7 +68,7 @@ class ReplayResult(FolderResult):
         return figures(self.replayed)
 
 
-@checked(
+@check_types(
     window_s=Limits(0.1, 10.0),
     draws=Limits(1, 1000),
     inertia_tolerance=Limits(0.0, 0.5),
@@ -171,7 +171,7 @@ def replay(
         scenario = path / SCENARIO if path.is_dir() else "hover"
     channels = ThrottleChannels(dict(throttle or {}), throttle_range)
     # No controller flies, and none of the scenario's is loaded.
-    chosen = choose(scenario, "baseline", aircraft, engine, settings, note=hears.note)
+    chosen = apply_choices(scenario, "baseline", aircraft, engine, settings, note=hears.note)
     vehicle, _ = chosen.resolved_vehicle()
     flight = record_flight(read, vehicle, chosen.step_s, channels, (begin, end))
     choices = Choices(window_s, draws, inertia_tolerance, mass_tolerance, thrust_tolerance, seed)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from cosim.api.call import Limits, checked
+from cosim.api.call import Limits, check_types
 from cosim.commands import Command, one_thread
 from hexjet_identify.api.replay import ReplayResult
 from hexjet_identify.api.replay import replay as fly_again
 from hexjet_identify.commands import LOG_METAVARS, LOG_OPTIONS
 
 
-@checked(inertia_tolerance=Limits(0.0, 50.0), mass_tolerance=Limits(0.0, 50.0), thrust_tolerance=Limits(0.0, 50.0))
+@check_types(inertia_tolerance=Limits(0.0, 50.0), mass_tolerance=Limits(0.0, 50.0), thrust_tolerance=Limits(0.0, 50.0))
 def replay_within_percent(
     log: str,
     *,

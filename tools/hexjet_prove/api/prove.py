@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, WholeLine, checked
-from cosim.api.studies import study_settings, tell_tally
+from cosim.api.call import Limits, Progress, Result, Table, WholeLine, check_types
+from cosim.api.studies import report_tally, study_settings
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_settings
 
@@ -61,7 +61,7 @@ class ProofResult(Result):
         ]
 
 
-@checked(budget=Limits(1), search=Limits(0), rare=Limits(0))
+@check_types(budget=Limits(1), search=Limits(0), rare=Limits(0))
 def prove(
     name: str | Path,
     claim: str | None = None,
@@ -183,5 +183,5 @@ def prove(
     with choose_workers(workers, cluster, time_limit_s) as flying:
         for text in study.notes() if study is not None else ():
             hears.note(text)
-        campaign = fly_study(study, folder, flying, resume, tell_tally(hears))
+        campaign = fly_study(study, folder, flying, resume, report_tally(hears))
         return ProofResult(conclude(campaign, folder, request, flying, lambda text: hears.update(text, 0, 0)))

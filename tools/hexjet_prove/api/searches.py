@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.studies import study_settings, tell_tally
+from cosim.api.call import Limits, Progress, Result, Table, check_types
+from cosim.api.studies import report_tally, study_settings
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_texts
 
@@ -117,7 +117,7 @@ class RareResult(Result):
         return [Table("", titles, shift_rows(result))] if result.failures else []
 
 
-@checked(seeds=Limits(1, 10_000), share=Limits(0.0, 1.0), budget=Limits(1))
+@check_types(seeds=Limits(1, 10_000), share=Limits(0.0, 1.0), budget=Limits(1))
 def search(
     name: str | Path,
     *,
@@ -281,10 +281,10 @@ def _searching(
     hears = progress or Progress()
     hears.begin(folder)
     with choose_workers(*fleet) as flying:
-        yield folder, tell_tally(hears), flying
+        yield folder, report_tally(hears), flying
 
 
-@checked(target=Limits(1e-9, 0.5), budget=Limits(1))
+@check_types(target=Limits(1e-9, 0.5), budget=Limits(1))
 def rare(
     name: str | Path,
     *,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Table, WholeLine, checked
+from cosim.api.call import Limits, Progress, Table, WholeLine, check_types
 from cosim.api.studies import SweepResult
 from cosim.base.errors import InputError
 from cosim.base.trust import trust_named_code
@@ -56,7 +56,7 @@ class FailsafesResult(SurveyResult):
     """How flights end after what an autopilot has an answer to."""
 
 
-@checked(workers=WORKERS)
+@check_types(workers=WORKERS)
 def faults(
     aircraft: str | Path = "hexjet",
     engine: str | Path | None = None,
@@ -116,7 +116,7 @@ def faults(
     return FaultsResult(campaign, FaultSurvey(plan, campaign))
 
 
-@checked(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
+@check_types(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
 def failsafes(
     aircraft: str | Path = "hexjet",
     engine: str | Path | None = None,

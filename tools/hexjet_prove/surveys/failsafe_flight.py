@@ -17,7 +17,7 @@ from cosim.base.outcomes import Verdict
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import Arm, Goto, Request, SetParameter, Takeoff
 from cosim.files import Model
-from cosim.flight import record, with_page
+from cosim.flight import record, write_run_page
 from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.run import AUTOPILOT, REQUESTS
@@ -100,7 +100,7 @@ class FailsafeAutopilot(Model):
             run = flight.finish()
         row: dict[str, Any] = {OWN + name: None if isnan(value) else value for name, value in measured.items()}
         row |= {"verdict": str(verdict), "success": verdict in (Verdict.LANDED, Verdict.HOLDS)}
-        return with_page(run) if page else run, row
+        return write_run_page(run) if page else run, row
 
 
 class FailsafeFlight:

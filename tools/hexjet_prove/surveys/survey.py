@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from cosim.api import Progress
-from cosim.api.studies import tell_tally
+from cosim.api.studies import report_tally
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
@@ -86,7 +86,7 @@ def fly_study(study: Study, out: str | Path | None, workers: int, progress: Prog
     progress.begin(folder)
     for text in design_warnings(study):
         progress.note(text)
-    campaign = run_campaign(study, folder, workers, resume=True, progress=tell_tally(progress))
+    campaign = run_campaign(study, folder, workers, resume=True, progress=report_tally(progress))
     columns = campaign.columns
     for case, steps, reason in zip(columns["case"], columns["steps"], columns["reason"], strict=True):
         if steps is None:
