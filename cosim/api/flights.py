@@ -113,11 +113,11 @@ def load(
 ) -> Scenario:
     """Return a scenario with the choices of :func:`fly` applied.  Raises InputError for an invalid one."""
     from cosim.api.call.choices import apply_choices, plugin_changes
-    from cosim.base.storage.settings import as_several
+    from cosim.base.storage.settings import as_sequence
 
     hears = progress or Progress()
     chosen = apply_choices(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
-    changes = plugin_changes(tuple(as_several(metrics)), tuple(as_several(observers)), sensors, wind)
+    changes = plugin_changes(tuple(as_sequence(metrics)), tuple(as_sequence(observers)), sensors, wind)
     if sensors or wind:  # expectations assume the stated sensors
         changes["expect"] = []
     if unchecked_engine:
@@ -209,11 +209,11 @@ def fly(
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     from cosim.api.call.choices import list_engine_notes
-    from cosim.base.storage.settings import as_several
+    from cosim.base.storage.settings import as_sequence
     from cosim.flight import check_arguments, fly_watched, list_warnings
 
     check_arguments(scenario, out, realtime_factor)
-    observers = as_several(observers)
+    observers = as_sequence(observers)
     named = [each for each in observers if isinstance(each, str)]
     own = None if controller is None or isinstance(controller, (str, Path)) else controller
     loaded = load(
@@ -238,7 +238,7 @@ def fly(
             realtime_factor=(1.0 if is_watched else None) if realtime_factor is None else realtime_factor or None,
             report=report,
             shared_assets=shared_assets,
-            watch=_publish_on_links(as_several(mavlink), stack) if mavlink else None,
+            watch=_publish_on_links(as_sequence(mavlink), stack) if mavlink else None,
         )
     for text in (*told, *run.summary.notes) if progress is None else ():
         notify(text)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]  # folder of the package
-MODULES = (  # compiled modules
+MODULES = (  # modules that mypyc compiles
     "vehicle/airframe.py",
     "vehicle/jsbsim_units.py",
     "vehicle/effects/effect.py",
@@ -71,7 +71,6 @@ MODULES = (  # compiled modules
     "simulation/guided_pilot.py",
     "vehicle/effects/rotors.py",
 )
-# mypyc's shared library of all compiled modules, in the package's folder, for each Python that it was compiled for.
 # mypyc's shared library with all compiled modules, one for each Python version.
 SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"
 PURE_VARIABLE = "HEXJET_PURE"  # set it to build and run from source
@@ -87,17 +86,17 @@ def is_current() -> bool:
         return shared.is_file()
     built = shared.stat()
     sources = [(PACKAGE / name).stat() for name in MODULES]
-    # The change time detects a file that was copied here with its old modification time.
+    # The change time (ctime) detects a file that was copied here with its old modification time.
     return all(each.st_mtime_ns <= built.st_mtime_ns and each.st_ctime_ns <= built.st_ctime_ns for each in sources)
 
 
 def select_modules() -> None:
     """Import the compiled modules from now on if they are current, else all modules from source."""
     if os.environ.get(PURE_VARIABLE) or not is_current():
-        sys.meta_path.insert(0, _FromSource())
+        sys.meta_path.insert(0, _SourceFinder())
 
 
-class _FromSource:
+class _SourceFinder:
     """Import finder that returns the source of a module that was also compiled."""
 
     def __init__(self) -> None:

@@ -21,46 +21,46 @@ from cosim.base.signals import AXES, NO_JETS, Actuation, Command, ControlSignals
 WholeAnswer = tuple[Actuation, ControlSignals | None]
 PROTOCOL, VERSION = "hexjet-controller", 1  # name and version of the protocol
 
-_ATTITUDE = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")  # measured quaternion, body to NED
+_QUATERNION = ("attitude_w", "attitude_x", "attitude_y", "attitude_z")  # measured quaternion, body to NED
 _RATES = ("roll_rate", "pitch_rate", "yaw_rate")  # measured rates, rad/s
 _RATE_SETPOINTS = ("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint")  # rad/s
 _ANGLES = ("roll_setpoint", "pitch_setpoint", "yaw_setpoint")  # attitude set-points, rad
-_APPLIED = ("roll_applied", "pitch_applied", "yaw_applied")  # commands applied in the previous step
+_APPLIED_TORQUES = ("roll_applied", "pitch_applied", "yaw_applied")  # torques applied in the previous step
 # Inputs of a whole controller before those of each jet; "commanded" is 1 if the numbers after it are commanded, else 0.
 _CONTROLLER_INPUTS = (
     *_ANGLES, "altitude_setpoint", "rates_commanded", *_RATE_SETPOINTS, "collective_commanded", "collective_setpoint",
-    *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
+    *_RATES, *_QUATERNION, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
 _AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s along the heading, over the ground
-_PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")  # inputs for each jet
+_JET_INPUTS = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")  # inputs for each jet
 # Optional outputs of a whole controller: unallocated part, jets shut off, and signals shown in the log.
 EXTRAS = ("unallocated", "off", "shown")
-_SHOWN = ("rate_setpoint", "predicted", "torque")  # signals for the log, per axis
+_LOGGED = ("rate_setpoint", "predicted", "torque")  # signals for the log, per axis
 LEVEL_BY_OUTPUT = {  # controller's level by an output's name
     "throttle_1": "controller", "roll_torque": "rate", "roll_rate_setpoint": "attitude", "predicted_rate": "predictor",
 }  # fmt: skip
 
 
 def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bool = False) -> tuple[str, ...]:
-    """Return the names of the numbers sent to a block of this level; ``servos``: of the vehicle's actuators."""
+    """Return the names of the numbers sent to a controller of this ``level``; ``servos``: the actuators' names."""
     if level == "predictor":
         return ("rate", "applied")
     if level == "rate":
-        return (*_RATE_SETPOINTS, *_RATES, *_APPLIED)
+        return (*_RATE_SETPOINTS, *_RATES, *_APPLIED_TORQUES)
     if level == "attitude":
-        return (*_ANGLES, *_ATTITUDE)
-    per_jet = [f"{name}_{number}" for name in _PER_JET for number in range(1, jets + 1)]
-    tilts = [f"{_wire_tilt(name)}_applied" for name in servos]
+        return (*_ANGLES, *_QUATERNION)
+    per_jet = [f"{name}_{number}" for name in _JET_INPUTS for number in range(1, jets + 1)]
+    tilts = [f"{_name_tilt(name)}_applied" for name in servos]
     return (*_CONTROLLER_INPUTS, *per_jet, *tilts, *(_AHEAD_INPUTS if ahead else ()))
 
 
-def _wire_tilt(servo: str) -> str:
+def _name_tilt(servo: str) -> str:
     return f"tilt_{servo}"
 
 
 def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return the names of a controller's outputs; ``servos``: those it moves, empty if there are none."""
+    """Return the names of a controller's outputs; ``servos``: names of the servos that it moves."""
     if level == "predictor":
         return ("predicted_rate",)
     if level == "rate":
@@ -68,18 +68,18 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
     if level == "attitude":
         return _RATE_SETPOINTS
     names = [f"throttle_{number}" for number in range(1, jets + 1)]
-    names += [_wire_tilt(name) for name in servos]
+    names += [_name_tilt(name) for name in servos]
     if "unallocated" in extras:
         names += [f"unallocated_{name}" for name in (*AXES, "collective")]
     if "off" in extras:
         names += [f"off_{number}" for number in range(1, jets + 1)]
     if "shown" in extras:
-        names += [f"shown_{name}_{axis}" for name in _SHOWN for axis in AXES] + ["shown_collective", "shown_allocated"]
+        names += [f"shown_{name}_{axis}" for name in _LOGGED for axis in AXES] + ["shown_collective", "shown_allocated"]
     return tuple(names)
 
 
 def parse_answer(values: Sequence[float], jets: int, servos: int, extras: Sequence[str]) -> WholeAnswer:
-    """Return the actuation and signals that the numbers of :func:`output_names` stand for."""
+    """Return the actuation and control signals from the numbers named by :func:`output_names`."""
     throttle, end = tuple(values[:jets]), jets + servos
     tilt = tuple(values[jets:end]) or (0.0, 0.0)
     unallocated, off = Unallocated(0.0, 0.0, 0.0, 0.0), NO_JETS
@@ -98,7 +98,7 @@ def parse_answer(values: Sequence[float], jets: int, servos: int, extras: Sequen
 
 
 def controller_numbers(ahead: bool, command: Command, measured: Measured, applied: Any) -> tuple[float, ...]:
-    """Return the numbers of :func:`input_names` for a whole controller."""
+    """Return the inputs of a complete controller as the numbers named by :func:`input_names`."""
     rate: Vector3 = command.rate or (0.0, 0.0, 0.0)
     engines = applied.engines
     return (
@@ -126,12 +126,12 @@ def controller_numbers(ahead: bool, command: Command, measured: Measured, applie
 
 
 def frame_layout(count: int) -> struct.Struct:
-    """Return the binary layout of a frame: the step's number and ``count`` others."""
+    """Return the binary layout of a frame: the step's number, then ``count`` numbers."""
     return layout(count + 1)
 
 
 def layout(count: int) -> struct.Struct:
-    """Return the binary layout of so many numbers of a frame."""
+    """Return the binary layout of ``count`` numbers of a frame."""
     return struct.Struct(f"<{count}d")
 
 

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-# Errors that mean a lack of disk, memory or files, and not wrong input.
+# System errors that mean a lack of disk, memory or file descriptors, not wrong input.
 RESOURCE_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 STDOUT_NAME = "standard output"  # name of standard output in errors
 
@@ -42,7 +42,7 @@ class EngineError(FlightError):
     """An engine returned an error or a value that is not finite; the message names engine, step and time."""
 
 
-_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # frames left out of tracebacks
+_IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # places left out of tracebacks
 
 
 def describe_error(error: Exception) -> str:
@@ -57,7 +57,7 @@ def describe_error(error: Exception) -> str:
 
 
 def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
-    """Return a clause with the nearest and the allowed names; of more than ``max_listed`` those that are near."""
+    """Return a clause ``did you mean ...? allowed: ...``; of more than ``max_listed`` names only similar ones."""
     import difflib
 
     names = sorted(allowed)
@@ -67,7 +67,7 @@ def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
 
 
 def similar(name: str, allowed: Iterable[str]) -> str:
-    """Return a clause with similar names, where too many are allowed for a line: ``hexjet show`` has them all."""
+    """Return a clause ``did you mean ...? see: hexjet show``, for too many allowed names to list."""
     import difflib
 
     close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))

@@ -66,7 +66,7 @@ def rotate(q: Quaternion, v: Vector3) -> Vector3:
     """Return a body vector in NED, for the unit quaternion of the body's attitude."""
     w, x, y, z = q
     vx, vy, vz = v
-    # v + 2 w (r x v) + 2 r x (r x v), r = (x, y, z)
+    # The result is v + 2 w (r x v) + 2 r x (r x v) with r = (x, y, z).
     tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
     return (
         vx + w * tx + y * tz - z * ty,
@@ -81,11 +81,11 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
 
 
 def upright(q: Quaternion) -> float:
-    """Return the cosine of the lean, between the body's z axis and straight down, of a unit quaternion."""
+    """Return the cosine of the angle between the body's z axis and straight down, for a unit quaternion."""
     _, x, y, _ = q
     return 1.0 - 2.0 * (x * x + y * y)
 
 
 def jet_axis(tilt: float) -> Vector3:
-    """Return the unit thrust, body, of a jet tilted by ``tilt`` rad: 0 is straight up (-z), positive forward (+x)."""
+    """Return the unit thrust direction, body, of a jet tilted by ``tilt`` rad from straight up (-z) to forward (+x)."""
     return (sin(tilt), 0.0, -cos(tilt))

@@ -21,7 +21,7 @@ from cosim.base._turning import Turning
 from cosim.base.frames import cross
 from cosim.base.signals import Vector3
 
-UP: Vector3 = (0.0, 0.0, -1.0)  # body axes: thrust straight up
+UP: Vector3 = (0.0, 0.0, -1.0)  # straight up in body axes
 
 
 class Station(NamedTuple):
@@ -43,7 +43,7 @@ class HingeAxis(NamedTuple):
 
 
 class TurnedHinge(NamedTuple):
-    """A hinge as one jet sees it: its number from 0, its effect on the thrust's angle, and whether it carries the jet.
+    """Effect of one hinge, by its number from 0, on one jet, with the outer hinges at given angles.
 
     ``axis`` (unit, body) is what the thrust turns about, ``station_axis`` through ``point`` [m] what the station does:
     a deflecting hinge between body and hinge turns the thrust alone, and so the first and not the second.
@@ -63,7 +63,7 @@ def rotate_about(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
 
 
 def rotate_by(axis: Vector3, c: float, s: float, vector: Vector3) -> Vector3:
-    """Return ``vector`` turned about the unit vector ``axis`` by the angle of this cosine and sine, right-handed."""
+    """Return ``vector`` turned right-handed about the unit vector ``axis`` by an angle of cosine ``c``, sine ``s``."""
     x, y, z = axis
     vx, vy, vz = vector
     along = (x * vx + y * vy + z * vz) * (1.0 - c)
@@ -84,7 +84,7 @@ class Layout:
     def __init__(self, stations: Sequence[Station], turns: Sequence[HingeAxis] = ()) -> None:
         self.stations, self.turns = tuple(stations), tuple(turns)
         self.rest_positions: list[Vector3] = [station.position for station in stations]  # positions with hinges at zero
-        # For each jet: its hinges from the body outwards, and their effect on it.
+        # For each jet: the numbers of its hinges from the body outwards, and their effect on its thrust's angle.
         chains: list[list[tuple[int, float]]] = []
         self._carriers: list[list[int]] = []
         for jet in range(len(stations)):
@@ -119,13 +119,13 @@ class Layout:
         self._carry: Callable[[Sequence[float]], list[Vector3]] = Turning(self.rest_positions, position_chains).turned
 
     def axes(self, angles: Sequence[float]) -> list[Vector3]:
-        """Return the unit thrust, body, of each group, with the hinges at ``angles`` rad."""
+        """Return the unit thrust direction, body, of each group of jets, with the hinges at ``angles`` rad."""
         if not self.turns:
             return self._still
         return self._turn_axes(angles)
 
     def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
-        """Return thrust, forward and right of each group, body: the body's axes turned with the thrust.
+        """Return each group's unit vectors of thrust, forward and right, in body axes, turned with the thrust.
 
         From straight up to the nominal axis by the least turn (half a turn about y where it points straight down),
         then by the hinges.
@@ -137,7 +137,7 @@ class Layout:
             right: Vector3 = (0.0, 1.0, 0.0)
             sine = sqrt(x * x + y * y)
             if sine > 1e-12:
-                # The turn from -z to the axis is about (-z) x axis.
+                # The least rotation from -z to the axis is about (-z) x axis.
                 about, angle = (y / sine, -x / sine, 0.0), atan2(sine, -z)
                 forward, right = rotate_about(about, angle, forward), rotate_about(about, angle, right)
             elif z > 0.0:
@@ -153,13 +153,13 @@ class Layout:
         return result
 
     def positions(self, angles: Sequence[float]) -> list[Vector3]:
-        """Return the position of each jet [m, body]."""
+        """Return the position [m, body] of each jet, with the hinges at ``angles`` rad."""
         if not self.moves:
             return self.rest_positions
         return self._carry(angles)
 
     def hinge_axes(self, angles: Sequence[float], jet: int) -> list[TurnedHinge]:
-        """Return the hinges of a jet at ``angles`` rad, from the body outwards."""
+        """Return the hinges that turn a jet's thrust, at ``angles`` rad, from the body outwards."""
         chain, carriers = self.chains[jet], self._carriers[jet]
         result = []
         for index, (number, effect) in enumerate(chain):

@@ -9,7 +9,7 @@ Outcome = Literal["completed", "crashed", "diverged", "failed"]
 
 
 class Verdict(StrEnum):
-    """The verdict on a flight.  Its value is the word in files and on pages."""
+    """Verdict on a flight; the value is the word in files and on pages."""
 
     # Verdicts on a run, by its limits and by what its scenario expects and requires.
     AS_PLANNED = "as planned"

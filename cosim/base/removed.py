@@ -17,14 +17,14 @@ class Removal(NamedTuple):
     instead: str
 
 
-_RATES: Final = Removal(  # shared by several removed names
+_OUTER_RATE_LOOP: Final = Removal(  # shared by several removed names
     "a rate loop from outside", "0.3.0", "hexjet export controller --for, which puts it inside the autopilot"
 )
-_ENGINE_OUT: Final = Removal(  # shared by several removed names
+_ENGINE_OUT_TABLE: Final = Removal(  # shared by several removed names
     "the table of three vehicles with one engine out", "0.3.0", "hexjet faults --kind flame-out for a vehicle"
 )
-_PAGES: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
-_COSTS: Final = Removal("the cost of memory and of a campaign", "0.3.0", "benchmarks of version 0.2.0")
+_PAGE_SCRIPTS: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
+_COST_BENCHMARK: Final = Removal("the cost of memory and of a campaign", "0.3.0", "benchmarks of version 0.2.0")
 
 
 def _renamed(now: str) -> Removal:
@@ -32,7 +32,7 @@ def _renamed(now: str) -> Removal:
     return Removal("an old name", "0.3.0", now)
 
 
-# By what a user writes to name it: an option, a command, a key, the beginning of a value.
+# Removals by what users write: an option, a command, a key, or the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet bench": _renamed("hexjet benchmark"),
     "hexjet failsafes": _renamed("hexjet faults --autopilot, for one aircraft"),
@@ -47,19 +47,19 @@ REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet fmu survey": Removal(
         "the table of many engines", "0.3.0", "hexjet engine check and hexjet design for each"
     ),
-    "hexjet faults --engine-out": _ENGINE_OUT,
-    "hexjet faults --designs": _ENGINE_OUT,
-    "hexjet faults --docs": _PAGES,
-    "hexjet faults --page": _PAGES,
-    "hexjet paper --page": _PAGES,
+    "hexjet faults --engine-out": _ENGINE_OUT_TABLE,
+    "hexjet faults --designs": _ENGINE_OUT_TABLE,
+    "hexjet faults --docs": _PAGE_SCRIPTS,
+    "hexjet faults --page": _PAGE_SCRIPTS,
+    "hexjet paper --page": _PAGE_SCRIPTS,
     "hexjet engine build --windows": Removal("building for Windows", "0.3.0", "a wheel made on Windows"),
     "hexjet gcs --foxglove": Removal(
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
     ),
-    "hexjet sitl betaflight --rates": _RATES,
-    "hexjet sitl px4 --rates": _RATES,
-    "hexjet benchmark --campaign": _COSTS,
-    "hexjet benchmark --memory-minutes": _COSTS,
+    "hexjet sitl betaflight --rates": _OUTER_RATE_LOOP,
+    "hexjet sitl px4 --rates": _OUTER_RATE_LOOP,
+    "hexjet benchmark --campaign": _COST_BENCHMARK,
+    "hexjet benchmark --memory-minutes": _COST_BENCHMARK,
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
     "input clock": Removal("input clocks of FMI 3.0", "0.3.0", "an FMU that samples by itself, once a step"),
@@ -76,7 +76,7 @@ REMOVED: Final[Mapping[str, Removal]] = {
 
 
 def describe_removed(name: str) -> str | None:
-    """Return a sentence on what was removed under a name, or None.
+    """Return a sentence on the removed feature of this name, or None.
 
     >>> describe_removed("serial:")
     'serial links left in version 0.3.0; use socat, which joins a serial device to a UDP port'

@@ -20,17 +20,17 @@ PerServo = tuple[float, ...]
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
-JETS = 6  # jets that every log has columns for
+JETS = 6  # jets with columns in every log
 MAX_JETS = 16  # MAVLink has 16 servo outputs
-ALL_WELL: Final[PerJet] = (1.0,) * MAX_JETS  # health: every engine is healthy
+ALL_HEALTHY: Final[PerJet] = (1.0,) * MAX_JETS  # each jet follows its commands
 NO_JETS: Final[frozenset[int]] = frozenset()
-# Inactive: each jet of the log; left and right servo; gyro, attitude, GNSS, barometer.
+# Fault flags, all inactive: each jet of the log; left and right servo; gyro, attitude, GNSS, barometer.
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
 
 class Command(NamedTuple):
-    """Command of pilot or script for one step."""
+    """Command of a pilot or script for one step; None: not commanded."""
 
     attitude: Vector3  # roll, pitch, yaw [rad], NED to body
     altitude: float  # m above ground; unused with a collective
@@ -71,7 +71,7 @@ class State(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What the sensors tell the controller at one instant."""
+    """Measurements of the sensors for the controller at one instant."""
 
     rate: Vector3  # rad/s, body, after the gyro's filter
     attitude: Quaternion
@@ -130,7 +130,7 @@ class EngineOutput(NamedTuple):
 
 
 class JetHealth(NamedTuple):
-    """Remaining ability of one jet; thrusts relative to the range of a healthy jet, full minus zero throttle."""
+    """Remaining ability of one jet; thrusts are fractions of a healthy jet's range from zero to full throttle."""
 
     gain: float = 1.0  # response to the command; 0: ignores it
     fixed: float = 0.0  # thrust delivered whatever the command
@@ -156,10 +156,10 @@ class Sample(NamedTuple):
     fuel: float = nan  # kg on board at t_k; NaN without a tank
     spool_moment: Vector3 = UNKNOWN3  # N m, body, of the rotors; NaN: unknown
     faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault is active
-    health: PerJet = ALL_WELL  # estimated fraction of command, per jet
+    health: PerJet = ALL_HEALTHY  # estimated fraction of command, per jet
     own: tuple[float, ...] = ()  # extra log columns of blocks
 
     @property
     def thrust(self) -> PerJet:
-        """N, delivered."""
+        """Delivered thrust of each jet [N]."""
         return self.engines.thrust

@@ -6,13 +6,13 @@ import re
 
 # Characters that control a terminal or change the writing direction; line ends and tabs are not included.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-_QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value as messages quote it
-# Longer than a file name can be: not part of a path but an unquoted value.
+_QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a quoted value in a message
+# A word longer than any file name is an unquoted value, not a part of a path.
 _LONG_WORD = re.compile(r"[^\s/]{256,}")
 
 
 def printable(text: str) -> str:
-    """Return a text without control characters, which are written as Python escapes."""
+    """Return a text with control characters written as Python escapes."""
     return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
 
 

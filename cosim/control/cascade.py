@@ -9,7 +9,7 @@ from typing import Final, cast
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Allocator, Column, Diagnostics, EngineState, Predictor, Shows, columns_of
 from cosim.base.signals import (
-    ALL_WELL,
+    ALL_HEALTHY,
     AXES,
     NO_JETS,
     UNKNOWN3,
@@ -175,7 +175,7 @@ class Cascade:
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         """Monitor the engines; a failure acts from the next step on."""
         self._demand.burnt = burnt
-        health = ALL_WELL if self.monitor is None else self._update_monitor(self.monitor, engines)
+        health = ALL_HEALTHY if self.monitor is None else self._update_monitor(self.monitor, engines)
         if self._clears_losses and self._is_idle:
             self._clear_losses(engines)
         return health

@@ -14,10 +14,10 @@ from cosim.base.errors import InputError, describe_error
 from cosim.base.plugins.execute import import_trusted
 from cosim.base.trust import CodeRefusedError
 
-GROUP = "hexjet.plugins"  # entry points of all kinds of plug-ins
-API = "hexjet.api"  # entry points added to the Python API
-HOOKS = "hexjet.hooks"  # entry points called at given moments
-GROUPS = {  # further groups, of one kind each
+PLUGIN_GROUP = "hexjet.plugins"  # entry points of all kinds of plug-ins
+API_GROUP = "hexjet.api"  # entry points added to the Python API_GROUP
+HOOK_GROUP = "hexjet.hooks"  # entry points that cosim calls itself
+KIND_GROUPS = {  # groups of one kind of plug-in each
     "predictor": "hexjet.predictors",
     "controller": "hexjet.controllers",
     "metric": "hexjet.metrics",
@@ -28,13 +28,13 @@ GROUPS = {  # further groups, of one kind each
 
 
 def find_entries(kind: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a kind that can be imported from here, by the names that a user has for them.
+    """Return the importable entry points of a kind of plug-in, by the name that users write.
 
     Raises InputError where two have one name: which of them flies would depend on the order of installation.
     """
     found: dict[str, EntryPoint] = {}
-    for entry in [*list_tools(GROUP), *list_tools(GROUPS[kind])]:
-        if entry.group != GROUP or entry.name.startswith(f"{kind}."):
+    for entry in [*list_tools(PLUGIN_GROUP), *list_tools(KIND_GROUPS[kind])]:
+        if entry.group != PLUGIN_GROUP or entry.name.startswith(f"{kind}."):
             first = found.setdefault(entry_name(entry), entry)
             if first.value != entry.value:  # the same object may be in both groups
                 raise InputError(
@@ -50,19 +50,19 @@ def list_tools(group: str, **which: Any) -> list[EntryPoint]:
 
 
 def load_tool_member(name: str) -> Any:
-    """Return the function or the result of a tool that ``cosim`` and ``cosim.api`` name.
+    """Return the member of ``cosim`` or ``cosim.api`` that an installed tool provides.
 
     Raises ImportError where no installed package has it.
     """
-    member = _load_member(API, name)
+    member = _load_member(API_GROUP, name)
     if member is None:
         raise ImportError(f"cosim.{name}: none of the tools that are installed has it", name=f"cosim.{name}")
     return member
 
 
 def load_hook(name: str) -> Any | None:
-    """Return the function that a tool provides for a part of ``cosim``, or None if it is not installed."""
-    return _load_member(HOOKS, name)
+    """Return the function that an installed tool provides for ``cosim`` to call, or None."""
+    return _load_member(HOOK_GROUP, name)
 
 
 def _load_member(group: str, name: str) -> Any | None:
@@ -70,17 +70,17 @@ def _load_member(group: str, name: str) -> Any | None:
 
 
 def entry_name(entry: EntryPoint) -> str:
-    """Return the name that a user has for an entry point."""
-    return entry.name.partition(".")[2] if entry.group == GROUP else entry.name
+    """Return the name that users write for an entry point."""
+    return entry.name.partition(".")[2] if entry.group == PLUGIN_GROUP else entry.name
 
 
 def describe_entry(entry: EntryPoint) -> str:
-    """Return what messages call an entry point."""
+    """Return an entry point's name and group for messages."""
     return f"entry point {entry.name!r} of {entry.group}"
 
 
 def load_entry(entry: EntryPoint) -> tuple[Any, str]:
-    """Return what an entry point names, and name and version of its package.
+    """Return the object that an entry point names, and its package's name and version.
 
     Raises InputError for one that cannot be loaded, CodeRefusedError where it is not trusted.
     """

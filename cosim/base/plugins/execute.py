@@ -29,19 +29,19 @@ from cosim.base.storage.scratch import scratch
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import Code, CodeRefusedError, is_code_forbidden, need_trust
 
-_PREFIX = "hexjet_controller_"  # of modules made from users' files
+_USER_PREFIX = "hexjet_controller_"  # of users' files as modules
 
 
 def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     """Execute a Python file and return its module and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
     need_trust([Code(path)], where)
-    module = ModuleType(f"{_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
+    module = ModuleType(f"{_USER_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
     module.__file__ = str(path)
     source = read_file(path)
     sys.modules[module.__name__] = module
     try:
-        with _importing_from(folder) as imported:
+        with _import_neighbours_of(folder) as imported:
             exec(compile(source, str(path), "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[module.__name__]
@@ -56,8 +56,8 @@ def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     return module, sorted(imported)
 
 
-def compiled_copies() -> str:
-    """Return the private folder for compiled copies of the user's code."""
+def bytecode_folder() -> str:
+    """Return the user's private folder for bytecode of code that is not installed."""
     try:
         return str(cache_folder() / "compiled")
     except RuntimeError:  # the user has no home folder
@@ -67,7 +67,7 @@ def compiled_copies() -> str:
 @contextmanager
 def _ignore_foreign_bytecode() -> Iterator[None]:
     before = sys.pycache_prefix
-    sys.pycache_prefix = compiled_copies()
+    sys.pycache_prefix = bytecode_folder()
     try:
         yield
     finally:
@@ -75,26 +75,26 @@ def _ignore_foreign_bytecode() -> Iterator[None]:
 
 
 @contextmanager
-def _importing_from(folder: Path) -> Iterator[list[Path]]:
-    """Let a file import modules beside it and record which; modules of the same names elsewhere stay separate.
+def _import_neighbours_of(folder: Path) -> Iterator[list[Path]]:
+    """Let a file import modules beside it, apart from modules of the same names elsewhere, and record them.
 
     What is below the folder and found from anywhere, as an installed package is, is no neighbour.
     """
     anywhere = any(entry and Path(entry).resolve() == folder for entry in sys.path)
 
-    def neighbours() -> dict[str, ModuleType]:
+    def find_neighbours() -> dict[str, ModuleType]:
         modules = {}
         for name, module in list(sys.modules.items()):
             file = getattr(module, "__file__", None)
             path = Path(file).resolve() if file else None
-            if path is None or path.suffix != ".py" or name.startswith(_PREFIX) or not path.is_relative_to(folder):
+            if path is None or path.suffix != ".py" or name.startswith(_USER_PREFIX) or not path.is_relative_to(folder):
                 continue
             inner = path.relative_to(folder).parts
             if len(inner) == 1 or not (anywhere or {"site-packages", "lib"} & set(inner)):
                 modules[name] = module
         return modules
 
-    outside = {name: module for name, module in neighbours().items() if "." not in name and name != "__main__"}
+    outside = {name: module for name, module in find_neighbours().items() if "." not in name and name != "__main__"}
     for name in outside:
         del sys.modules[name]
     before = set(sys.modules)
@@ -105,7 +105,7 @@ def _importing_from(folder: Path) -> Iterator[list[Path]]:
             yield imported
     finally:
         sys.path.remove(str(folder))
-        for name, module in neighbours().items():
+        for name, module in find_neighbours().items():
             if name not in before:
                 imported.append(Path(str(module.__file__)).resolve())
                 del sys.modules[name]
@@ -148,7 +148,7 @@ def import_trusted(module_name: str, where: str, *names: str) -> None:
 
 
 def _is_installed(path: Path, top: str) -> bool:
-    """Return whether a path belongs to Python, to this package or to installed packages; ``top``: its package.
+    """Return whether a path belongs to Python, this package or an installed package; ``top``: its top-level package.
 
     Metadata beside a file that call it installed are not trusted.
     """
@@ -171,7 +171,7 @@ def _installed_folders() -> frozenset[Path]:
 
 @cache
 def _editable_folders(top: str) -> list[Path]:
-    """Return where the distributions are developed that are installed in place and have a package of this name."""
+    """Return the source folders of editable installations that have a package of this name."""
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
 

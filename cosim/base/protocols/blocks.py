@@ -47,7 +47,7 @@ class Pilot(Protocol):
 
 
 class Controller(Protocol):
-    """From the command and the measurement to the actuators, as :class:`cosim.control.cascade.Cascade` does.
+    """Computes actuator commands from command and measurement, as :class:`cosim.control.cascade.Cascade` does.
 
     Once a step, in this order: ``update``, then the engines and servos act, then ``watch``, then the log reads
     ``signals``.  It knows what the vehicle is stated to be, never what flies: no mismatch, no fault, no true state.
@@ -69,7 +69,7 @@ class Controller(Protocol):
         """Start a flight with ``burnt`` kg of fuel gone; return the initial throttles, 0 to 1."""
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """Return what the actuators are to do over a step.
+        """Return the actuator commands for a step.
 
         The torques of ``injected`` are added where they say, ``torque_seen`` as part of what the controller knows of.
         Where ``engines`` is not FLY they idle or are off, and nothing is remembered of before.
@@ -89,7 +89,7 @@ class Allocator(Protocol):
     rest: PerServo  # servo positions when nothing is demanded
 
     def trim(self, collective: float) -> PerJet:
-        """Return the throttles in balance at a collective, with servos at rest."""
+        """Return the throttles that balance all moments at a collective (mean throttle), with servos at rest."""
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """Return the actuator commands for a collective, 0 to 1, and a torque; called once a step.
@@ -99,7 +99,7 @@ class Allocator(Protocol):
         """
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """Allocate for engines in this health from the next step on; False: that cannot be, and all is as before."""
+        """Allocate for engines of this health from the next step on; return False, unchanged, if that is impossible."""
 
     def reset(self) -> None:
         """Return to the allocation for healthy engines."""
@@ -111,23 +111,23 @@ class Engines(Protocol):
     wants_ambient: bool  # their thrust depends on the air
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Bring the engines into equilibrium at throttles and in air; None: standard air at sea level, still."""
+        """Bring the engines into equilibrium at ``throttle``; ``ambient`` None: still standard air at sea level."""
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Advance by step ``k`` with throttles and air held; None: the air as before."""
+        """Advance by step ``k`` with ``throttle`` and ``ambient`` held; None: the air of the step before."""
 
     def run_down(self, seconds: float) -> EngineOutput:
-        """Let engines that were shut off right after the reset turn on without fuel, before step 0."""
+        """Let engines that were shut off right after the reset run down for ``seconds`` before step 0."""
 
     def set_run(self, index: int, on: bool) -> bool:
         """Switch one engine, from 0, off or on before the next step; return False if it has no port for that."""
 
     def close(self) -> None:
-        """Free them; may be called twice."""
+        """Free the engines; may be called twice."""
 
 
 class Shows(Protocol):
-    """Optional part of any block: it logs numbers of its own.
+    """Optional part of any block that adds columns to the log.
 
     Asked for it are pilot, disturbances, controller, engines and sensors, and what stands inside the built-in ones: the
     predictors of a :class:`cosim.control.cascade.Cascade`, each with its axis before the column's name.
@@ -136,15 +136,15 @@ class Shows(Protocol):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Columns of these numbers, constant over a flight and read at its start; names must be new in the log."""
+        """The block's log columns, constant over a flight and read at its start; names must be new in the log."""
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """The numbers, one per column, read after each step in which the block took part."""
+        """Values of the block's log columns, read after each step in which it took part."""
 
 
 def columns_of(block: object) -> tuple[Column, ...]:
-    """Return the log columns of a block, empty if it has none."""
+    """Return the log columns that a block adds, empty if it adds none."""
     return tuple(getattr(block, "columns", ()))
 
 
@@ -152,17 +152,17 @@ class Sensors(Protocol):
     """Sensors for controller and pilot, with their filters, latencies and noise."""
 
     def reset(self, state: State) -> Measured:
-        """Start a new flight, with the same noise again, from a state that has been forever."""
+        """Start a new flight with the same noise, from a state that was held long before."""
 
     def sample(self, state: State) -> Measured:
-        """Return what is measured of the state at ``t_k+1``; called once a step, after the airframe."""
+        """Return the measurement of the state at ``t_k+1``; called once a step, after the airframe."""
 
 
 class Observer(Protocol):
-    """Receives each step after all blocks, and changes nothing."""
+    """Receives each step's sample after all blocks, without effect on the flight."""
 
     def observe(self, sample: Sample) -> None:
-        """Receive a step after it, and once more the state that ended a flight early.
+        """Receive the sample of a finished step, and once more the state that ended a flight early.
 
         Parameters
         ----------

@@ -18,7 +18,7 @@ class Predictor(Protocol):
         """Reset to rest with no command applied."""
 
     def update(self, measured: float, applied: float) -> float:
-        """Return the rate [rad/s] to feed back at ``t_k``; called once a step.
+        """Return the predicted rate [rad/s] to feed back at ``t_k``; called once a step.
 
         Parameters
         ----------
@@ -30,17 +30,17 @@ class Predictor(Protocol):
 
 
 class RateLoop(Protocol):
-    """A user's rate loop, ``level = "rate"``, between our attitude loop and our allocation.
+    """A user's rate loop, ``level = "rate"``, between the built-in attitude loop and allocation.
 
     As every block from outside it may have ``prepare(belief)``, called once before the first reset, ``parameters`` and,
     as :class:`Shows` says, ``columns`` and ``shown``; see docs/own-controller.md.
     """
 
     def reset(self) -> None:
-        """Return to rest, with nothing applied."""
+        """Reset to rest with no torque applied."""
 
     def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        """Return the torque to apply over a step, roll in throttle, pitch and yaw in rad of tilt; called once a step.
+        """Return the torque for a step: roll in throttle, pitch and yaw in rad of tilt; called once a step.
 
         Parameters
         ----------
@@ -54,16 +54,16 @@ class RateLoop(Protocol):
 
 
 class AttitudeLoop(Protocol):
-    """A user's attitude loop, ``level = "attitude"``, above our rate loop.
+    """A user's attitude loop, ``level = "attitude"``, above the built-in rate loop.
 
     That is fed by the predictor that its attribute ``predictor`` names.  What else it may have: see :class:`RateLoop`.
     """
 
     def reset(self) -> None:
-        """Return to rest."""
+        """Reset to rest."""
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        """Return the body rates [rad/s] to ask for over a step; not called while the command is a rate itself.
+        """Return the set-point of body rates [rad/s] for a step; not called while rates are commanded.
 
         Parameters
         ----------
@@ -81,10 +81,10 @@ class WholeController(Protocol):
     """
 
     def reset(self) -> None:
-        """Reset; the engines hold the vehicle up, or idle on the ground."""
+        """Reset for a new flight, in which the engines hover, or idle on the ground."""
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Any:
-        """Return what the actuators are to do over a step; called once a step.
+        """Return the actuator commands for a step; called once a step.
 
         That is an :class:`Actuation`, or throttles, 0 to 1 per jet, and tilts [rad] of the left and the right servo, or
         of each hinge [rad] and then each surface [unit of its property]; tilts are left out where nothing moves.
@@ -101,7 +101,7 @@ class WholeController(Protocol):
 
 
 class OwnSensors(Protocol):
-    """A user's sensors, fed by the built-in ones, as named by a scenario's ``sensors``.
+    """A user's sensors, which receive the built-in ones' measurements; named by a scenario's ``sensors``.
 
     It may have ``prepare(told)``, called once: ``told.step_s``, ``told.vehicle`` and ``told.random()``, a generator
     that nobody else draws from and that is the same at every call; and, as :class:`Shows` says, ``columns`` and
@@ -109,7 +109,7 @@ class OwnSensors(Protocol):
     """
 
     def reset(self, state: State, measured: Measured) -> Measured:
-        """Start a new flight and return what is measured before step 0.
+        """Start a new flight and return the measurement before step 0.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class Wind(Protocol):
     """
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Return the air's velocity [m/s, NED]; asked once a step for the centre of gravity and every engine's station.
+        """Return the air's velocity [m/s, NED]; called once a step for the centre of gravity and each engine's station.
 
         Parameters
         ----------

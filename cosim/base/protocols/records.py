@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from cosim.base.signals import EngineOutput, PerJet, PerServo
 
-# A model's rate without its delay and with it [rad/s], and the delay [samples].
+# Predictor diagnostics: a model's rate without and with its delay [rad/s], and the delay [samples].
 Diagnostics = tuple[float, float, float]
 
 
@@ -32,7 +32,7 @@ class Report(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One number of a user's controller that scenarios, ``settings``, studies and searches reach by name.
+    """Named number of a user's controller that scenarios, ``settings``, studies and searches can set.
 
     It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
     """
@@ -46,7 +46,7 @@ class Parameter(NamedTuple):
 
 
 class Applied(NamedTuple):
-    """Result of the previous step: what the actuators got and what the engines reported."""
+    """Actuator commands of the previous step, and the engines' reports at its end."""
 
     throttle: PerJet  # 0 to 1; initially the start values
     tilt: PerServo  # rad, within the servo's range

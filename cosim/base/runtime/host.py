@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")  # result type of a call
 
-# Environment variable with the chain of our processes that started a process.
+# Environment variable with the chain of this package's processes that started a process.
 _LINEAGE_VARIABLE = "HEXJET_PROCESS"
-_SILENT: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-# Sets resource limits in the child; errors pass, because a lower limit may be set or the system has none.
+_NO_STREAMS: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+# Sets resource limits in the child; errors are ignored, because a lower limit may be set or the system has none.
 _LIMIT_CODE = """
 try:
     import resource
@@ -45,11 +45,11 @@ except ImportError:
 
 
 class HostError(FlightError):
-    """How a process failed, as a clause: ``the process did not answer within 4 s``."""
+    """A process failed; the message is a clause such as ``the process did not answer within 4 s``."""
 
 
 def python_command(code: str, *arguments: str, seconds: int | None = None, megabytes: float | None = None) -> list[str]:
-    """Return the command that runs ``code`` in this interpreter; it finds ``arguments`` behind ``sys.argv[0]``.
+    """Return the command line that runs ``code`` in this interpreter, with ``arguments`` in ``sys.argv[1:]``.
 
     Where ``seconds`` are stated, it may take so much CPU, and ``megabytes`` of address space, and leaves no core file;
     beyond the first the system ends it by SIGXCPU.
@@ -66,7 +66,7 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
 
 
 class Host(subprocess.Popen[bytes]):
-    """A process that leads its own process group and is ended with all its descendants.
+    """Child process with its own process group, which is ended with all its descendants.
 
     It inherits ``environ``, by default that of this process.
     ``how`` is as of ``subprocess.Popen``.
@@ -115,7 +115,7 @@ class Host(subprocess.Popen[bytes]):
     def connect(
         cls, code: str, *arguments: str, environ: Mapping[str, str] | None = None
     ) -> tuple[Host, Connection[Any, Any]]:
-        """Start Python code of ours without standard streams; return the process and a connection to it.
+        """Start Python code without standard streams; return the process and a connection to it.
 
         The code finds the file descriptor of its end of the connection in ``sys.argv[1]``, and ``arguments`` behind.
         Raises OSError where it cannot be started.
@@ -127,26 +127,26 @@ class Host(subprocess.Popen[bytes]):
             number = theirs.fileno()
             try:
                 command = python_command(code, str(number), *arguments)
-                return cls(command, environ, pass_fds=[number], **_SILENT), ours
+                return cls(command, environ, pass_fds=[number], **_NO_STREAMS), ours
             except BaseException:
                 ours.close()
                 raise
 
     def send(self, data: bytes, limit: float) -> None:
-        """Write all of ``data``."""
-        self._ask(self._pipes.send, data, limit)
+        """Write all of ``data`` to the process."""
+        self._call(self._pipes.send, data, limit)
 
     def read_line(self, max_bytes: int, limit: float) -> bytes:
-        """Read one line and return it without its line end."""
-        return self._ask(self._pipes.receive_line, max_bytes, limit)
+        """Read one line from the process and return it without its line end."""
+        return self._call(self._pipes.receive_line, max_bytes, limit)
 
     def exchange(self, data: bytes, count: int, limit: float) -> bytes:
-        """Write all of ``data`` and read ``count`` bytes."""
-        return self._ask(self._pipes.exchange, data, count, limit)
+        """Write all of ``data`` to the process and read ``count`` bytes."""
+        return self._call(self._pipes.exchange, data, count, limit)
 
     def exchange_message(self, data: bytes, max_bytes: int, limit: float) -> bytes:
         """Send a message and receive the answer: see :meth:`cosim.base.runtime.pipes.Pipes.send_message`."""
-        return self._ask(self._pipes.exchange_message, data, max_bytes, limit)
+        return self._call(self._pipes.exchange_message, data, max_bytes, limit)
 
     @property
     def _pipes(self) -> Pipes:
@@ -154,7 +154,7 @@ class Host(subprocess.Popen[bytes]):
             raise HostError("the process was ended before")
         return self.pipes
 
-    def _ask(self, call: Callable[..., T], *arguments: Any, exchanges_per_check: int = 250, end_s: float = 1.0) -> T:
+    def _call(self, call: Callable[..., T], *arguments: Any, exchanges_per_check: int = 250, end_s: float = 1.0) -> T:
         self._exchanges += 1
         if self._exchanges % exchanges_per_check == 0:
             self._check_memory()
@@ -195,13 +195,13 @@ class Host(subprocess.Popen[bytes]):
                 self.wait(patience)
         end_group(self)
         if sys.platform == "linux":
-            _kill_marked(f"{_LINEAGE_VARIABLE}={self._mark}".encode())
+            _kill_descendants(f"{_LINEAGE_VARIABLE}={self._mark}".encode())
 
 
 def run_to_end(
     command: Sequence[str], limit: float, environ: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a command without input to its end, and kill the processes that it leaves.
+    """Run a command without input to its end, and kill the processes that it leaves running.
 
     Raises OSError where it cannot be started, HostError where it has not ended within ``limit`` s of the clock.
     """
@@ -240,18 +240,18 @@ def _describe_status(status: int) -> str:
     return f"was ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
 
 
-def _kill_marked(mark: bytes) -> None:
+def _kill_descendants(mark: bytes) -> None:
     """Kill all processes with ``mark`` in their environment, repeatedly, because one may start another."""
-    while found := list(_find_marked(mark)):
+    while found := list(_find_descendants(mark)):
         for process in found:
             with suppress(OSError):
                 os.kill(process, signal.SIGKILL)
 
 
-def _find_marked(mark: bytes) -> Iterator[int]:
+def _find_descendants(mark: bytes) -> Iterator[int]:
     """Yield the processes started by a host, found by their environment."""
     for file in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):  # another user's process, or ended
+        with suppress(OSError):  # another user's process, or it has ended
             if mark in file.read_bytes():
                 yield int(file.parent.name)
 
@@ -264,7 +264,7 @@ def end_group(process: subprocess.Popen[Any]) -> None:
 
 
 def reap(process: subprocess.Popen[Any]) -> None:
-    """Wait for a process that was killed: its ``wait()`` may never return after a Ctrl-C.
+    """Wait for a killed process by the system's call, because its ``wait()`` may never return after a Ctrl-C.
 
     ``poll()`` and ``wait()`` of ``subprocess`` take a lock of the process.  An interrupt between the taking and the
     ``try`` behind it, or in the giving back, leaves that lock taken, and the next ``wait()`` waits for it for ever.
@@ -277,7 +277,7 @@ def reap(process: subprocess.Popen[Any]) -> None:
 
 
 def serve_pipes() -> Pipes:
-    """Return the child's ends of its host's pipes.
+    """Return the child's ends of the pipes to its host.
 
     What foreign code reads from standard input is empty, and what it prints goes to standard error.
     """

@@ -20,14 +20,14 @@ from typing import Any
 from cosim.base.errors import notify
 
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"  # OpenBLAS's choice of kernel, and ours
-_NEEDED = {b"avx2", b"fma"}  # features of x86 processors since 2013
-_MAPS = "/proc/self/maps"  # lists the libraries of the process
+_NEEDED_FEATURES = {b"avx2", b"fma"}  # of x86 processors since 2013
+_MEMORY_MAPS = "/proc/self/maps"  # lists the process's libraries
 _warnings: list[str] = []  # warnings given so far by this process
-_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")  # name the kernel
+_QUERIES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")  # of OpenBLAS
 
 
 def can_use_reference(cpuinfo: str = "/proc/cpuinfo", enough_bytes: int = 8192) -> bool:
-    """Return whether the kernels that every x86 processor since 2013 can run are to be had here.
+    """Return whether the reference kernels, for every x86 processor since 2013, can be used here.
 
     Not on a processor without AVX2 and FMA, on other processors, and on systems that do not tell which they have: there
     a flight is the same again on the same kind of processor.  ``enough_bytes``: bytes, with all of the first processor.
@@ -40,27 +40,27 @@ def can_use_reference(cpuinfo: str = "/proc/cpuinfo", enough_bytes: int = 8192) 
     except OSError:
         return False
     flags = next((line for line in first.splitlines() if line.startswith(b"flags")), b"")
-    return set(flags.split()) >= _NEEDED
+    return set(flags.split()) >= _NEEDED_FEATURES
 
 
 def load_with_reference() -> None:
-    """Import numpy and scipy, whenever that happens later, with the reference kernels.
+    """Let later imports of numpy and scipy load the reference kernels.
 
     The environment is left as it is, but while they are loaded; a variable that is set there already stands.
     """
     if VARIABLE not in os.environ and can_use_reference():
-        sys.meta_path.insert(0, _WithReference())
+        sys.meta_path.insert(0, _ReferenceFinder())
 
 
 def set_for_command() -> None:
-    """Select the reference kernels for this process and its children, which belong to a command."""
+    """Select the reference kernels for this process and its children, for commands."""
     if can_use_reference():
         os.environ.setdefault(VARIABLE, REFERENCE)
 
 
 def find_kernels() -> dict[str, str]:
     """Return the OpenBLAS kernels of numpy and scipy by package; empty if unknown."""
-    return dict(_find_kernels("scipy.linalg" in sys.modules))
+    return dict(_query_libraries("scipy.linalg" in sys.modules))
 
 
 def warn_of_other_kernels() -> None:
@@ -84,10 +84,10 @@ def warn_of_other_kernels() -> None:
 
 
 @cache
-def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
-    """Ask each loaded OpenBLAS for its kernels, again after scipy has loaded its own."""
+def _query_libraries(with_scipy: bool) -> tuple[tuple[str, str], ...]:
+    """Query each loaded OpenBLAS library for its kernels; ``with_scipy`` distinguishes cached results."""
     try:
-        with open(_MAPS, encoding="utf-8", errors="replace") as file:
+        with open(_MEMORY_MAPS, encoding="utf-8", errors="replace") as file:
             paths = dict.fromkeys(line.split(maxsplit=5)[-1].strip() for line in file if "openblas" in line)
     except OSError:
         return ()
@@ -95,9 +95,9 @@ def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     for path in paths:
         try:
             library = ctypes.CDLL(path)
-        except OSError:  # the mapped file was replaced since
+        except OSError:  # the file was replaced after loading
             continue
-        name = next((name for name in _NAMES if hasattr(library, name)), None)
+        name = next((name for name in _QUERIES if hasattr(library, name)), None)
         if name is not None:
             ask = library[name]
             ask.restype = ctypes.c_char_p
@@ -105,8 +105,8 @@ def _find_kernels(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(kernels))
 
 
-class _WithReference:
-    """Finds numpy and the parts of scipy as ever, and has each loaded while the variable is set."""
+class _ReferenceFinder:
+    """Import finder that loads numpy and scipy's packages with the kernel variable set."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         parts = fullname.split(".")
@@ -118,11 +118,11 @@ class _WithReference:
             return spec
         load = loader.exec_module
 
-        def load_with(module: ModuleType) -> None:
+        def load_reference(module: ModuleType) -> None:
             with _reference_environment():
                 load(module)
 
-        loader.exec_module = load_with  # type: ignore[method-assign]
+        loader.exec_module = load_reference  # type: ignore[method-assign]
         return spec
 
 

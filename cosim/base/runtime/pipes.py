@@ -16,10 +16,10 @@ from typing import Final
 
 from cosim.base.errors import InputError
 
-_LENGTH: Final = struct.Struct("<I")  # length before each message
+_LENGTH_PREFIX: Final = struct.Struct("<I")  # length before each message
 _READ_BYTES: Final = 65536  # bytes of one read
 # Interval between calls of ``watch`` while nothing arrives.
-_WATCH_S: Final = 0.25
+_WATCH_INTERVAL_S: Final = 0.25
 
 
 class Pipes:
@@ -45,81 +45,81 @@ class Pipes:
         self.watch: Callable[[], None] = lambda: None  # called while waiting for an answer
 
     def send(self, data: bytes, limit: float | None = None) -> None:
-        """Write all of ``data``."""
-        self._send(data, _deadline(limit))
+        """Write all of ``data`` within ``limit`` s."""
+        self._send(data, _compute_deadline(limit))
 
     def close(self) -> None:
-        """Close both ends; may be called twice.  Only for who opened them by their numbers."""
+        """Close both ends; may be called twice.  Only the opener of the file descriptors calls it."""
         numbers, self._open = self._open, ()
         for number in numbers:
             os.close(number)
 
     def receive(self, count: int, limit: float | None = None) -> bytes:
-        """Read ``count`` bytes."""
-        return self._take(count, _deadline(limit))
+        """Read ``count`` bytes within ``limit`` s."""
+        return self._read_exactly(count, _compute_deadline(limit))
 
     def exchange(self, data: bytes, count: int, limit: float | None = None) -> bytes:
         """Write all of ``data`` and read ``count`` bytes, both within the limit."""
-        end = _deadline(limit)
+        end = _compute_deadline(limit)
         self._send(data, end)
-        return self._take(count, end)
+        return self._read_exactly(count, end)
 
     def receive_line(self, max_bytes: int, limit: float | None = None) -> bytes:
         """Read a line and return it without its end.  Raises ValueError above ``max_bytes`` bytes."""
-        end = _deadline(limit)
+        end = _compute_deadline(limit)
         while b"\n" not in self._rest:
             if len(self._rest) > max_bytes:
                 raise ValueError("the line does not end")
-            self._rest += self._read(end)
+            self._rest += self._read_available(end)
         line, _, self._rest = self._rest.partition(b"\n")
         return line
 
     def send_message(self, data: bytes, limit: float | None = None) -> None:
         """Write bytes that :meth:`receive_message` at the other end returns unchanged."""
-        self.send(_LENGTH.pack(len(data)) + data, limit)
+        self.send(_LENGTH_PREFIX.pack(len(data)) + data, limit)
 
     def receive_message(self, max_bytes: int, limit: float | None = None) -> bytes:
         """Read one message from the other end.  Raises ValueError above ``max_bytes`` bytes."""
-        return self._take_message(max_bytes, _deadline(limit))
+        return self._read_message(max_bytes, _compute_deadline(limit))
 
     def exchange_message(self, data: bytes, max_bytes: int, limit: float | None = None) -> bytes:
         """Send a message and receive the answer within one limit, as :meth:`receive_message`."""
-        end = _deadline(limit)
-        self._send(_LENGTH.pack(len(data)) + data, end)
-        return self._take_message(max_bytes, end)
+        end = _compute_deadline(limit)
+        self._send(_LENGTH_PREFIX.pack(len(data)) + data, end)
+        return self._read_message(max_bytes, end)
 
-    def _take_message(self, max_bytes: int, end: float | None) -> bytes:
+    def _read_message(self, max_bytes: int, end: float | None) -> bytes:
         if not self._rest:
-            self._rest = data = self._read(end)
-            size = len(data) - _LENGTH.size
-            if size >= 0 and _LENGTH.unpack_from(data)[0] == size <= max_bytes:  # usually a read holds just one message
+            self._rest = data = self._read_available(end)
+            size = len(data) - _LENGTH_PREFIX.size
+            if size >= 0 and _LENGTH_PREFIX.unpack_from(data)[0] == size <= max_bytes:  # often one read, one message
                 self._rest = b""
-                return data[_LENGTH.size :]
-        (length,) = _LENGTH.unpack(self._take(_LENGTH.size, end))
+                return data[_LENGTH_PREFIX.size :]
+        (length,) = _LENGTH_PREFIX.unpack(self._read_exactly(_LENGTH_PREFIX.size, end))
         if length > max_bytes:
             raise ValueError(f"a message of {length} bytes: at most {max_bytes}")
-        return self._take(length, end)
+        return self._read_exactly(length, end)
 
-    def _take(self, count: int, end: float | None) -> bytes:
+    def _read_exactly(self, count: int, end: float | None) -> bytes:
         """Return the next ``count`` bytes and keep the rest for the next call."""
         data = self._rest
         if count and not data:
-            data = self._read(end)
+            data = self._read_available(end)
             if len(data) == count:  # usually one read gets all bytes
                 return data
         parts, size = [data], len(data)
         while size < count:
-            parts.append(self._read(end))
+            parts.append(self._read_available(end))
             size += len(parts[-1])
         if len(parts) > 1:
             data = b"".join(parts)
         self._rest = data[count:]
         return data[:count]
 
-    def _read(self, end: float | None) -> bytes:
+    def _read_available(self, end: float | None) -> bytes:
         """Return the available bytes, waiting for the first."""
         if end is not None:
-            self._sleep(self._poll, end)
+            self._wait_until_ready(self._poll, end)
         data = os.read(self._reader, _READ_BYTES)
         if not data:
             raise EOFError
@@ -132,15 +132,15 @@ class Pipes:
                 written = os.write(self._writer, rest)
             except BlockingIOError:
                 written = 0
-                self._sleep(self._writable, end)
+                self._wait_until_ready(self._writable, end)
             if written == len(rest):
                 return
             rest = memoryview(rest)[written:]
 
-    def _sleep(self, poll: select.poll, end: float | None) -> None:
-        """Wait until there is data.  Raises TimeoutError, and what ``watch`` raises."""
+    def _wait_until_ready(self, poll: select.poll, end: float | None) -> None:
+        """Wait until a pipe is ready, calling ``watch`` meanwhile.  Raises TimeoutError after ``end``."""
         while True:
-            left = _WATCH_S if end is None else min(_WATCH_S, end - monotonic())
+            left = _WATCH_INTERVAL_S if end is None else min(_WATCH_INTERVAL_S, end - monotonic())
             if poll.poll(1e3 * max(0.0, left)):
                 return
             if left <= 0.0:
@@ -149,10 +149,10 @@ class Pipes:
 
 
 def require_poll() -> None:
-    """Raise InputError where the system cannot wait for a pipe with a time limit."""
+    """Raise InputError if the system cannot wait for a pipe with a time limit."""
     if not hasattr(select, "poll"):
         raise InputError("an exchange with another process needs pipes with poll(), which this system does not have")
 
 
-def _deadline(limit: float | None) -> float | None:
+def _compute_deadline(limit: float | None) -> float | None:
     return None if limit is None else monotonic() + limit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 
-ONE_THREAD = dict.fromkeys(  # environment for single-threaded maths
+ONE_THREAD = dict.fromkeys(  # environment for one thread of maths
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
 

@@ -10,7 +10,7 @@ from cosim.base.storage.files import map_os_errors, one_line, open_without_links
 
 
 class AppendedFile:
-    """A file to append to; ``how`` are flags of ``os.open``, ``number`` is the file descriptor.
+    """File to append to; ``how`` are flags of ``os.open``, ``number`` is the file descriptor.
 
     Raises OSError if it cannot be opened.
     """
@@ -20,7 +20,7 @@ class AppendedFile:
         self.number = open_without_links(path, how)
 
     def append(self, *pieces: bytes | memoryview) -> None:
-        """Append pieces together or not at all.  Raises FlightError if they cannot be written."""
+        """Append all pieces, or none of them and raise FlightError."""
         size, before = sum(map(len, pieces)), os.fstat(self.number).st_size
         try:
             written = os.writev(self.number, pieces) if hasattr(os, "writev") else 0

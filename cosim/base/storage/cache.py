@@ -10,7 +10,7 @@ T = TypeVar("T")  # type of the cached values
 
 
 class RecentCache(Generic[T]):
-    """The ``capacity`` most recently used results, by keys that contain everything a result depends on.
+    """Cache of the ``capacity`` most recently used results, by keys with everything that a result depends on.
 
     Of a file that is its contents, never its name or date alone.  A result is given out again and again: whoever gets
     it must not change it.

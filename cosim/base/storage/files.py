@@ -41,7 +41,7 @@ def replace_on_success(path: Path) -> Iterator[Path]:
 
 
 def _is_special(path: Path) -> bool:
-    """Return whether there is something of this name that is neither an ordinary file nor a folder."""
+    """Return whether a path exists and is neither an ordinary file nor a folder."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
@@ -55,14 +55,14 @@ def open_without_links(path: str | Path, flags: int) -> int:
 
 
 def read_file(path: Path, max_mb: float = 256.0, first: int = -1) -> bytes:
-    """Return the content of a file of somebody else, or its ``first`` bytes.
+    """Return the content of a file that may be a device or a pipe, or its ``first`` bytes.
 
     What lies there may be a pipe that nobody writes to or a device without an end: neither is waited for or read.
     Raises InputError with file and reason in a line for what is no regular file, or larger than ``max_mb`` (of 2**20
     bytes): scenarios, summaries, journals and engines stay below some tens.
     """
     try:
-        with open(path, "rb", opener=_open_at_once) as file:
+        with open(path, "rb", opener=_open_nonblocking) as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise InputError(f"{path}: is a device or a pipe; an ordinary file is needed")
@@ -75,7 +75,7 @@ def read_file(path: Path, max_mb: float = 256.0, first: int = -1) -> bytes:
         raise InputError(f"{path}: {one_line(error)}") from error
 
 
-def _open_at_once(path: str | Path, flags: int) -> int:
+def _open_nonblocking(path: str | Path, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -94,13 +94,13 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str | bytes, where: str, finite: bool = True) -> Any:
-    """Return what is written as JSON.
+    """Return the content of a text in JSON.
 
     Raises InputError, in a line with ``where``, for what is no JSON, is nested too deep and, unless ``finite`` is off,
     for NaN and infinities.
     """
     try:
-        return json.loads(text, **(_FINITE if finite else {}))
+        return json.loads(text, **(_FINITE_ONLY if finite else {}))
     except RecursionError as error:
         raise InputError(f"{where}: not JSON (nested too deep)") from error
     except ValueError as error:
@@ -116,7 +116,7 @@ def _parse_finite(digits: str) -> float:
     return number if isfinite(number) else _refuse_nan(digits[:40])
 
 
-_FINITE: dict[str, Any] = {"parse_constant": _refuse_nan, "parse_float": _parse_finite}  # refuse NaN and infinity
+_FINITE_ONLY: dict[str, Any] = {"parse_constant": _refuse_nan, "parse_float": _parse_finite}  # of json.loads
 
 
 def write_all(file: int, data: bytes) -> None:
@@ -127,7 +127,7 @@ def write_all(file: int, data: bytes) -> None:
 
 
 def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[Exception] | None = None) -> None:
-    """Write a file completely or leave it unchanged; of a text in pieces only one is held at a time.
+    """Write a file completely or leave it unchanged; ``content`` may be an iterator of pieces.
 
     Raises OSError, or ``failure`` with file and reason in a line.
     """
@@ -146,7 +146,7 @@ def write_if_possible(path: Path, text: str) -> None:
 
 @contextmanager
 def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
-    """Raise ``failure``, with path and reason in a line, in the place of an OSError."""
+    """Raise ``failure``, with path and reason in one line, in place of an OSError."""
     try:
         yield
     except OSError as error:
@@ -154,7 +154,7 @@ def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
 
 
 def check_results_folder(out: Path | str | None, record: str, *files: str) -> None:
-    """Refuse to overwrite files in the folder ``out`` that no earlier call has written.  Raises InputError.
+    """Raise InputError if ``out`` has files that would be overwritten and were not written by an earlier call.
 
     An earlier call has left its ``record``, in JSON an object.  A file as ``out`` is refused too; None writes nothing.
     """
@@ -172,7 +172,7 @@ def check_results_folder(out: Path | str | None, record: str, *files: str) -> No
 
 
 def holds_record(path: Path) -> bool:
-    """Return whether a folder holds a command's results, by the file that it always writes."""
+    """Return whether a command's record exists, the file that it writes into each results folder."""
     try:
         return isinstance(read_json(path), dict) if path.suffix == ".json" else path.is_file()
     except (OSError, InputError):
@@ -209,7 +209,7 @@ def lock_file(path: Path, busy: str) -> Iterator[None]:
 
 
 def try_lock(file: int) -> bool | None:
-    """Try to take the file's lock, which is released with the process.
+    """Try to lock a file until the process ends; None: the system has no locks.
 
     Return False if another holds it, None where there are no locks: on a file system or a machine without them.
     """

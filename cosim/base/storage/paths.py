@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parents[2]  # folder of the package
-_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent  # folder of aircraft, engines, scenarios
+_DATA_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent  # of aircraft, engines, scenarios
 
 
 def data_folder(name: str) -> Path:
     """Return the folder ``aircraft``, ``engines``, ``fmus``, ``scenarios`` or ``studies``."""
-    return _ROOT / name
+    return _DATA_ROOT / name
 
 
 def names_in(folder: str, marker: str) -> list[str]:

@@ -17,17 +17,17 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, try_lock
 
-_PREFIX = "hexjet-scratch-"  # beginning of temporary folders' names
-_LOCK = "lock"  # file locked while its process lives
-_made: dict[int, Path] = {}  # by process id, as a fork needs its own
+_FOLDER_PREFIX = "hexjet-scratch-"  # of temporary folders' names
+_LOCK_NAME = "lock"  # file that its process keeps locked
+_folders: dict[int, Path] = {}  # by process id: a fork needs its own
 
 
 def scratch() -> Path:
     """Return this process's folder for temporary files.  Raises InputError if none can be made."""
-    folder = _made.get(os.getpid())
+    folder = _folders.get(os.getpid())
     if folder is None or not folder.is_dir():
         try:
-            folder = _made[os.getpid()] = _make()
+            folder = _folders[os.getpid()] = _make_folder()
         except OSError as error:
             raise InputError(f"temporary files: {one_line(error)}; TMPDIR can name another folder for them") from error
     return folder
@@ -46,20 +46,20 @@ def temporary(prefix: str) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _make() -> Path:
-    _remove_left()
+def _make_folder() -> Path:
+    _remove_abandoned()
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
-        file = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # locked as long as the process lives
-        if try_lock(file) is not False and (folder / _LOCK).exists():
-            atexit.register(_remove, os.getpid(), folder)
+        folder = Path(tempfile.mkdtemp(prefix=_FOLDER_PREFIX))
+        file = os.open(folder / _LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)  # locked as long as the process lives
+        if try_lock(file) is not False and (folder / _LOCK_NAME).exists():
+            atexit.register(_remove_folder, os.getpid(), folder)
             return folder
-        os.close(file)  # another process removed it meanwhile
+        os.close(file)  # another process removed the folder
 
 
-def _remove_left() -> None:
+def _remove_abandoned() -> None:
     """Remove the folders of processes that were killed."""
-    for file in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{_LOCK}"):
+    for file in Path(tempfile.gettempdir()).glob(f"{_FOLDER_PREFIX}*/{_LOCK_NAME}"):
         with suppress(OSError):  # another user's folder
             held = os.open(file, os.O_RDWR)
             try:
@@ -69,6 +69,6 @@ def _remove_left() -> None:
                 os.close(held)
 
 
-def _remove(process: int, folder: Path) -> None:
+def _remove_folder(process: int, folder: Path) -> None:
     if os.getpid() == process:
         shutil.rmtree(folder, ignore_errors=True)

@@ -16,7 +16,7 @@ def as_settings(values: str | Sequence[str] | Mapping[str, object]) -> list[str]
     Raises InputError for a value that is none of TOML on one line.
     """
     if not isinstance(values, Mapping):
-        return list(as_several(values))
+        return list(as_sequence(values))
     texts = []
     for key, value in values.items():
         try:
@@ -29,14 +29,14 @@ def as_settings(values: str | Sequence[str] | Mapping[str, object]) -> list[str]
 def as_texts(values: str | Sequence[str] | Mapping[str, object]) -> list[str]:
     """Return ``KEY=TEXT`` texts from one text, several, or a mapping, whose values may be lists."""
     if isinstance(values, Mapping):
-        return [f"{key}={','.join(map(_as_text, as_several(value)))}" for key, value in values.items()]
-    return list(as_several(values))
+        return [f"{key}={','.join(map(_format_value, as_sequence(value)))}" for key, value in values.items()]
+    return list(as_sequence(values))
 
 
-def as_several(values: Any) -> Sequence[Any]:
-    """Return values as a sequence; a single one may be a text or a path."""
+def as_sequence(values: Any) -> Sequence[Any]:
+    """Return a single value, text or path as a sequence of one, several values as a sequence."""
     return tuple(values) if isinstance(values, Iterable) and not isinstance(values, (str, Path, Mapping)) else (values,)
 
 
-def _as_text(value: object) -> str:
+def _format_value(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -25,17 +25,17 @@ else:
     ModelMetaclass = type(BaseModel)
 
 
-class _OwnNames(ModelMetaclass):
-    """Names that ``dir`` lists of a table: its keys and methods, without those of pydantic."""
+class _HidePydanticNames(ModelMetaclass):
+    """Metaclass whose classes list in ``dir`` their keys and methods without those of pydantic."""
 
     def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *vars(self).get("__pydantic_fields__", ())} - _PYDANTIC)
+        return sorted({*super().__dir__(), *vars(self).get("__pydantic_fields__", ())} - _PYDANTIC_NAMES)
 
 
-_PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("__"))  # pydantic's, hidden in dir()
+_PYDANTIC_NAMES = frozenset(name for name in dir(BaseModel) if not name.startswith("__"))  # hidden in dir()
 
 
-class Model(BaseModel, metaclass=_OwnNames):
+class Model(BaseModel, metaclass=_HidePydanticNames):
     """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
@@ -46,10 +46,10 @@ class Model(BaseModel, metaclass=_OwnNames):
     @model_validator(mode="before")
     @classmethod
     def _read_table(cls, data: Any) -> Any:
-        """Merge list indices into a list's default; refuse ``"2"`` and ``true`` as numbers, alone or in a list."""
+        """Merge list entries given by index into the default list; refuse texts and truth values as numbers."""
         if not isinstance(data, dict):
             return data
-        lists, numeric = _lists(cls), _numeric(cls)
+        lists, numeric = _list_defaults(cls), _numeric_fields(cls)
         if by_index := {name: data[name] for name in lists if isinstance(data.get(name), Mapping)}:
             data = {**data, **merge({name: lists[name] for name in by_index}, by_index)}
         for name, value in data.items():
@@ -61,14 +61,14 @@ class Model(BaseModel, metaclass=_OwnNames):
 
 
 @cache
-def _lists(model: type[BaseModel]) -> Mapping[str, list[Any]]:
-    """Return the fields whose default is a tuple, as lists."""
+def _list_defaults(model: type[BaseModel]) -> Mapping[str, list[Any]]:
+    """Return the default of each field that has a tuple as default, as a list."""
     defaults = {name: field.default for name, field in model.model_fields.items()}
     return {name: list(default) for name, default in defaults.items() if isinstance(default, tuple)}
 
 
 @cache
-def _numeric(model: type[BaseModel]) -> frozenset[str]:
+def _numeric_fields(model: type[BaseModel]) -> frozenset[str]:
     """Return the fields that are numbers, or lists of numbers, and nothing else."""
     annotations = {name: repr(field.annotation) for name, field in model.model_fields.items()}
     return frozenset(
@@ -78,14 +78,14 @@ def _numeric(model: type[BaseModel]) -> frozenset[str]:
     )
 
 
-def _scalar(value: object) -> object:
+def _check_scalar(value: object) -> object:
     is_finite = isinstance(value, str) or (isinstance(value, (int, float)) and abs(value) <= float_info.max)
     if not is_finite:
         raise ValueError("must be a finite number, true, false or a text")
     return value
 
 
-Scalar = Annotated[bool | int | float | str, BeforeValidator(_scalar)]
+Scalar = Annotated[bool | int | float | str, BeforeValidator(_check_scalar)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # s since the start of the flight, or span
@@ -95,7 +95,7 @@ Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
 M = TypeVar("M", bound=BaseModel)
 
-_DOTTED_NAMES = re.compile(  # names that may contain dots
+_DOTTED_NAMES = re.compile(  # keys with names that may contain dots
     r"(?P<head>(?:mismatch\.)?engine_parameters|stations\.[^.]+\.parameters|mismatch\.stations\.[^.]+)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
@@ -105,12 +105,12 @@ _parsed: RecentCache[dict[str, Any]] = RecentCache(64)
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.  Raises InputError that names the file and, for bad syntax, the line."""
     try:
-        # The largest shipped file has a hundredth of this size.
+        # The limit is a hundred times the size of the largest shipped file.
         text = read_file(path, max_mb=16.0).decode().replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); a TOML file is needed") from error
     try:
-        table: dict[str, Any] = _copy(_parsed.get(text, lambda: tomllib.loads(text)))
+        table: dict[str, Any] = _deep_copy(_parsed.get(text, lambda: tomllib.loads(text)))
         return table
     except ValueError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
@@ -118,11 +118,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: nested too deep") from error
 
 
-def _copy(table: Any) -> Any:
-    """Return a deep copy of a table, which may be changed."""
+def _deep_copy(table: Any) -> Any:
+    """Return a deep copy of tables and lists."""
     if isinstance(table, dict):
-        return {key: _copy(value) for key, value in table.items()}
-    return [_copy(value) for value in table] if isinstance(table, list) else table
+        return {key: _deep_copy(value) for key, value in table.items()}
+    return [_deep_copy(value) for value in table] if isinstance(table, list) else table
 
 
 def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
@@ -211,7 +211,7 @@ def split_key(key: str) -> list[str]:
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
-    """Return ``NAME=NUMBER`` texts as a table; a number is finite.  Raises InputError that names ``option``."""
+    """Return ``NAME=NUMBER`` texts as a table of finite numbers.  Raises InputError that names ``option``."""
     numbers = {}
     for text in texts:
         ((name, number),) = parse_values([text]).items()
@@ -222,7 +222,7 @@ def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
 
 
 def parse_values(texts: Iterable[str]) -> dict[str, float | str]:
-    """Return ``NAME=VALUE`` texts as a table, in which a value that is no number stays a text."""
+    """Return ``NAME=VALUE`` texts as a table of numbers; other values stay texts."""
     values: dict[str, float | str] = {}
     for text in texts:
         name, _, value = (part.strip() for part in text.partition("="))
@@ -259,8 +259,8 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
             raise InputError(f"{where}: {'.'.join(path[:depth])} is a value, not a table")
 
 
-def _meant(key: str, unknown: Sequence[str]) -> str:
-    """Return a clause with the unknown key that may be a typo of a missing one, or an empty string."""
+def _guess_typo(key: str, unknown: Sequence[str]) -> str:
+    """Return a clause with an unknown key that may be a typo of the missing ``key``, or an empty string."""
     import difflib
 
     close = difflib.get_close_matches(key, unknown, n=1, cutoff=0.8)
@@ -273,7 +273,7 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         # A table that may also be false gives two errors; the one about false is of no use to the user.
         errors = [item for item in errors if not _is_not_false(item)]
     first = errors[0]
-    key = ".".join(_path(model, first["loc"]))
+    key = ".".join(_file_keys(model, first["loc"]))
     kind, value = first["type"], first["input"]
     rest = "".join(_describe_others(model, errors, key))
     if kind == "extra_forbidden":
@@ -282,8 +282,8 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
             return f"{key}: {removed}"
         return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
     if kind == "missing":
-        unknown = [".".join(_path(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]
-        return f"{key} is missing{_meant(key, unknown) or rest}"
+        unknown = [".".join(_file_keys(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]
+        return f"{key} is missing{_guess_typo(key, unknown) or rest}"
     if kind == "union_tag_not_found":
         return f"{key}.kind is missing{rest}"
     if kind == "union_tag_invalid":
@@ -296,14 +296,14 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
     if kind == "too_long":
         return f"{key}: may have at most {first['ctx']['max_length']}, not {first['ctx']['actual_length']}{rest}"
-    message = _no_entry(kind, value) or first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = _describe_missing_entry(kind, value) or first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     message = message.replace("should be a valid ", "must be a ").replace("a integer", "an integer")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
 
 
-def _no_entry(kind: str, value: Any) -> str:
-    """Return the complaint that a list has no entry to override, if that is the error."""
+def _describe_missing_entry(kind: str, value: Any) -> str:
+    """Return the message that a list has no entry to override, or an empty string for other errors."""
     if kind != "list_type" or not isinstance(value, dict) or not all(str(key).isdigit() for key in value):
         return ""
     return f"there is no entry {', '.join(map(str, value))} to write over; a new list is [{{...}}]"
@@ -316,7 +316,7 @@ def _describe_others(
     kinds: dict[str, dict[str, None]] = {"missing": {}, "unknown": {}, "wrong": {}}
     names = {"missing": "missing", "extra_forbidden": "unknown"}
     for item in errors[1:]:
-        key = ".".join(_path(model, item["loc"]))
+        key = ".".join(_file_keys(model, item["loc"]))
         if key not in ("", first):
             kinds[names.get(item["type"], "wrong")][key] = None
     for kind, keys in kinds.items():
@@ -326,61 +326,61 @@ def _describe_others(
 
 
 def _is_not_false(item: ErrorDetails) -> bool:
-    """Return whether it is the complaint that a value is not false."""
+    """Return whether a validation error says that a value is not false."""
     return item["loc"][-1:] == ("literal[False]",)
 
 
-def _path(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys of an error's location as the file has them.
+def _file_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys of a validation error's location as they are in the file.
 
     Pydantic names the kind of a list's entry behind its number, and of a value that may be of several kinds the one
     that it tried.
     """
-    names = {submodel.__name__ for submodel in _all_models(model)}
+    names = {submodel.__name__ for submodel in _collect_models(model)}
     return [
         str(part)
         for before, part in zip((None, *location), location, strict=False)
-        if not (isinstance(before, int) and isinstance(part, str) and _is_kind(location, part))
+        if not (isinstance(before, int) and isinstance(part, str) and _is_kind_of_entry(location, part))
         and not (isinstance(part, str) and (part in names or part.startswith(("function-", "literal["))))
     ]
 
 
-def _all_models(model: type[BaseModel]) -> set[type[BaseModel]]:
+def _collect_models(model: type[BaseModel]) -> set[type[BaseModel]]:
     """Return a model and all models nested in it."""
     models, waiting = {model}, [model]
     while waiting:
         for field in waiting.pop().model_fields.values():
-            new = set(_models_in(field.annotation)) - models
+            new = set(_find_models(field.annotation)) - models
             models |= new
             waiting += new
     return models
 
 
-def _is_kind(location: tuple[int | str, ...], part: str) -> bool:
+def _is_kind_of_entry(location: tuple[int | str, ...], part: str) -> bool:
     return location[0] in ("command", "disturbance", "fault") and location.index(part) == 2
 
 
 def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that the table holding ``location`` may have."""
+    """Return the allowed keys of the table that contains ``location``."""
     models: list[type[BaseModel]] = [model]
     for part in location[:-1]:
         submodels: list[type[BaseModel]] = []
         for candidate in models:
             if part in candidate.model_fields:
-                submodels += _models_in(candidate.model_fields[str(part)].annotation)
-            elif _tag(candidate) == part:
+                submodels += _find_models(candidate.model_fields[str(part)].annotation)
+            elif _kind_tag(candidate) == part:
                 submodels.append(candidate)
-        # An index or a mapping's key keeps the same models, a field's name leads to its own.
+        # An index or a mapping's key keeps the models; a field's name leads to the models of its type.
         models = submodels or models
     return sorted({name for candidate in models for name in candidate.model_fields})
 
 
-def _tag(model: type[BaseModel]) -> Any:
+def _kind_tag(model: type[BaseModel]) -> Any:
     kind = model.model_fields.get("kind")
     return get_args(kind.annotation)[0] if kind and get_args(kind.annotation) else None
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def _find_models(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _models_in(part)]
+    return [model for part in get_args(annotation) for model in _find_models(part)]

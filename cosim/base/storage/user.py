@@ -8,16 +8,16 @@ from pathlib import Path
 
 
 def cache_folder() -> Path:
-    """Return the user's cache folder, for files that can be made again."""
-    return _folder(os.environ.get("XDG_CACHE_HOME"), "Library/Caches", ".cache")
+    """Return the user's cache folder, for files that can be regenerated."""
+    return _choose_folder(os.environ.get("XDG_CACHE_HOME"), "Library/Caches", ".cache")
 
 
 def settings_folder() -> Path:
-    """Return the folder of the user's settings, such as whose code is run."""
-    return _folder(os.environ.get("XDG_CONFIG_HOME"), "Library/Application Support", ".config")
+    """Return the folder of the user's settings, such as the list of trusted folders."""
+    return _choose_folder(os.environ.get("XDG_CONFIG_HOME"), "Library/Application Support", ".config")
 
 
-def _folder(stated: str | None, on_a_mac: str, elsewhere: str) -> Path:
+def _choose_folder(stated: str | None, on_a_mac: str, elsewhere: str) -> Path:
     if stated and Path(stated).is_absolute():
         return Path(stated) / "hexjet"
     return Path.home() / (on_a_mac if sys.platform == "darwin" else elsewhere) / "hexjet"

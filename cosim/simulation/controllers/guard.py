@@ -16,7 +16,7 @@ from cosim.base.errors import FlightError, InputError, describe_error
 from cosim.base.limits import clamp, clip
 from cosim.base.protocols import Applied, Column, Diagnostics, EngineState
 from cosim.base.signals import (
-    ALL_WELL,
+    ALL_HEALTHY,
     AXES,
     NO_JETS,
     UNKNOWN3,
@@ -271,7 +271,7 @@ class GuardedController(Guarded):
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         """Store the engines' output and the fuel burnt [kg] for the next update; no engine is reported as failed."""
         self._engines, self._burnt = engines, burnt
-        return ALL_WELL
+        return ALL_HEALTHY
 
     def forgive(self) -> None:
         """Do nothing, as engines are not monitored."""

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
-from cosim.base.plugins.execute import compiled_copies
+from cosim.base.plugins.execute import bytecode_folder
 from cosim.base.protocols import Column
 from cosim.base.runtime.host import Host
 from cosim.base.signals import ControlSignals
@@ -52,7 +52,7 @@ def request_description(command: Command, folder: Path, label: str) -> dict[str,
 
 def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Host:
     # Python programs neither read nor write compiled files beside their source.
-    environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": compiled_copies()}
+    environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": bytecode_folder()}
     try:
         return Host.open(command(), environ, stderr=errors, cwd=folder)
     except InputError as error:

@@ -18,7 +18,7 @@ import cosim.simulation.build
 from cosim.base.errors import InputError
 from cosim.base.protocols import Diagnostics, EngineState
 from cosim.base.signals import (
-    ALL_WELL,
+    ALL_HEALTHY,
     UNKNOWN3,
     Actuation,
     Command,
@@ -69,7 +69,7 @@ class Constant:
         return Actuation(self._throttle, (0.0, 0.0), Unallocated(), off)
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        return ALL_WELL
+        return ALL_HEALTHY
 
     def forgive(self) -> None: ...
 

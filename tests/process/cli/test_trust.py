@@ -65,12 +65,12 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(trust.ENV_VAR, raising=False)
-    monkeypatch.setattr(trust, "_decision", trust.Decision())
+    monkeypatch.setattr(trust, "_decision", trust.TrustDecision())
 
 
 def forget(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "settings", ignore_errors=True)
-    trust._decision = trust.Decision()
+    trust._decision = trust.TrustDecision()
 
 
 def code(mark: Path, text: str) -> str:
@@ -270,7 +270,7 @@ def test_what_the_user_names_is_his_and_so_are_his_runs(
     words = ["--vary", "vehicle.mass_kg=5.5,5.6", "--set", "duration_s=0.2", "--workers", "1", "--out", "many"]
     assert hexjet("sweep", "hover", *words, *named[:4]).status == 0
     assert hexjet("fly", "many", "--flight", "0").status == 0
-    remembered = (tmp_path / "settings" / "hexjet" / trust.REMEMBERED).read_text().splitlines()
+    remembered = (tmp_path / "settings" / "hexjet" / trust.TRUSTED_LIST).read_text().splitlines()
     names = [str(Path(line[66:]).relative_to(tmp_path)) for line in remembered]
     assert names.count("mine") == 1
     assert {"mine", "run", "many"} <= set(names)

@@ -31,7 +31,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(trust.ENV_VAR, raising=False)
-    monkeypatch.setattr(trust, "_decision", trust.Decision(by_program=False))
+    monkeypatch.setattr(trust, "_decision", trust.TrustDecision(by_program=False))
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.syspath_prepend(str(tmp_path / "here"))
@@ -73,7 +73,7 @@ def test_a_folder_without_init_is_asked_for(mark: Path) -> None:
     trust.trust(".")
     assert import_installed("box.evil", "test")[1] == evil
     assert import_installed("box.deep.other", "test")[1] == other
-    known = (settings_folder() / trust.REMEMBERED).read_text()
+    known = (settings_folder() / trust.TRUSTED_LIST).read_text()
     assert known[64:] == f"  {Path().absolute()}\n"
     assert mark.read_text() == "ran ran "
 

@@ -20,7 +20,7 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user who has flown nothing so far, in an empty folder."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / ".settings"))
     monkeypatch.delenv(trust.ENV_VAR, raising=False)
-    monkeypatch.setattr(trust, "_decision", trust.Decision())
+    monkeypatch.setattr(trust, "_decision", trust.TrustDecision())
     monkeypatch.chdir(tmp_path)
 
 
@@ -34,7 +34,7 @@ def file(tmp_path: Path) -> Path:
 def runs(code: Code, *arguments: str, forget: bool = True) -> bool:
     """Whether a command with these arguments runs it, by a user who never has."""
     if forget:
-        (settings_folder() / trust.REMEMBERED).unlink(missing_ok=True)
+        (settings_folder() / trust.TRUSTED_LIST).unlink(missing_ok=True)
     with trust.command_trust_scope(None, arguments):
         try:
             trust.need_trust([code], "test")
@@ -87,7 +87,7 @@ def test_a_program_is_named_and_remembered_with_its_arguments(file: Path) -> Non
 
 def test_a_folder_is_remembered_and_any_other_file_asks_again(file: Path) -> None:
     """What it imports, loads, or is shadowed by: nobody has to see which; what hexjet itself reads and writes is data."""
-    place, folder, code = settings_folder() / trust.REMEMBERED, file.parent, Code(file)
+    place, folder, code = settings_folder() / trust.TRUSTED_LIST, file.parent, Code(file)
     assert runs(code, "fly", "mine.py")
     line = place.read_text()
     assert line[64:] == f"  {folder}\n"
@@ -143,7 +143,7 @@ def test_a_program_in_bin_brings_the_folder_above(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("limit", ["max_files", "max_mb"])
 def test_a_folder_that_is_too_large_is_not_remembered(limit: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(trust._entries.__kwdefaults__, limit, 0)
+    monkeypatch.setitem(trust._hash_folder.__kwdefaults__, limit, 0)
     assert runs(Code(file), "fly", "mine.py")
     with pytest.raises(InputError, match=r"\(mine\.py; too large to be remembered\): has code"):
         trust.need_trust([Code(file)], "test")

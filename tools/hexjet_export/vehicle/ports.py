@@ -15,7 +15,7 @@ from typing import NamedTuple
 from cosim import InputError, Scenario
 from cosim.base.protocols import Controller, Diagnostics, Engines, EngineState, Pilot, Report
 from cosim.base.signals import (
-    ALL_WELL,
+    ALL_HEALTHY,
     AXES,
     UNKNOWN3,
     ZERO3,
@@ -398,7 +398,7 @@ class _ControllerOutside:
         return Actuation(flight.read_per_jet("throttle"), tilt, Unallocated(), off)
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        return ALL_WELL
+        return ALL_HEALTHY
 
     def forgive(self) -> None:
         """Do nothing, as no engine counts as failed."""
