@@ -140,7 +140,7 @@ def name_controller(scenario: Scenario | str | Path, controller: Any = None) -> 
     """
     from cosim.simulation.controllers.controller_file import apply_controller
     from cosim.simulation.controllers.source import from_object
-    from cosim.spec.controller_name import is_design, seen_from
+    from cosim.spec.controller_name import is_design, resolve_controller
     from cosim.spec.scenario import Scenario
 
     if isinstance(controller, (str, Path)) and is_design(str(controller)):
@@ -150,7 +150,7 @@ def name_controller(scenario: Scenario | str | Path, controller: Any = None) -> 
     if controller is None:
         return scenario, None
     if isinstance(controller, (str, Path)):
-        return scenario.replace(controller=seen_from(str(controller), Path())), None
+        return scenario.replace(controller=resolve_controller(str(controller), Path())), None
     own = from_object(controller)
     return scenario.replace(controller=own.name), own
 
@@ -189,7 +189,7 @@ def record(
     setup = make_setup(simulation, resolved, notes=sink is None)  # a campaign needs no notes per flight
     if folder is None:  # paths of parameter files are kept
         scenario = simulation.scenario
-        resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])
+        resolved = resolved.resolved(parameter_files=[f.resolve(scenario.folder) for f in scenario.parameter_files])
     return begin_run(setup, resolved, folder, files, background, sink, columns, metrics)
 
 

@@ -29,7 +29,7 @@ from cosim.engine.fmu.mapping import MappingFile
 from cosim.results.log.columns import log_columns
 from cosim.results.metrics import Metrics
 from cosim.simulation.controllers.controller_file import ControllerFile
-from cosim.spec.meanings import comments, meaning_of
+from cosim.spec.meanings import comments_of, meaning_of
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_sitl.study import AutopilotTable
@@ -137,7 +137,7 @@ def _models(kind: Any) -> Iterator[type[BaseModel]]:
 
 def _meaning(model: type[BaseModel], name: str) -> str:
     """What a key means: the comment of its field is text, what is said elsewhere has links."""
-    comment = comments(model).get(name)
+    comment = comments_of(model).get(name)
     return cell(comment) if comment else meaning_of(model, name, markdown=True)
 
 

@@ -28,7 +28,7 @@ from cosim.results.resolved_scenario import copy_controller, copy_vehicle, engin
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.step import Simulation
-from cosim.spec.controller_name import file_name, is_design
+from cosim.spec.controller_name import is_design, split_file_name
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.spec.vehicle import is_aircraft_path, is_file
 
@@ -226,7 +226,7 @@ def _scenario(
     """Return the resolved scenario as a table; values that belong to a varied aircraft or engine stay unresolved."""
     base = study.base()
     data = resolved.model_dump(mode="json", exclude_none=True) | {
-        "controller": base.controller if file_name(base.controller) is None else BASELINE.name,
+        "controller": base.controller if split_file_name(base.controller) is None else BASELINE.name,
         "controller_parameters": base.controller_parameters,
         "changed": list_changes(base, flown_parameters(base)),
     }

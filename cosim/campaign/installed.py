@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 
-from cosim.base.plugins.entry_points import GROUP, HOOKS
+from cosim.base.plugins.entry_points import HOOK_GROUP, PLUGIN_GROUP
 from cosim.base.storage.paths import data_folder
 from cosim.results.summary import versions
 
@@ -46,7 +46,7 @@ def _files() -> str:
 
 def _list_files() -> list[tuple[str, Path]]:
     """Return the shipped files that determine a flight's numbers, with names, of tools that add to a flight too."""
-    entries = chain(entry_points(group=GROUP), entry_points(group=HOOKS))
+    entries = chain(entry_points(group=PLUGIN_GROUP), entry_points(group=HOOK_GROUP))
     adding = [entry for entry in entries if entry.dist and entry.dist.name == PACKAGES[0]]
     specs = [find_spec(name) for name in {"cosim", *(entry.module.partition(".")[0] for entry in adding)}]
     packages = [Path(spec.origin).parent for spec in specs if spec and spec.origin]

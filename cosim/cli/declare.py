@@ -382,9 +382,9 @@ class Command:
             return f"{name}: {removed}"
         options = [*self.declared, *self._common_options]
         if any("--set" in each.names for each in options):
-            from cosim.spec.scenario import describe_meant
+            from cosim.spec.scenario import suggest_key
 
-            if (meant := describe_meant(name.lstrip("-").replace("-", "_"))) is not None:
+            if (meant := suggest_key(name.lstrip("-").replace("-", "_"))) is not None:
                 return f"No such option {name!r}; --set KEY=VALUE sets keys of the scenario: {meant}"
         from difflib import get_close_matches
 

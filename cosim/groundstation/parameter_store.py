@@ -11,7 +11,7 @@ from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.base.storage.user import settings_folder
 from cosim.engine import file_label
-from cosim.spec.controller_name import HASH_LETTERS, folder_name
+from cosim.spec.controller_name import HASH_DIGITS, folder_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
 
@@ -23,7 +23,7 @@ _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"  # first li
 def make_vehicle_key(scenario: Scenario) -> str:
     """Return the key of the parameter file: defaults depend on engine and controller."""
     engine = file_label(Path(scenario.engine)) if is_file(scenario.engine) else scenario.engine
-    designs = [f"{Path(f.file).stem}-{f.sha256[:HASH_LETTERS]}" for f in scenario.parameter_files if f.kind == "design"]
+    designs = [f"{Path(f.file).stem}-{f.sha256[:HASH_DIGITS]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
 
 

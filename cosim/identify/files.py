@@ -13,12 +13,12 @@ from cosim.base.storage.files import check_results_folder, map_os_errors, write_
 if TYPE_CHECKING:
     from cosim.results.report.cards import Page
 
-# Written by every identification: a folder without it belongs to someone else.
+# File of every identification: a folder without it has other content, which is not overwritten.
 RECORD = "identification.json"
 PICTURE = "measured.svg"  # curve of an engine's README
 ENGINE_FILES = ("engine.toml", "engine.fmu", "README.md", PICTURE)  # files of an identified engine
 FILES = ("report.html", "response.csv", "model.toml", *ENGINE_FILES)  # other files of an identification
-_NAMES = {"response": "response.csv", "model": "model.toml", "engine": "engine.toml", "readme": "README.md"}
+_NAME_BY_KIND = {"response": "response.csv", "model": "model.toml", "engine": "engine.toml", "readme": "README.md"}
 
 
 def write_identification(
@@ -36,7 +36,7 @@ def write_identification(
     cannot be written.
     """
     check_results_folder(folder, RECORD, *FILES)
-    paths = {"json": folder / RECORD, **{kind: folder / _NAMES[kind] for kind in texts}}
+    paths = {"json": folder / RECORD, **{kind: folder / _NAME_BY_KIND[kind] for kind in texts}}
     files: dict[Path, str | bytes] = {paths["json"]: json.dumps(record, indent=2, allow_nan=False) + "\n"}
     files |= {paths[kind]: text for kind, text in texts.items()}
     files |= {folder / name: content for name, content in (others or {}).items()}

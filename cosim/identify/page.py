@@ -13,24 +13,24 @@ from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, Judgement
 from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
-# head of the first column
+# Head of the first column of parameters.
 WITH_BOUNDS = "with 95 % bounds"
 _BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}  # badge of each verdict
 
 
 def judged_page(judgement: Judgement, page: Page) -> Page:
-    """Return a page with a verdict, its evidence and the first model's numbers at its head."""
+    """Return the page with the verdict, its evidence and the first model's numbers added at its head."""
     return replace(
         page,
         verdict=judgement.verdict,
         badge=_BADGES.get(judgement.verdict, "none"),
         evidence=judgement.evidence,
-        answer=_answer(page.cards),
+        answer=_summarise_model(page.cards),
     )
 
 
-def _answer(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
-    """Return up to ``limit`` numbers of the first model in one line; empty without models."""
+def _summarise_model(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
+    """Return one line with up to ``limit`` parameters of the first model; empty without models."""
     for card in cards:
         if card is not None and card.title == "Models" and card.rows and len(card.rows[0]) > 1:
             parts = [(*row[0].partition(", "), row[1]) for row in card.rows if row[1]]
@@ -40,7 +40,7 @@ def _answer(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
 
 
 class Signals(NamedTuple):
-    """Measured and modelled signals of one log: s, and arrays in the channels' units."""
+    """Measured and modelled signals of one log: times in s, values in the channels' units."""
 
     command_times: Array
     command: Array
@@ -58,7 +58,7 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
     data: list[Figure] = []
     dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
     for n, part in enumerate(parts):
-        rows, at = _thin(part.command_times), _thin(part.times)
+        rows, at = _select_points(part.command_times), _select_points(part.times)
         legend, times = {"showlegend": n == 0}, part.times[at]
         data += [
             trace("command", GREY, part.command_times[rows], part.command[rows], 0, **legend),
@@ -71,6 +71,6 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
     return {"data": data, "layout": layout | HOVER}
 
 
-def _thin(values: Array) -> Any:
-    max_points = 4000  # of a curve
+def _select_points(values: Array) -> Any:
+    max_points = 4000  # per curve
     return np.arange(0, len(values), max(1, len(values) // max_points))

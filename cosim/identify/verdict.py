@@ -11,14 +11,14 @@ NOT_TOLD: Final = "not told"  # the data do not determine it
 
 
 class Judgement(NamedTuple):
-    """Whether a model explains the data, and the evidence, one line each."""
+    """Verdict whether a model explains the data, and the evidence, one line each."""
 
     verdict: str
     evidence: tuple[str, ...]
 
 
 def judge_model(is_explained: bool, *evidence: str) -> Judgement:
-    """Return the judgement of a model that is told."""
+    """Return the judgement of a model that the data determine."""
     return Judgement(EXPLAINED if is_explained else NOT_EXPLAINED, evidence)
 
 
@@ -30,7 +30,7 @@ def shared_record(
     refused: Sequence[str],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what all identification, validation and replay JSON contains besides ``estimates``.
+    """Return the JSON keys common to all identifications, validations and replays, without ``estimates``.
 
     ``channels`` and ``units`` are those of command and output; ``refused``: why the model may not be used, a line a
     reason.

@@ -9,7 +9,7 @@ from cosim.results.metrics import metric_names
 from cosim.results.requirements.stated import check_requirements
 from cosim.simulation.controllers.source import list_installed as own_controllers
 from cosim.simulation.plugins import load_metrics
-from cosim.spec.controller_name import file_name
+from cosim.spec.controller_name import split_file_name
 from cosim.spec.scenario import Expectation, Scenario
 from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
 
@@ -42,7 +42,7 @@ def allowed_metric_names(scenario: Scenario) -> list[str]:
 
 def _controllers_like(controller: str) -> list[str]:
     """Return the built-in names, and this one if it has the form of a user's."""
-    if controller in PREDICTORS or ":" in controller or file_name(controller):
+    if controller in PREDICTORS or ":" in controller or split_file_name(controller):
         return [*PREDICTORS, controller]
     return [*PREDICTORS, *(name for name, _ in own_controllers())]
 

@@ -13,7 +13,7 @@ from cosim.results.run import REQUESTS, RUN_FILES
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.plugins import Plugins
 from cosim.simulation.step import Simulation
-from cosim.spec.controller_name import FileName, file_name
+from cosim.spec.controller_name import FileName, split_file_name
 from cosim.spec.scenario import (
     CommandEntry,
     Scenario,
@@ -180,7 +180,7 @@ def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
 
     Raises InputError where another file has the name of one that it imports.
     """
-    named = file_name(source.name) or FileName("", source.name, "") if source.files and source.is_copied else None
+    named = split_file_name(source.name) or FileName("", source.name, "") if source.files and source.is_copied else None
     if named is None:
         return source.name
     first, *others = source.files.items()

@@ -33,7 +33,7 @@ from cosim.simulation.controllers.source import IN_MEMORY_PREFIX
 from cosim.simulation.model_agreement import list_model_notes
 from cosim.simulation.notes import note_few_substeps, note_settings_without_effect
 from cosim.simulation.step import Simulation
-from cosim.spec.controller_name import file_name, label
+from cosim.spec.controller_name import label, split_file_name
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
 from cosim.spec.vehicle import is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import describe_profile
@@ -123,9 +123,9 @@ def _own_controller(simulation: Simulation) -> OwnController | None:
     source, scenario = simulation.controller_source, simulation.scenario
     if source is None:
         return None
-    named = file_name(source.name)
+    named = split_file_name(source.name)
     return OwnController(
-        name=source.name if named is None else named.seen_from(scenario.folder).text,
+        name=source.name if named is None else named.resolve(scenario.folder).text,
         level=source.level,
         sha256=source.sha256,
         files=source.hashes,

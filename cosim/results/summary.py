@@ -40,7 +40,7 @@ from cosim.results.requirements import (
 from cosim.results.verdict import describe_end, judge
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric
-from cosim.spec.controller_name import HASH_LETTERS, describe_controller
+from cosim.spec.controller_name import HASH_DIGITS, describe_controller
 from cosim.spec.scenario import Expectation
 
 _TITLED = ("aircraft", "engine", "controller", "design", "models")  # keys shown in the title already
@@ -189,7 +189,7 @@ class Setup(BaseModel):
     def engine_shown(self) -> str:
         """Engine for display; a foreign one with file and the first letters of its hash."""
         files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
-        return self.engine + "".join(f" ({name} {value[:HASH_LETTERS]})" for name, value in files.items() if name)
+        return self.engine + "".join(f" ({name} {value[:HASH_DIGITS]})" for name, value in files.items() if name)
 
     def retitled(self) -> Self:
         """Return the same with a title of what flies, if it differs from the scenario's file.

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError, describe_error, nearest
-from cosim.base.plugins.entry_points import GROUPS, find_entries
+from cosim.base.plugins.entry_points import KIND_GROUPS, find_entries
 from cosim.base.protocols import Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.simulation.controllers.guard import CallGuard, columns_from
@@ -107,7 +107,7 @@ def find_block(kind: str, name: str, folder: Path) -> Source:
     source = find_python(kind, name, folder)
     if source is None:
         entries = find_entries(kind)
-        ways = f"FILE.py:Name, package.module:Name or an entry point of {GROUPS[kind]}"
+        ways = f"FILE.py:Name, package.module:Name or an entry point of {KIND_GROUPS[kind]}"
         more = f" ({nearest(name, entries)})" if entries else ""
         first = {"wind": "FILE.csv, ", "sensors": "".join(f"{profile}, " for profile in profile_names())}
         raise InputError(f"{kind} {name}: must be {first.get(kind, '')}{ways}{more}")

@@ -10,7 +10,7 @@ from cosim.base.storage.toml import read_toml
 from cosim.base.trust import Code, need_trust, program_code
 from cosim.engine.make.controller_fmu import MAPPING_SUFFIX
 from cosim.engine.source import find_source
-from cosim.spec.controller_name import file_name
+from cosim.spec.controller_name import split_file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_aircraft_path, is_file, load_vehicle
 
@@ -54,10 +54,10 @@ def list_engine_code(engine: str, folder: Path) -> list[Code]:
 
 def list_block_code(name: str, folder: Path) -> list[Code]:
     """List the code of a user's controller or block; paths are relative to ``folder``."""
-    parsed = file_name(name)
+    parsed = split_file_name(name)
     if parsed is None:
         return []
-    path, code = Path(parsed.seen_from(folder).file), list[Code]()
+    path, code = Path(parsed.resolve(folder).file), list[Code]()
     if parsed.before:
         code = [program_code(path, parsed.after)]
     elif parsed.after or path.suffix.lower() == ".fmu":

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-# Letters of a hash that tell two files of one name apart.
-HASH_LETTERS = 8
+# Hexadecimal digits of a hash that are shown to tell files of one name apart.
+HASH_DIGITS = 8
 
-_NAMED = re.compile(  # parts of a controller's name
+_FILE_PATTERN = re.compile(  # controllers that name a file
     r"(?P<before>process:)(?P<program>[^ ]+)(?P<arguments>( .*)?)"
     r"|(?P<python>.+\.py)(?P<object>:[A-Za-z_]\w*)"
     r"|(?P<whole>.+\.(fmu|toml|csv))",
@@ -19,11 +19,11 @@ _NAMED = re.compile(  # parts of a controller's name
 
 
 class FlownFile(Protocol):
-    """Fields of a flown parameter file that :func:`describe_controller` reads."""
+    """Parameter file of a flight, as :func:`describe_controller` needs it."""
 
     @property
     def kind(self) -> str:
-        """``design`` or ``models``."""
+        """Kind of the file: ``design`` or ``models``."""
 
     @property
     def file(self) -> str:
@@ -39,7 +39,7 @@ class FlownFile(Protocol):
 
 
 class FileName(NamedTuple):
-    """A controller's name around its file: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``, a table."""
+    """Parts of a controller's name that has a file: ``process:FILE ARGUMENTS``, ``FILE.py:Class``, ``FILE.fmu``."""
 
     before: str
     file: str
@@ -55,14 +55,14 @@ class FileName(NamedTuple):
         """Name without the file's folder, for display."""
         return self.before + Path(self.file).name + self.after
 
-    def seen_from(self, folder: Path) -> FileName:
-        """Return the name with the file's path made absolute, taken relative to ``folder``."""
+    def resolve(self, folder: Path) -> FileName:
+        """Return the name with an absolute path; a relative one is resolved against ``folder``."""
         return self._replace(file=str((folder / self.file).absolute()))
 
 
-def file_name(controller: str) -> FileName | None:
-    """Split a controller's name around its file; None without a file."""
-    match = _NAMED.fullmatch(controller)
+def split_file_name(controller: str) -> FileName | None:
+    """Split a controller's name into file and the text around it; None if it names no file."""
+    match = _FILE_PATTERN.fullmatch(controller)
     if match is None:
         return None
     if match["before"]:
@@ -74,21 +74,21 @@ def file_name(controller: str) -> FileName | None:
 
 def is_design(controller: str) -> bool:
     """Return whether a name is a file of ``hexjet design`` (built-in controller gains), not an FMU mapping file."""
-    named = file_name(controller)
+    named = split_file_name(controller)
     if named is None or named.before or named.after:
         return False
     return named.file.lower().endswith(".toml") and not named.file.lower().endswith(".fmu.toml")
 
 
-def seen_from(controller: str, folder: Path) -> str:
-    """Return a controller's name with its file, if any, as an absolute path from ``folder``."""
-    named = file_name(controller)
-    return controller if named is None else named.seen_from(folder).text
+def resolve_controller(controller: str, folder: Path) -> str:
+    """Return a controller's name with its file's path, if any, made absolute; relative ones start from ``folder``."""
+    named = split_file_name(controller)
+    return controller if named is None else named.resolve(folder).text
 
 
 def label(controller: str) -> str:
     """Return a controller's name for display: a file is shown without its folder."""
-    named = file_name(controller)
+    named = split_file_name(controller)
     return controller if named is None else named.label
 
 
@@ -104,7 +104,7 @@ def short_name(controller: str) -> str:
 
 def describe_file(file: str, sha256: str) -> str:
     """Return a parameter file's name without folder and suffix, followed by the first letters of its hash."""
-    return f"{Path(file).stem} {sha256[:HASH_LETTERS]}"
+    return f"{Path(file).stem} {sha256[:HASH_DIGITS]}"
 
 
 def describe_controller(law: str, sha256: str, files: Iterable[FlownFile]) -> str:
@@ -112,7 +112,7 @@ def describe_controller(law: str, sha256: str, files: Iterable[FlownFile]) -> st
 
     ``law`` is the controller's label and ``sha256`` the hash of its files, or empty; it is left out of a bare name.
     """
-    text = f"{law} {sha256[:HASH_LETTERS]}" if sha256 and set(law) & {".", ":"} else law
+    text = f"{law} {sha256[:HASH_DIGITS]}" if sha256 and set(law) & {".", ":"} else law
     for file in files:
         words = describe_file(file.file, file.sha256) + (", changed" if file.changed else "")
         text = f"{words} ({text})" if file.kind == "design" else f"{text}, models {words}"

@@ -10,17 +10,17 @@ from cosim.base.errors import InputError
 
 
 class FileKind(NamedTuple):
-    """A kind of TOML file: its name in words, and keys of which it has one."""
+    """Kind of TOML file: its name in words, and keys one of which every such file has."""
 
     name: str
     keys: tuple[str, ...]
 
     def matches(self, table: Mapping[str, Any]) -> bool:
-        """Return whether a table has one of the keys."""
+        """Return whether a file's table is of this kind."""
         return any(key in table for key in self.keys)
 
 
-SCENARIO = FileKind("a scenario", ("duration_s",))  # each kind with keys that only it has
+SCENARIO = FileKind("a scenario", ("duration_s",))  # only scenarios have this key
 DESIGN = FileKind("a controller file of hexjet design", ("design",))
 STUDY = FileKind("a study", ("vary", "scenario"))
 AIRCRAFT = FileKind("an aircraft", ("jets", "scaled"))
@@ -29,6 +29,6 @@ MAPPING = FileKind("the mapping file of an engine", ("fmu",))
 
 
 def check_kind(table: Mapping[str, Any], path: Path, expected: FileKind) -> None:
-    """Raise InputError if a file lacks the keys of the expected kind."""
+    """Raise InputError if a file's table is not of the expected kind."""
     if not expected.matches(table):
         raise InputError(f"{path}: is not {expected.name}, which has the key {' or '.join(expected.keys)}")

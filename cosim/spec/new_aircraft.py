@@ -12,7 +12,7 @@ from cosim.base.storage.files import map_os_errors
 from cosim.base.storage.toml import toml_text
 from cosim.spec.vehicle import VEHICLE, aircraft_names, engine_of, find_aircraft, is_file, load_vehicle, read_tables
 
-# comment at the top of the new file
+# First comment of the new file.
 HEAD = """\
 # {name}: begun as a copy of {base}.  Every number here is yours to change; hexjet aircraft check looks it over.
 # Units are SI, or in the key's name.  Body frame: x forward, y right, z down, origin at the centre of gravity of the
@@ -22,7 +22,7 @@ HEAD = """\
 """
 
 
-# comment on models of the base
+# Second comment of the new file, if the base aircraft has identified models.
 MODELS = """\
 # Under [identified] are models of {base}: those of this vehicle as long as its inertia, jets, sensors and engine are.
 # hexjet aircraft check compares them, and so does every flight with a predictor; hexjet identify roll makes another.
@@ -51,7 +51,7 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
     folder = Path(name if out is None else out)
     source = find_aircraft(base)
     original, path = load_vehicle(base)[0], folder / VEHICLE
-    text = _without_references(source.read_text(encoding="utf-8"))
+    text = _remove_file_references(source.read_text(encoding="utf-8"))
     if "\n[scaled]\n" in text:
         # All numbers are to be edited, so those scaled from the base are written out, each list on one line.
         lists = r"\[\n([^][{]*),\n\]"
@@ -74,7 +74,7 @@ def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None)
     return path
 
 
-def _without_references(text: str) -> str:
+def _remove_file_references(text: str) -> str:
     """Return a vehicle's text without comments that refer to files beside the original."""
     blocks = ("".join(lines) for _, lines in groupby(text.splitlines(keepends=True), lambda line: line.startswith("#")))
     return "".join(block for block in blocks if block[0] != "#" or not re.search(r"\w\.(md|py|toml)\b", block))

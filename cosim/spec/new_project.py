@@ -10,7 +10,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.trust import remember_written
 from cosim.spec.new_aircraft import new_aircraft
 
-TEMPLATES = Path(__file__).parent / "templates" / "project"  # folder of the template
+TEMPLATES = Path(__file__).parent / "templates" / "project"  # templates of a new project
 FILES = ("engine/engine.toml", "flight.toml", "study.toml", "compare.py", "notebook.ipynb")  # files of a new project
 
 
@@ -35,7 +35,7 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
         (folder / "engine").mkdir()
         for file in FILES:
             (folder / file).write_text((TEMPLATES / file).read_text(encoding="utf-8").replace("{name}", name), "utf-8")
-        # Models are filed by the engine's file name: the base's models of the same fans are this engine's.
+        # Identified models are stored by engine: those of the base's engine hold for this copy of it.
         text = vehicle.read_text(encoding="utf-8").replace("[identified.edf-as-flown.", '[identified."engine.toml".')
         vehicle.write_text(text.replace("edf-as-flown", "../engine/engine.toml"), encoding="utf-8")
         archive = folder / "engine" / "engine.fmu"

@@ -18,10 +18,10 @@ _LENGTH, _TIME, _MASS = 1.0, 0.5, 3.0
 _RATE, _SPEED = -_TIME, _LENGTH - _TIME  # 1/s, m/s
 _P, _I, _D = _LENGTH - _TIME, _LENGTH - 2 * _TIME, _LENGTH  # command per rad/s, rad, rad/s^2
 
-_LEAD = {"natural_rad_s": _RATE, "pole_rad_s": _RATE}  # exponents of an engine's lead
-_AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH}  # of an airflow
-_PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}  # exponents of a PID's gains
-_LAW: dict[str, Any] = {  # exponents of L by key of a vehicle
+_LEAD = {"natural_rad_s": _RATE, "pole_rad_s": _RATE}  # exponents of L for a lead
+_AIR = {"kg_s": _MASS - _TIME, "at_thrust_n": _MASS, "intake_m": _LENGTH, "exhaust_m": _LENGTH}  # of L for airflow
+_PID = {"p": _P, "i": _I, "d": _D, "d_filter_s": _TIME}  # exponents of L for a PID's gains
+_VEHICLE_EXPONENTS: dict[str, Any] = {  # exponents of L by key
     "inertia_kg_m2": _MASS + 2 * _LENGTH,
     "products_kg_m2": _MASS + 2 * _LENGTH,
     "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},
@@ -94,7 +94,7 @@ def length_scale(mass: float, original: float) -> float:
 
 def scale_vehicle(tables: Mapping[str, Any], mass: float) -> dict[str, Any]:
     """Return the tables of a ``vehicle.toml`` scaled to ``mass`` [kg]; keys that have no exponent stay as they are."""
-    data: dict[str, Any] = _scale_value(tables, _LAW, length_scale(mass, tables["mass_kg"]))
+    data: dict[str, Any] = _scale_value(tables, _VEHICLE_EXPONENTS, length_scale(mass, tables["mass_kg"]))
     return data | {"mass_kg": mass, "identified": {}}
 
 

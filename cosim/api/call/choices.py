@@ -52,7 +52,7 @@ def load_scenario(
     note: Note = lambda text: None,
 ) -> Scenario:
     """Return the scenario with a command line's choices applied; ``note`` receives a line on a replaced controller."""
-    from cosim.spec.controller_name import is_design, seen_from
+    from cosim.spec.controller_name import is_design, resolve_controller
 
     designed = Path(controller) if controller is not None and is_design(controller) else None
     if designed is not None:
@@ -72,7 +72,7 @@ def load_scenario(
             changes |= _replace_model_based_controller(aircraft, scenario, note)
     if controller is not None:
         # A command line's file is relative to the current folder, a scenario's file to the scenario's folder.
-        changes["controller"] = seen_from(controller, Path())
+        changes["controller"] = resolve_controller(controller, Path())
         if any(text.strip().startswith("controller_parameters") for text in settings):
             changes["controller_parameters"] = scenario.controller_parameters
     chosen = engine_choices(engines)
@@ -131,10 +131,10 @@ def plugin_changes(
     metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
 ) -> dict[str, Any]:
     """Return the user's metrics, observers, sensors and wind as changes of a scenario, files by absolute paths."""
-    from cosim.spec.controller_name import seen_from
+    from cosim.spec.controller_name import resolve_controller
 
     def absolute(name: str) -> str:
-        return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
+        return str(Path(name).absolute()) if name.lower().endswith(".csv") else resolve_controller(name, Path())
 
     changes: dict[str, Any] = {"metrics": [absolute(name) for name in metrics]} if metrics else {}
     changes |= {"observers": [absolute(name) for name in observers]} if observers else {}

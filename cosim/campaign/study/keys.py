@@ -33,7 +33,7 @@ from cosim.engine.source import EngineSource, find_source, resolve_parameters
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import MODELS_STAY, NOT_TOLD, Scenario, describe_meant, parameter_files
+from cosim.spec.scenario import PREDICTOR_KEEPS_MODEL, UNKNOWN_TO_CONTROLLER, Scenario, parameter_files, suggest_key
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
@@ -82,7 +82,7 @@ def find_key(scenario: Scenario, text: str) -> Key:
         raise InputError(f"{name}: is not a number or a choice that could be varied")
     if head in LISTS and head not in [path.split(".")[0] for path in keys]:
         raise InputError(f"{name}: scenario {scenario.name} has no [[{head}]]")
-    meant = describe_meant(name) if head == "engine" or "delay" in head else None
+    meant = suggest_key(name) if head == "engine" or "delay" in head else None
     raise InputError(f"unknown key {name!r}; {meant or _nearest(name, keys)}")
 
 
@@ -382,7 +382,7 @@ def _is_union(annotation: Any) -> bool:
 def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the engine's parameters that the simulation does not set itself."""
     nominals = {**resolve_parameters(source, {})[0], **values}
-    known = NOT_TOLD if path.startswith("mismatch.") else MODELS_STAY
+    known = UNKNOWN_TO_CONTROLLER if path.startswith("mismatch.") else PREDICTOR_KEEPS_MODEL
     for variable in source.archive.parameters:
         if variable.name not in nominals:
             continue

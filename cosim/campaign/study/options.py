@@ -16,7 +16,7 @@ from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_va
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs, parse_claim
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names, vary_cases
-from cosim.spec.controller_name import seen_from, short_name
+from cosim.spec.controller_name import resolve_controller, short_name
 from cosim.spec.file_kind import SCENARIO, STUDY, check_kind
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
@@ -69,7 +69,7 @@ def open_study(
         **{".".join(path): value for path, value in map(parse_setting, settings)},
     }
     if controllers:
-        data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
+        data["controllers"] = [resolve_controller(controller, Path()) for controller in controllers]
     chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed, "until": until}
     data |= {key: value for key, value in chosen.items() if value is not None}
     if until:

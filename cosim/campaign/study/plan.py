@@ -19,7 +19,7 @@ from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.sequential import StoppingRule, parse_claim
 from cosim.campaign.study.study import Study
-from cosim.spec.controller_name import file_name, seen_from, short_name
+from cosim.spec.controller_name import resolve_controller, short_name, split_file_name
 
 if TYPE_CHECKING:
     from cosim.campaign.study.draws import Draw
@@ -115,7 +115,7 @@ def stopping_rule(study: Study) -> StoppingRule | None:
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:
     """Return the scenario of one flight without expectations.  Raises InputError if its values make none."""
-    controller = study.tried[0] if study.autopilot is not None else seen_from(flight.controller, study.folder)
+    controller = study.tried[0] if study.autopilot is not None else resolve_controller(flight.controller, study.folder)
     values = {key: value for key, value in flight.values.items() if key != CASE}
     return with_values(study.base(case_of(flight.values)), {**values, "controller": controller, "seed": flight.seed})
 
@@ -128,7 +128,7 @@ def case_of(values: Mapping[str, Value | None]) -> str | None:
 
 def _relative_name(folder: Path, controller: str) -> str:
     """Return a controller's file relative to the folder that it is in, so that rows are the same wherever that is."""
-    named = file_name(controller)
+    named = split_file_name(controller)
     if named is not None and Path(named.file).is_relative_to(folder.absolute()):
         return named._replace(file=Path(named.file).relative_to(folder.absolute()).as_posix()).text
     return controller

@@ -32,7 +32,7 @@ from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.notes import note_few_substeps, note_varied_turbulence
 from cosim.simulation.plugins import load_metrics
 from cosim.simulation.user_code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
-from cosim.spec.controller_name import is_design, seen_from
+from cosim.spec.controller_name import is_design, resolve_controller
 from cosim.spec.scenario import Range, RequireEntry, Scenario, find_scenario, unique_names
 
 __all__ = [
@@ -107,7 +107,7 @@ class Study(Model):
     @property
     def tried(self) -> list[str]:
         """Controllers that the flights use, at least one."""
-        return self.controllers or [seen_from(self.base().controller, self.base().folder)]
+        return self.controllers or [resolve_controller(self.base().controller, self.base().folder)]
 
     @property
     def controller_names(self) -> list[str]:
@@ -285,7 +285,7 @@ class Study(Model):
         """Validate a parsed table without its scenario; ``where`` names its source in errors."""
         study = validate(cls, data, where)
         study._folder, study._where = folder, where
-        files = [seen_from(name, folder) for name in study.controllers]
+        files = [resolve_controller(name, folder) for name in study.controllers]
         return study.model_copy(update={"controllers": files}) if files != study.controllers else study
 
     @model_validator(mode="before")

@@ -34,7 +34,7 @@ from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
-# No vehicle can follow larger amplitudes, by unit.
+# Largest amplitude by unit of the command; no vehicle can follow a larger one.
 MAX_AMPLITUDE = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}
 
 
@@ -43,9 +43,9 @@ class SweepTuning(NamedTuple):
 
     lead_s: float = 1.0
     rest_s: float = 6.0  # s for the loop to come to rest
-    # The band of the sweep: no loop flown here is faster than max_hz, and a slower sweep takes longer than fuel and
-    # position stay the same. ``span`` is the end of the band over its start, ``corners`` its end over the engine's
-    # corner, above which an engine hardly responds.
+    # Limits of the automatic band: no loop flown here is faster than max_hz; below min_hz a sweep lasts so long that
+    # fuel and position change. ``span`` is the end of the band over its start, ``corners`` its end over the engine's
+    # corner frequency, above which an engine hardly responds.
     max_hz: float = 6.0
     min_hz: float = 0.1
     span: float = 20.0
@@ -55,12 +55,12 @@ class SweepTuning(NamedTuple):
     # First amplitude, in the unit of the axis; reduced while the command saturates.
     amplitude: float = 0.02
     tries: int = 6
-    # Factor on the amplitude where noise hides the response, and how many times.
+    # Factor on the amplitude if noise hides the response, and the largest number of such repetitions.
     louder: float = 3.0
     louder_tries: int = 3
     # Factor on the amplitude after the vehicle crashed or diverged.
     after_loss: float = 0.3
-    # Of the amplitude that would just have fitted; later tries take its cube, as noise alone exceeds limits slightly.
+    # Factor on the largest unsaturated amplitude; later tries take its cube, as noise alone exceeds limits slightly.
     margin: float = 0.8
     margin_tries: int = 4
 
@@ -100,7 +100,7 @@ def identify_axis(
         raise InputError(f"unknown axis {axis!r}; allowed: {', '.join(AXES)}")
     if amplitude is not None and not amplitude > 0.0:
         raise InputError(f"amplitude {amplitude:g}: must be above 0")
-    base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
+    base = _make_scenario(axis, aircraft, engine, controller, substeps, seed, settings)
     vehicle = base.resolved_vehicle()[0]
     accelerates = vehicle.allocation == "effectiveness"
     usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (TUNING.amplitude, UNITS[axis])
@@ -109,16 +109,16 @@ def identify_axis(
     size = usual if amplitude is None else amplitude
     if size > MAX_AMPLITUDE[unit]:
         raise InputError(f"amplitude {size:g}: at most {MAX_AMPLITUDE[unit]:.4g} {unit}, more than any vehicle follows")
-    low, high = _band(base, vehicle, axis, from_hz, to_hz)
+    low, high = _choose_band(base, vehicle, axis, from_hz, to_hz)
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
     requested, subject = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
-    flight, response, notes = _fly_until_clear(base, axis, requested, amplitude is None, subject, lags)
+    flight, response, notes = _fly_until_coherent(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
     # Pitch and yaw turn the jets instead of throttling them, and what hinges and engines share has no single engine's
     # delay.
     own_delay = flight.engine.transport_delay if axis == "roll" and not accelerates else None
-    fits = _fits(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
+    fits = _fit_forms(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
     return Identification(
         kind="axis",
         subject=base.aircraft_name,
@@ -139,10 +139,7 @@ def identify_axis(
     )
 
 
-# ---- flights
-
-
-def _band(
+def _choose_band(
     base: Scenario, vehicle: Vehicle, axis: str, from_hz: float | None, to_hz: float | None
 ) -> tuple[float, float]:
     """Return the band [Hz], by default from the lag of the engines if they turn the axis.
@@ -153,29 +150,29 @@ def _band(
     if from_hz is None or to_hz is None:
         parameters, unchecked = base.engine_parameters, base.engine_unchecked
         engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, isolated=base.engine_isolated)
-        if _turned_by_engines(base, vehicle, engine, AXES.index(axis)):
+        if _is_turned_by_engines(base, vehicle, engine, AXES.index(axis)):
             high = min(TUNING.max_hz, TUNING.corners / (2.0 * np.pi * settling_lag(engine, base.step_s)))
     high = high if to_hz is None else to_hz
     low = min(max(high / TUNING.span, TUNING.min_hz), 0.5 * high) if from_hz is None else from_hz
-    return _two_digits(low) if from_hz is None else low, _two_digits(high) if to_hz is None else high
+    return _round_value(low) if from_hz is None else low, _round_value(high) if to_hz is None else high
 
 
-def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
+def _is_turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
     if vehicle.allocation != "effectiveness":
         return is_turned_by_throttle(vehicle, index)
     hinged = list_hinged_parts(vehicle, make_effectiveness(base, vehicle, engine), index, engine, base.step_s)
     return abs(hinged[0].fraction) > TUNING.min_share
 
 
-def _fly_until_clear(
+def _fly_until_coherent(
     base: Scenario, axis: str, sweep: Sweep, automatic: bool, subject: str, lags: int
-) -> tuple[_Flight, FrequencyResponse, list[str]]:
-    """Fly the sweep and estimate the response; raise an automatic amplitude while noise hides points.
+) -> tuple[_Signals, FrequencyResponse, list[str]]:
+    """Fly the sweep and estimate the response; repeat with larger automatic amplitudes while noise hides points.
 
-    Raises NotIdentifiedError where it stays lost.
+    Raises NotIdentifiedError if noise hides the response at every amplitude.
     """
-    flight = _sweep(base, axis, sweep, automatic)
-    best: tuple[_Flight, FrequencyResponse, list[str]] | None = None
+    flight = _fly_unsaturated(base, axis, sweep, automatic)
+    best: tuple[_Signals, FrequencyResponse, list[str]] | None = None
     refusal: NotIdentifiedError | None = None
     for _ in range(TUNING.louder_tries if automatic else 1):
         try:
@@ -184,8 +181,8 @@ def _fly_until_clear(
             refusal = error
         if not automatic or (best and not best[2] and not why_refused(fit(best[1], lags, "first"), engine=False)):
             break
-        flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(TUNING.louder * flight.sweep.amplitude)))
-        if not flight.fine:
+        flight = _fly_sweep(base, axis, replace(sweep, amplitude=_round_value(TUNING.louder * flight.sweep.amplitude)))
+        if not flight.is_usable:
             break
     if best is None:
         assert refusal is not None
@@ -194,8 +191,8 @@ def _fly_until_clear(
 
 
 @dataclass(frozen=True)
-class _Flight:
-    """The signals of a flown sweep."""
+class _Signals:
+    """Signals and ending of a flown sweep."""
 
     sweep: Sweep
     ending: Ending
@@ -207,18 +204,18 @@ class _Flight:
     rate: Array  # as the gyro measures it
     ledger_samples: float | None  # command to rate; None: see no_ledger
     no_ledger: str
-    fits_in: float  # fraction of the amplitude that fitted
+    fitting_fraction: float  # of the amplitude, without saturation
 
     @property
-    def fine(self) -> bool:
-        return self.ending.outcome == "completed" and self.fits_in == 1.0
+    def is_usable(self) -> bool:
+        return self.ending.outcome == "completed" and self.fitting_fraction == 1.0
 
     def record(self) -> Record:
         return Record(self.injected, self.command, self.rate, self.step)
 
 
-class _Watch:
-    """Observer that keeps the signals needed for identification."""
+class _SignalRecorder:
+    """Observer that records the signals needed for identification."""
 
     def __init__(self, axis: int) -> None:
         self._axis = axis
@@ -237,7 +234,7 @@ class _Watch:
         )
 
 
-def _scenario(
+def _make_scenario(
     axis: str,
     aircraft: str,
     engine: str | None,
@@ -246,7 +243,7 @@ def _scenario(
     seed: int | None,
     settings: Sequence[str],
 ) -> Scenario:
-    """Return a hover at the sample time of the aircraft's models, without a predictor where the engine has no model."""
+    """Return a hover scenario, with the baseline controller if the engine has no identified model."""
     data: dict[str, Any] = {"name": f"identify-{axis}", "duration_s": 1.0}
     data["aircraft"] = aircraft_seen_from(aircraft, Path())
     given = {"controller": controller, "substeps": substeps, "seed": seed}
@@ -263,27 +260,26 @@ def _scenario(
     return scenario.replace(**changes) if changes else scenario
 
 
-def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
-    """Fly the sweep, with smaller amplitudes while it saturates.
+def _fly_unsaturated(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Signals:
+    """Fly the sweep, with smaller amplitudes while the command saturates.
 
-    An automatic amplitude then is that one; of a given one the error says what would fit.  If none fits, the loop
-    itself is not stable.  Raises InputError.
+    Raises InputError if a stated amplitude saturates, with one that fits, or if the loop itself is not stable.
     """
-    flight = _fly(base, axis, sweep)
-    if flight.fine:
+    flight = _fly_sweep(base, axis, sweep)
+    if flight.is_usable:
         return flight
     where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
     smaller = flight
     for tries in range(TUNING.tries):
         is_lost = smaller.ending.outcome != "completed"
         margin = TUNING.margin if tries < TUNING.margin_tries else TUNING.margin**3
-        factor = TUNING.after_loss if is_lost else max(TUNING.after_loss, margin * smaller.fits_in)
-        smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(factor * smaller.sweep.amplitude)))
-        if smaller.fine or smaller.ending.outcome == "failed":
+        factor = TUNING.after_loss if is_lost else max(TUNING.after_loss, margin * smaller.fitting_fraction)
+        smaller = _fly_sweep(base, axis, replace(sweep, amplitude=_round_value(factor * smaller.sweep.amplitude)))
+        if smaller.is_usable or smaller.ending.outcome == "failed":
             break
     if smaller.ending.outcome == "failed":
         raise InputError(f"{where}: {smaller.ending.reason}")
-    if not smaller.fine:
+    if not smaller.is_usable:
         is_lost = smaller.ending.outcome != "completed"
         how = smaller.ending.reason if is_lost else "it swings between its limits"
         raise InputError(
@@ -297,11 +293,11 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
     raise InputError(f"{where}: amplitude {sweep.amplitude:g} {trouble}; {smaller.sweep.amplitude:g} fits")
 
 
-def _two_digits(value: float) -> float:
+def _round_value(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
+def _fly_sweep(base: Scenario, axis: str, sweep: Sweep) -> _Signals:
     step = base.step_s
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
@@ -319,7 +315,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     before = [entry.model_dump(mode="json", exclude_none=True) for entry in base.disturbance]
     scenario = base.replace(duration_s=(lead + length + settling) * step, disturbance=[*before, table])
     index = AXES.index(axis)
-    watch = _Watch(index)
+    watch = _SignalRecorder(index)
     with build(scenario) as simulation:
         ending = simulation.run([watch])
         vehicle, engine = simulation.vehicle, simulation.engine
@@ -332,11 +328,11 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     if ledger is not None:
         ledger -= late
     granted = _granted_fraction(command, refused, cut)
-    return _Flight(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, granted)
+    return _Signals(sweep, ending, vehicle, engine, step, injected, command - refused, rate, ledger, no_ledger, granted)
 
 
 def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
-    """Return the least granted fraction of the command; a collective that gave way to roll counts as refused roll."""
+    """Return the least fraction of the command that was allocated; collective given up for roll counts as refused."""
     short = np.maximum(np.abs(refused), np.abs(cut))
     hit = short > 0.0
     if not hit.any():
@@ -344,10 +340,10 @@ def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
     return float(np.clip(1.0 - short[hit] / np.maximum(np.abs(command[hit]), short[hit]), 0.0, 0.999).min())
 
 
-def _fits(
+def _fit_forms(
     response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
 ) -> tuple[Fit, ...]:
-    """Fit the chosen form, and others for comparison."""
+    """Fit the form with ``lags`` lags first, then other forms for comparison."""
     fixed = dict(hold or {})
     name = "1 lag" if lags == 1 else f"{lags} lags"
     fits = [fit(response, lags, ", ".join([name, *(f"{held} held" for held in fixed)]), fixed)]

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.identify.sweep.fit import WHOLE_TOLERANCE, Fit, fit
+from cosim.identify.sweep.fit import MAX_ROUNDED_SAMPLES, Fit, fit
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.identify.sweep.result import (
     MAX_SWEEP_S,
@@ -22,9 +22,9 @@ from cosim.identify.sweep.result import (
 )
 from cosim.simulation.script.command_script import make_sweep as chirp
 
-MAX_SETTLING_S = 60.0  # s for the thrust to come to rest
-MAX_SWING = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
-BAND_FACTORS = (0.1, 10.0)  # automatic band, relative to the corner
+MAX_SETTLING_S = 60.0  # for the thrust to come to rest
+SETTLING_BAND = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
+BAND_FACTORS = (0.1, 10.0)  # automatic band over the corner
 
 
 def identify_engine(
@@ -54,14 +54,14 @@ def identify_engine(
     if not 0.0 < size <= room:
         raise InputError(f"amplitude {size:g}: at throttle {throttle:g} it saturates; above 0 and at most {room:g}")
     try:
-        low, high = _band(engine, throttle, size, step, from_hz, to_hz)
+        low, high = _choose_band(engine, throttle, size, step, from_hz, to_hz)
         check_band(low, high, duration, step)
         sweep = Sweep(low, high, size, suitable_duration(low) if duration is None else duration)
         record = fly_sweep(engine, throttle, sweep, step)
     except EngineError as error:
         raise InputError(f"sweep of {engine.name}: {error}") from error
     response, notes = estimate_response(record, sweep, f"engine {engine.name}: its thrust", lags, hold)
-    fits = _fits(response, lags, hold)
+    fits = _fit_forms(response, lags, hold)
     return Identification(
         kind="engine",
         subject=engine.name,
@@ -82,7 +82,7 @@ def identify_engine(
 def estimate_response(
     record: Record, sweep: Sweep, subject: str, lags: int, hold: Mapping[str, float] | None = None
 ) -> tuple[FrequencyResponse, list[str]]:
-    """Estimate the response twice, the second time with a first model; return it with notes."""
+    """Estimate the response twice, the second time with a model fitted to the first; return it with notes."""
     response = estimate(record, sweep.from_hz, sweep.to_hz)
     need_coherence(response, subject, sweep.amplitude)
     first = fit(response, lags, "first", hold).model
@@ -90,23 +90,23 @@ def estimate_response(
     return response, need_coherence(response, subject, sweep.amplitude)
 
 
-def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
-    """Fit the form: first with a whole delay if a free one is nearly whole, then with a free one."""
+def _fit_forms(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:
+    """Fit the form, first with a whole delay in samples if the free delay is nearly whole, then with a free delay."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     delay = round(free.model.delay_samples)
-    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > WHOLE_TOLERANCE:
+    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > MAX_ROUNDED_SAMPLES:
         return (free,)
     return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(delay)}), free)
 
 
-def _band(
+def _choose_band(
     engine: EngineSpec, throttle: float, size: float, step: float, low: float | None, high: float | None
 ) -> tuple[float, float]:
-    """Return the band, Hz, by default a decade around the corners seen in a throttle step."""
+    """Return the band [Hz], by default a decade around the corner frequencies seen in a throttle step."""
     if low is not None and high is not None:
         return low, high
-    quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
-    # Slightly above the lowest frequency that the longest sweep can measure.
+    quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _measure_lags(engine, throttle, size, step))
+    # The band starts slightly above the lowest frequency that the longest sweep can measure.
     least = 1.01 * (shortest_record(1.0) / MAX_SWEEP_S)
     start = max(BAND_FACTORS[0] * slow, least) if low is None else low
     end = min(BAND_FACTORS[1] * quick, 0.4 / step) if high is None else high
@@ -119,15 +119,15 @@ def settling_lag(engine: EngineSpec, step: float) -> float:
     Raises InputError for an engine that does not answer.
     """
     throttle = 0.5
-    return _lags(engine, throttle, 0.02, step)[1]
+    return _measure_lags(engine, throttle, 0.02, step)[1]
 
 
-def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
-    """Return two lags of a step response, s: of its beginning and of its settling.
+def _measure_lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tuple[float, float]:
+    """Return two lags [s] of a step response: of its rise and of its settling.
 
-    Seconds from 10 to 90 % over ln 9: the time constant if it were one lag.  The second is until it stays within
-    :data:`MAX_SWING` of its end, where that is later: thrust that overshoots far and comes back has it longer, and a
-    pair of poles that is damped by half has not.
+    The first is the time from 10 to 90 % over ln 9, the time constant of a single lag.  The second takes the time until
+    the thrust stays within :data:`SETTLING_BAND` of its end, if that is later, as after a large overshoot, but not with two
+    poles of damping 0.5.
     """
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
@@ -144,7 +144,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
         raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
     first = int(np.argmax(moved >= 0.1 * moved[-1]))
     rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first
-    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > MAX_SWING * moved[-1])
+    outside = np.flatnonzero(np.abs(np.array(course) - course[-1]) > SETTLING_BAND * moved[-1])
     settled = int(outside[-1]) + 1 - first if len(outside) else rise
     return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
 

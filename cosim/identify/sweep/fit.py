@@ -18,8 +18,8 @@ from cosim.base.errors import InputError
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
-MIN_COHERENCE = 0.6  # bound of Tischler and Remple
-WHOLE_TOLERANCE = 0.05  # samples: nearer delays are rounded
+MIN_COHERENCE = 0.6  # limit of Tischler and Remple
+MAX_ROUNDED_SAMPLES = 0.05  # from a whole delay: rounded
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Model:
 
     @property
     def poles_1_s(self) -> tuple[float, ...]:
-        """The poles, each as a decay in 1/s."""
+        """Decay rates of the poles [1/s]."""
         return (self.rate, *(1.0 / lag for lag in self.lags))
 
     @property
     def poles(self) -> tuple[float, ...]:
-        """The poles in z."""
+        """Poles of the sampled model in z."""
         return tuple(exp(-pole * self.step) for pole in self.poles_1_s)
 
     def modes(self) -> list[tuple[float, float]]:
@@ -91,7 +91,7 @@ def separate_equal(poles: Iterable[float]) -> list[float]:
 
 
 def _input_fraction(decay: float, fraction: float) -> float:
-    """Return the fraction of this step's held input in the next sample's state, for a fractional delay, samples."""
+    """Return the weight of the present held input in the next state, for a delay of ``fraction`` samples."""
     if decay < 1e-9:
         return 1.0 - fraction
     return float(np.expm1(-decay * (1.0 - fraction)) / np.expm1(-decay))
@@ -113,13 +113,13 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """The continuous parameters by name."""
+        """Continuous-time parameters by name."""
         natural = [self.model.gain, self.model.rate, *self.model.lags, self.model.delay_samples]
         return dict(zip(names(len(self.model.lags)), natural, strict=True))
 
 
 def names(lags: int) -> list[str]:
-    """Return the parameters in order: ``gain``, ``rate_1_s``, ``lag_s`` (``lag_2_s``, ...), ``delay_samples``."""
+    """Return parameter names in order: ``gain``, ``rate_1_s``, ``lag_s`` (``lag_2_s``, ...), ``delay_samples``."""
     return ["gain", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(lags)), "delay_samples"]
 
 
@@ -148,18 +148,18 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
             f"only {int(use.sum())} points of the response count, too few for {len(names_known)} parameters; "
             "widen the band or sweep longer"
         )
-    problem = _Problem(response.hertz[use], response.value[use], np.sqrt(weight[use]), response.step, lags, hold)
+    problem = _FitProblem(response.hertz[use], response.value[use], np.sqrt(weight[use]), response.step, lags, hold)
     return problem.solve(label)
 
 
-def _logarithmic(name: str) -> bool:
+def _is_logarithmic(name: str) -> bool:
     return name == "gain" or name.startswith("lag")
 
 
-class _Problem:
-    """Least-squares problem in ``ln |gain|, rate, ln lag ..., delay`` without held values.
+class _FitProblem:
+    """Least-squares problem with the unknowns ``ln |gain|, rate, ln lag ..., delay`` that are not held.
 
-    ``unambiguous``: of the delay after which the phases of the two closest points repeat.
+    ``unambiguous``: largest delay over that after which the phases of the two closest points repeat.
     """
 
     def __init__(
@@ -180,16 +180,16 @@ class _Problem:
         self.free = [i for i, name in enumerate(self.names) if name not in hold]
         self.sign = 1.0
         fastest = 0.5 / step
-        # A delay of one over the frequency spacing looks like none: longer delays cannot be told from shorter ones.
+        # A delay of one over the frequency spacing has the same phases as none, so that longer delays are ambiguous.
         longest = min(self.longest_delay_s, self.unambiguous / float(np.diff(hertz).min())) / step
         self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
         self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])
         self.full = np.zeros(len(self.names))
         for name, fixed in hold.items():
             i = self.names.index(name)
-            if _logarithmic(name) and not fixed > 0.0:
+            if _is_logarithmic(name) and not fixed > 0.0:
                 raise InputError(f"hold {name}={fixed:g}: must be above 0")
-            self.full[i] = log(fixed) if _logarithmic(name) else fixed
+            self.full[i] = log(fixed) if _is_logarithmic(name) else fixed
             if not self.low[i] <= self.full[i] <= self.high[i]:
                 raise InputError(f"hold {name}={fixed:g}: out of range")
 
@@ -205,15 +205,15 @@ class _Problem:
         )
 
     def error(self, model: Model) -> Complex:
-        """Return ln(model / response), its phase between -pi and pi."""
+        """Return ln(model / response), with the phase between -pi and pi."""
         return np.asarray(np.log(model.response(self.hertz) / self.value))
 
     def residuals(self, x: Array) -> Array:
         error = self.error(self.model(x))
         return np.concatenate([self.weight * error.real, self.weight * error.imag])
 
-    def start(self) -> Array:
-        """Fit the magnitude, which has no delay and no sign, then delay and sign to the phase."""
+    def find_start(self) -> Array:
+        """Return start values: fit the magnitude, which needs no delay and no sign, then both to the phase."""
         from scipy.optimize import least_squares
 
         low_hz, high_hz = float(self.hertz[0]), float(self.hertz[-1])
@@ -227,18 +227,18 @@ class _Problem:
             x[0] += float(np.average(flat, weights=self.weight))
         shape = [i for i in self.free if i != len(x) - 1]
 
-        def magnitude(part: Array) -> Array:
+        def magnitude_error(part: Array) -> Array:
             x[shape] = part
             return np.asarray(self.weight * self.error(self.model(x[self.free])).real)
 
         if shape:
             x[shape] = least_squares(
-                magnitude, x[shape], bounds=(self.low[shape], self.high[shape]), x_scale="jac"
+                magnitude_error, x[shape], bounds=(self.low[shape], self.high[shape]), x_scale="jac"
             ).x  # fmt: skip
-        self._phase(x)
+        self._fit_phase(x)
         return np.asarray(np.clip(x[self.free], self.low[self.free], self.high[self.free]))
 
-    def _phase(self, x: Array) -> None:
+    def _fit_phase(self, x: Array) -> None:
         last = len(x) - 1
         delays = np.arange(0.0, self.high[last] + 1.0) if last in self.free else x[last:]
         undelayed = x.copy()
@@ -258,10 +258,10 @@ class _Problem:
         assert best is not None
         self.sign, x[last] = best[1], best[2]
 
-    def _ends(self, name: str, value: float, wide: float, max_exponent: float = 300.0) -> tuple[float, float]:
-        """Return the interval in the parameter's unit; pole rates and delays are not below 0."""
+    def _interval(self, name: str, value: float, wide: float, max_exponent: float = 300.0) -> tuple[float, float]:
+        """Return the 95 % interval in the parameter's unit; pole rates and delays are at least 0."""
         low, high = value - wide, value + wide
-        if not _logarithmic(name):
+        if not _is_logarithmic(name):
             return max(low, 0.0), high
         scale = self.sign if name == "gain" else 1.0
         first, last = sorted((scale * exp(max(low, -max_exponent)), scale * exp(min(high, max_exponent))))
@@ -271,7 +271,7 @@ class _Problem:
         from scipy.optimize import least_squares
         from scipy.special import stdtrit
 
-        x = self.start()
+        x = self.find_start()
         if self.free:
             bounds = (self.low[self.free], self.high[self.free])
             solution = least_squares(
@@ -294,7 +294,7 @@ class _Problem:
             turn = np.array(slope)[self.free]
             together = wide_by * float(np.sqrt(max(float(turn @ covariance @ turn), 0.0)))
             for i, value, wide in zip(self.free, x, half, strict=True):
-                spread[self.names[i]] = self._ends(self.names[i], float(value), float(wide))
+                spread[self.names[i]] = self._interval(self.names[i], float(value), float(wide))
         return Fit(
             label,
             model,

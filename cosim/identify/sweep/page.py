@@ -19,7 +19,7 @@ from cosim.identify.sweep.result import Identification, equations, fit_rows, rat
 from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
-BOUNDS = (  # note on the parameters' intervals
+BOUNDS_NOTE = (  # note on the parameters' intervals
     "The first model is the one that is written, where one is. Its bounds are those of the linearised least squares, "
     "with what the form leaves over taken for independent errors: where the form does not fit, they say how well the "
     "number is pinned down, and not that the form is right."
@@ -36,14 +36,14 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     Where the fit is refused there is no ``model.toml``, and one that an earlier call left in the folder is removed.
     Raises InputError for somebody else's files of these names, FlightError if a file cannot be written.
     """
-    is_axis, texts = identification.kind == "axis", {"response": _csv(identification)}
+    is_axis, texts = identification.kind == "axis", {"response": _format_csv(identification)}
     if is_axis and not identification.refused:
         texts["model"] = toml_text(identification.model_table())
     removed = ("model.toml",) if is_axis and "model" not in texts else ()
     return write_identification(folder, identification.to_dict(), make_page(identification), texts, removed=removed)
 
 
-def _csv(identification: Identification) -> str:
+def _format_csv(identification: Identification) -> str:
     response = identification.response
     columns: Mapping[str, Array] = {
         "frequency_hz": response.hertz,
@@ -65,7 +65,7 @@ def make_page(identification: Identification) -> Page:
     unit = f"{identification.output_unit} per {identification.command_unit}"
     cards = [
         Card("Frequency response", text=f"{identification.channel}, in {unit}.", figure="response"),
-        Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
+        Card("Models", columns, fit_rows(identification), BOUNDS_NOTE, code=equation),
     ]
     swept = (
         f"Swept from {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in {sweep.duration_s:g} s, amplitude "
@@ -86,11 +86,11 @@ def make_page(identification: Identification) -> Page:
 
 
 def response_figure(identification: Identification, points: int = 300, coherence_row: int = 4) -> Figure:
-    """Return the curves at the frequencies of the sweep, on one logarithmic axis."""
+    """Return the figure of measured and modelled responses over frequency, logarithmic."""
     response = identification.response
     hertz = np.geomspace(response.hertz[0], response.hertz[-1], points)
-    data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
-    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, coherence_row))
+    data = _bode_traces("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
+    data.append(_make_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, coherence_row))
     for number, fit in enumerate(identification.fits):
         data += _model_curves(
             fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, identification, "solid"
@@ -108,25 +108,25 @@ def response_figure(identification: Identification, points: int = 300, coherence
 def _model_curves(
     label: str, colour: str, model: Callable[[Array], Complex], hertz: Array, identification: Identification, dash: str
 ) -> list[Figure]:
-    """Draw a model, its phase on the measured turn, and model over measured."""
+    """Return traces of a model, its phase on the measured turn, and of model over measured."""
     value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
     turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)
-    curves = _curve(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
+    curves = _bode_traces(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
     at = identification.response.hertz
     ratio = model(at) / identification.response.value
-    curves.append(_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
-    curves.append(_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
+    curves.append(_make_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
+    curves.append(_make_trace(label, colour, "lines", at, np.degrees(np.angle(ratio)), 3))
     for curve in curves:
         curve["line"]["dash"] = dash
     return curves
 
 
-def _curve(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
-    return [_trace(label, colour, mode, hertz, magnitude, 0), _trace(label, colour, mode, hertz, phase, 1)]
+def _bode_traces(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
+    return [_make_trace(label, colour, mode, hertz, magnitude, 0), _make_trace(label, colour, mode, hertz, phase, 1)]
 
 
-def _trace(label: str, colour: str, mode: str, hertz: Array, values: Array, panel: int) -> Figure:
+def _make_trace(label: str, colour: str, mode: str, hertz: Array, values: Array, panel: int) -> Figure:
     says = f"{label}: %{{y:.4~g}}<extra></extra>"
     marker = {"size": 6, "color": colour}
     return trace(label, colour, hertz, values, panel, mode=mode, marker=marker, hovertemplate=says)

@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
-# Bins per group: with three complex unknowns six bins remain to separate noise from response.
+# Fewest bins per group: with three complex unknowns six bins remain to separate noise from response.
 MIN_BINS = 9
 
 
@@ -59,7 +59,7 @@ class FrequencyResponse:
 
 
 def shortest_record(low: float, max_width: float = 0.25) -> float:
-    """Return the least length of a record, s, for a group of bins at ``low`` Hz.
+    """Return the least length [s] of a record for a group of bins at ``low`` Hz.
 
     ``max_width``: half a group's width over its centre, at most: beyond it the parabola would bend the response.
     """
@@ -88,10 +88,10 @@ def estimate(
     guess = model(hertz[1:]) if model is not None else np.ones(len(hertz) - 1, complex)
     coefficients = np.concatenate(([1.0], guess))
     rows = []
-    for first, last in _groups(seconds, low, high, len(hertz)):
+    for first, last in _group_bins(seconds, low, high, len(hertz)):
         part = slice(first, last)
         centre = float(hertz[part].mean())
-        value, coherence, spread = _local(
+        value, coherence, spread = _fit_group(
             hertz[part] - centre, injected[part] * coefficients[part], command[part] * coefficients[part], output[part]
         )
         at_centre = complex(model(np.array([centre]))[0]) if model is not None else 1.0
@@ -102,8 +102,8 @@ def estimate(
     )
 
 
-def _groups(seconds: float, low: float, high: float, count: int, max_groups: int = 60) -> list[tuple[int, int]]:
-    """Return each group's first bin and the bin after its last, evenly in log frequency if possible."""
+def _group_bins(seconds: float, low: float, high: float, count: int, max_groups: int = 60) -> list[tuple[int, int]]:
+    """Return first bin and end bin (exclusive) of each group, evenly spaced in log frequency if possible."""
     first = max(1, round(low * seconds) - MIN_BINS // 2)
     end = min(round(high * seconds) + MIN_BINS // 2 + 1, count)
     edges = [first]
@@ -115,7 +115,7 @@ def _groups(seconds: float, low: float, high: float, count: int, max_groups: int
     return list(pairwise(edges))
 
 
-def _local(offset: Array, injected: Complex, command: Complex, output: Complex) -> tuple[complex, float, float]:
+def _fit_group(offset: Array, injected: Complex, command: Complex, output: Complex) -> tuple[complex, float, float]:
     """Estimate response, coherence and relative deviation at the centre of a group of bins."""
     basis = np.vander(offset / np.abs(offset).max(), 3, increasing=True)
     regressors, instruments = command[:, None] * basis, injected[:, None] * basis
@@ -125,7 +125,7 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
     except np.linalg.LinAlgError:
         return complex("nan"), 0.0, float("inf")
     solution = inverse @ (instruments.conj().T @ output)
-    noise = _residual(output, regressors, solution)
+    noise = _residual_power(output, regressors, solution)
     variance = noise * np.real((inverse @ (instruments.conj().T @ instruments) @ inverse.conj().T)[0, 0])
     value = complex(solution[0])
     if value == 0.0:
@@ -135,14 +135,14 @@ def _local(offset: Array, injected: Complex, command: Complex, output: Complex) 
 
 
 def _common_power(signal: Complex, instruments: Complex) -> float:
-    """Return the fraction of a signal's power that follows the injected one by a parabola in frequency."""
+    """Return the fraction of a signal's power that is the injected signal times a parabola in frequency."""
     power = float(np.mean(np.abs(signal) ** 2))
     if power == 0.0:
         return 0.0
     solution = np.asarray(np.linalg.lstsq(instruments, signal, rcond=None)[0], np.complex128)
-    return max(0.0, 1.0 - _residual(signal, instruments, solution) / power)
+    return max(0.0, 1.0 - _residual_power(signal, instruments, solution) / power)
 
 
-def _residual(signal: Complex, regressors: Complex, solution: Complex) -> float:
-    """Return the power per bin that three complex unknowns leave."""
+def _residual_power(signal: Complex, regressors: Complex, solution: Complex) -> float:
+    """Return the residual power per bin after a fit of three complex unknowns."""
     return float(np.sum(np.abs(signal - regressors @ solution) ** 2)) / (len(signal) - 3)

@@ -19,11 +19,11 @@ from cosim.spec.vehicle import RateModel
 # Factors on the band's lowest and highest frequency that give the chirp's range.
 CHIRP_MARGIN = (0.7, 1.2)
 MAX_SWEEP_S = 3600.0  # duration of the longest sweep
-# rms of |ln(model / response)|, 10 % or 6 deg, above which no model was found.
+# Largest rms of |ln(model / response)|, 10 % or 6 deg, with which a model is accepted.
 MAX_MISFIT = 0.1
-# Samples: a delay is known if its bound is within its value or this.
-MIN_DELAY_BOUND = 1.0
-# A sum of delays may differ from the ledger's by the larger of these two, relative or in samples.
+# A delay counts as known if its 95 % bound [samples] is at most its value, or at most this.
+KNOWN_DELAY_BOUND = 1.0
+# A model's total delay may differ from the delay ledger's by the larger of this fraction and these samples.
 LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0
 
 
@@ -63,7 +63,7 @@ class Identification:
 
     @property
     def chosen(self) -> Fit:
-        """Fit that the model file contains."""
+        """Fit that is written into the model file."""
         return self.fits[0]
 
     @property
@@ -73,7 +73,7 @@ class Identification:
 
     @property
     def judgement(self) -> Judgement:
-        """Whether the chosen form explains the response; not told if its numbers are undetermined."""
+        """Judgement whether the chosen form explains the response; undecided if its parameters are not determined."""
         misfit, points = self.chosen.misfit, len(self.response.hertz)
         evidence = (
             f"{self.chosen.label}: {100.0 * misfit:.2g} % off the response at {points} points, coherence at least "
@@ -90,7 +90,7 @@ class Identification:
         return model.model_copy(update={"engine_sha256": self.engine_sha256}) if self.kind == "axis" else model
 
     def reference_deviation(self) -> tuple[float, float] | None:
-        """Return how far the reference is at most from the coherent response, dB and deg; None without a reference."""
+        """Return the largest deviation [dB, deg] of the aircraft's stated model from the coherent response, or None."""
         if self.reference is None:
             return None
         use = self.response.coherence >= MIN_COHERENCE
@@ -98,7 +98,7 @@ class Identification:
         return float(np.abs(error.real).max() * 20.0 / np.log(10.0)), float(np.degrees(np.abs(error.imag).max()))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the points of the response, for JSON."""
+        """Return the identification without the response's points, for JSON."""
         deviation = self.reference_deviation()
         fits = [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits]
         channels = (
@@ -118,7 +118,7 @@ class Identification:
             "coherence_min": float(self.response.coherence.min()),
             "coherence_median": float(np.median(self.response.coherence)),
             "estimates": fits,
-            "fits": fits,  # "fits": name in earlier versions
+            "fits": fits,  # name in earlier versions
             "ledger_samples": self.ledger_samples,
             "no_ledger": self.no_ledger or None,
             "reference": None
@@ -163,7 +163,7 @@ def rate_response(model: RateModel, hertz: Array) -> Complex:
 
 
 def check_band(low: float, high: float, duration: float | None, step: float) -> None:
-    """Refuse a band or duration that gives no response.  Raises InputError."""
+    """Raise InputError for a band or a duration from which no response can be estimated."""
     nyquist = 0.5 / step
     if high >= nyquist:
         raise InputError(f"to_hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
@@ -191,7 +191,7 @@ def suitable_duration(low: float, cycles: float = 20.0) -> float:
 
 
 def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, usable: float = 0.5) -> list[str]:
-    """Describe the points left out as noise.  Raises NotIdentifiedError if most are.
+    """Return a note on points left out as incoherent.  Raises NotIdentifiedError if too many are.
 
     ``usable``: share of the points that must have coherence.
     """
@@ -211,42 +211,39 @@ def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, 
     return []
 
 
-# ---- whether a model may be used: its misfit, and which of its numbers are known
-
-
 def half_width(fit: Fit, name: str) -> float:
-    """Return how far the further 95 % bound of a free parameter is from its value, in the parameter's unit."""
+    """Return the distance of the farther 95 % bound of a free parameter from its value, in the parameter's unit."""
     low, high = fit.bounds[name]
     return max(high - fit.values[name], fit.values[name] - low)
 
 
-def is_none(fit: Fit, name: str, max_steps: float = 0.05) -> bool:
-    """Return whether a free lag is shorter than any sample can show: it ran to the end of its range.
+def is_negligible_lag(fit: Fit, name: str, max_steps: float = 0.05) -> bool:
+    """Return whether a free lag is too short to be seen in the samples.
 
-    ``max_steps``: of a step: a shorter lag is none, because no sample shows it.
+    ``max_steps``: largest such lag over the step.
     """
     return name in fit.bounds and name.startswith("lag") and fit.values[name] < max_steps * fit.model.step
 
 
 def is_determined(fit: Fit, name: str) -> bool:
-    """Return whether the bounds of a parameter are narrower than its value; of a delay, than a sample at least."""
+    """Return whether the 95 % bound of a parameter is at most its value, of a delay at most a sample."""
     if name not in fit.bounds:
         return True
-    least = MIN_DELAY_BOUND if name == "delay_samples" else 0.0
+    least = KNOWN_DELAY_BOUND if name == "delay_samples" else 0.0
     return bool(half_width(fit, name) <= max(abs(fit.values[name]), least))
 
 
-def all_delay_is_determined(fit: Fit) -> bool:
-    """Return whether delay and lags together are known better than their sum is long."""
+def is_total_delay_determined(fit: Fit) -> bool:
+    """Return whether the 95 % bound of delay plus lags is at most their sum."""
     total = fit.model.delay_samples + sum(fit.model.lags) / fit.model.step
-    return bool(fit.all_delay_half <= max(total, MIN_DELAY_BOUND))
+    return bool(fit.all_delay_half <= max(total, KNOWN_DELAY_BOUND))
 
 
 def why_refused(fit: Fit, engine: bool) -> list[str]:
     """Return the reasons why a fit must not be used, each with a remedy; empty: usable.
 
     Refused are a misfit above ``MAX_MISFIT``, and a gain, lag, delay or time constant of an engine whose bound exceeds
-    its value.  The slow pole of an axis may be anything near 0, and a lag shorter than ``NO_LAG`` steps is none.
+    its value.  The slow pole of an axis may be anything near 0, and a negligible lag is accepted.
     """
     reasons = []
     if not fit.misfit <= MAX_MISFIT:
@@ -258,7 +255,7 @@ def why_refused(fit: Fit, engine: bool) -> list[str]:
     unknown = [
         words.get(name, "further lag")
         for name in fit.bounds
-        if (engine or name != "rate_1_s") and not is_none(fit, name) and not is_determined(fit, name)
+        if (engine or name != "rate_1_s") and not is_negligible_lag(fit, name) and not is_determined(fit, name)
     ]
     if unknown:
         few = "" if len(fit.model.lags) <= (0 if engine else 1) else "fewer lags, "
@@ -270,7 +267,7 @@ def why_refused(fit: Fit, engine: bool) -> list[str]:
 
 
 def agrees_with_ledger(fit: Fit, ledger_samples: float) -> bool:
-    """Return whether the sum of all delay of a fit is the delay ledger's (samples)."""
+    """Return whether the total delay of a fit agrees with the delay ledger's [samples]."""
     return abs(low_frequency_delay(fit) - ledger_samples) <= max(LEDGER_SHARE * ledger_samples, LEDGER_SAMPLES)
 
 
@@ -285,10 +282,7 @@ def note_off_ledger(fit: Fit, ledger_samples: float | None, from_hz: float) -> l
     ]
 
 
-# ---- texts
-
-
-_TITLES = {  # title of each parameter
+_PARAMETER_TITLES = {  # titles of table rows
     "gain": "gain",
     "rate_1_s": "slow pole, 1/s",
     "lag_s": "lag, ms",
@@ -299,39 +293,39 @@ _TITLES = {  # title of each parameter
 
 
 def fit_rows(identification: Identification) -> list[list[str]]:
-    """Return the table of the fits side by side: one row a parameter, its name first."""
+    """Return a table of the fits side by side: one row per parameter, its name first."""
     rows = []
-    for name in sorted({name for fit in identification.fits for name in fit.values}, key=list(_TITLES).index):
-        title, scale, invert = _TITLES[name], 1e3 if name.startswith("lag") else 1.0, False
+    for name in sorted({name for fit in identification.fits for name in fit.values}, key=list(_PARAMETER_TITLES).index):
+        title, scale, invert = _PARAMETER_TITLES[name], 1e3 if name.startswith("lag") else 1.0, False
         if name == "gain":
             unit = "rad/s^2" if identification.output_unit == "rad/s" else f"{identification.output_unit}/s"
             title = f"gain, {unit} per {identification.command_unit}"
         if name == "rate_1_s" and identification.kind == "engine":
             title, scale, invert = "time constant, ms", 1e3, True
-        rows.append([title, *(_with_bounds(fit, name, scale, invert) for fit in identification.fits)])
+        rows.append([title, *(_format_with_bounds(fit, name, scale, invert) for fit in identification.fits)])
     if identification.kind == "engine":
         at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in identification.fits]
         rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
     if identification.kind == "axis":
-        sums = [(f"{low_frequency_delay(fit):.2f}", all_delay_is_determined(fit)) for fit in identification.fits]
+        sums = [(f"{low_frequency_delay(fit):.2f}", is_total_delay_determined(fit)) for fit in identification.fits]
         rows.append(["all delay, samples", *(text if known else "not determined" for text, known in sums)])
     rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in identification.fits)])
     rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in identification.fits)])
     return rows
 
 
-def _with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: float = 20.0) -> str:
+def _format_with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: float = 20.0) -> str:
     if name not in fit.values:
         return ""
 
-    def number(value: float) -> str:
+    def format_number(value: float) -> str:
         inverted = (1.0 / value if value else float("inf")) if invert else value
         return f"{scale * inverted:.4g}" if abs(inverted) > 1e-9 else "0"
 
     value = fit.values[name]
     if name in fit.fixed:
-        return f"{number(value)} held"
-    if is_none(fit, name):
+        return f"{format_number(value)} held"
+    if is_negligible_lag(fit, name):
         return "none"
     low, high = fit.bounds[name]
     if not is_determined(fit, name):
@@ -341,24 +335,24 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: flo
         return f"below {high:.2g}"
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
     half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
-    return f"{number(value)} ±{float(f'{half:.1g}'):g}"
+    return f"{format_number(value)} ±{float(f'{half:.1g}'):g}"
 
 
 def low_frequency_delay(fit: Fit) -> float:
-    """Return the delay towards zero frequency, samples: delay, lags, half a hold; the slow pole is an integrator."""
+    """Return the delay [samples] towards zero frequency: delay, lags and half a hold, without the slow pole."""
     return fit.model.delay_samples + sum(fit.model.lags) / fit.model.step + 0.5
 
 
 def equation(model: RateModel, unit: float = 1.0) -> str:
     """Format the discrete form: ``gain (z - zero) / ((z - pole) (z - pole)) z^-delay``."""
-    numerator = " ".join([f"{model.gain / unit:.4g}", *(_factor(zero) for zero in model.zeros)])
-    factors = [_factor(pole) for pole in model.poles]
+    numerator = " ".join([f"{model.gain / unit:.4g}", *(_format_factor(zero) for zero in model.zeros)])
+    factors = [_format_factor(pole) for pole in model.poles]
     denominator = factors[0] if len(factors) == 1 else f"({' '.join(factors)})"
     delay = f" z^-{model.delay_samples:.4g}" if model.delay_samples else ""
     return f"{numerator} / {denominator}{delay}"
 
 
-def _factor(root: float) -> str:
+def _format_factor(root: float) -> str:
     return f"(z {'-' if root >= 0.0 else '+'} {abs(root):.4f})"
 
 

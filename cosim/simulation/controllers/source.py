@@ -35,7 +35,7 @@ from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
 from cosim.simulation.controllers.guard import columns_from
 from cosim.simulation.controllers.process import Command, ProcessBlock, make_program_command, request_description
-from cosim.spec.controller_name import file_name, is_design
+from cosim.spec.controller_name import is_design, split_file_name
 from cosim.spec.controller_name import label as label_of
 
 # Levels of a controller, and the arguments of update at each.
@@ -130,9 +130,9 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
 
     Raises InputError: ``complaint`` and what there is, or what is wrong with it.
     """
-    named = file_name(controller)
+    named = split_file_name(controller)
     if named is not None and not is_design(controller) and (named.before or not named.after):
-        path = Path(named.seen_from(folder).file)
+        path = Path(named.resolve(folder).file)
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
         if named.before:
@@ -157,9 +157,9 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
 
 def find_python(kind: str, name: str, folder: Path) -> Source | None:
     """Return the Python block of that name, a file seen from ``folder``; None for another name.  Raises InputError."""
-    named, where = file_name(name), f"{kind} {name}"
+    named, where = split_file_name(name), f"{kind} {name}"
     if named is not None and named.after and not named.before:
-        return _from_file(kind, name, Path(named.seen_from(folder).file), named.after[1:])
+        return _from_file(kind, name, Path(named.resolve(folder).file), named.after[1:])
     if named is None and _MODULE.fullmatch(name):
         module_name, _, attribute = name.partition(":")
         module, path, files = import_installed(module_name, where)

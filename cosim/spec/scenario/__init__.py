@@ -53,7 +53,7 @@ from cosim.spec.scenario.provenance import (
     list_changes,
     list_differing_keys,
 )
-from cosim.spec.scenario.scenario import MODELS_STAY, NOT_TOLD, Scenario, describe_meant
+from cosim.spec.scenario.scenario import PREDICTOR_KEEPS_MODEL, UNKNOWN_TO_CONTROLLER, Scenario, suggest_key
 from cosim.spec.scenario.sections import (
     Environment,
     Expectation,

@@ -8,7 +8,7 @@ Entries = Sequence[Any]  # tables, or records of a scenario
 
 
 class Changes(TypedDict, total=False):
-    """Values by the scenario's keys; units are in their names."""
+    """Changes of a scenario: new values by key, units in the keys' names."""
 
     name: str
     title: str

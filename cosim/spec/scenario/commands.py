@@ -33,25 +33,25 @@ class SignalCommand(Model):
 
 
 class StepCommand(SignalCommand):
-    """``amplitude`` from ``start_s`` on."""
+    """Step of a signal: ``amplitude`` from ``start_s`` on."""
 
     kind: Literal["step"]
 
 
 class DoubletCommand(SignalCommand):
-    """``amplitude`` for ``width_s``, then its opposite for as long."""
+    """Doublet of a signal: ``amplitude`` for ``width_s``, then minus ``amplitude`` for ``width_s``."""
 
     kind: Literal["doublet"]
     width_s: Duration
 
     @property
     def duration_s(self) -> float:
-        """How long both sides last, s."""
+        """Duration of both halves [s]."""
         return 2.0 * self.width_s
 
 
 class RampCommand(SignalCommand):
-    """From zero at ``start_s`` to ``amplitude`` after ``duration_s``, then held."""
+    """Ramp of a signal from zero at ``start_s`` to ``amplitude`` after ``duration_s``, then held."""
 
     kind: Literal["ramp"]
     duration_s: Duration
@@ -67,7 +67,7 @@ class SweepCommand(SignalCommand):
 
 
 class TableCommand(Model):
-    """CSV with ``time_s`` and any signals, held or interpolated linearly between rows."""
+    """Signals from a CSV with ``time_s`` and any signals, held or interpolated linearly between rows."""
 
     kind: Literal["table"]
     file: str
@@ -76,7 +76,7 @@ class TableCommand(Model):
 
 
 class SticksCommand(Model):
-    """A recording of sticks, a CSV with ``time_s, roll, pitch, yaw, throttle`` in -1..1.
+    """Recorded stick positions, a CSV with ``time_s, roll, pitch, yaw, throttle`` in -1..1.
 
     Roll and pitch ask for an angle, yaw for a turn rate, throttle for a climb rate.
     """
@@ -90,7 +90,7 @@ class SticksCommand(Model):
 
 
 class PlaceCommand(Model):
-    """From ``start_s`` on: fly to a place and hold it; omitted values are those at the start.
+    """Fly to a place from ``start_s`` on and hold it; omitted values are those at ``start_s``.
 
     m, NED, from the place below the start; ``altitude_m`` above the ground there.  Height and heading that no place has
     stated yet are those of other commands.
@@ -106,7 +106,7 @@ class PlaceCommand(Model):
 
 
 class VelocityCommand(Model):
-    """From ``start_s`` on: fly at a velocity over the ground, by the autopilot's law; m/s, NED.
+    """Fly at a velocity over the ground [m/s, NED] from ``start_s`` on, by the autopilot's position law.
 
     Not stated: ``climb_m_s``, the height stays that of other commands; ``yaw_deg``, the heading.
     """
@@ -121,7 +121,7 @@ class VelocityCommand(Model):
 
 
 class Waypoint(Model):
-    """One place of a :class:`WaypointsCommand`; omitted values as there."""
+    """One place of a :class:`WaypointsCommand`; omitted values stay as before."""
 
     north_m: Amplitude
     east_m: Amplitude
@@ -132,7 +132,7 @@ class Waypoint(Model):
 
 
 class WaypointsCommand(Model):
-    """From ``start_s`` on: fly to the places in turn and hold the last.
+    """Fly to the places in turn from ``start_s`` on and hold the last.
 
     A waypoint is reached where the estimated place is within ``radius_m`` of it, horizontally and, where it states a
     height, vertically; ``hold_s`` later the next one is flown to.  Places as in :class:`PlaceCommand`.
@@ -147,7 +147,7 @@ class WaypointsCommand(Model):
 
 
 class TrackCommand(Model):
-    """CSV of places over time: ``time_s, north_m, east_m``, optionally ``altitude_m, yaw_deg``.
+    """Track of places over time, a CSV with ``time_s, north_m, east_m`` and optionally ``altitude_m, yaw_deg``.
 
     Between its rows runs the cubic spline that begins and ends at rest; the law is given its place, velocity and
     acceleration.  Before its first row the first place holds, after the last the last.

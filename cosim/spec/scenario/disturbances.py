@@ -47,7 +47,7 @@ class TorqueCommandDisturbance(Model):
     seen: bool = False  # whether the predictor is told of it
 
     @model_validator(mode="after")
-    def _seen_at_the_controller(self) -> Self:
+    def _check_seen(self) -> Self:
         if self.seen and self.at == "actuators":
             raise ValueError("a predictor can see only what is added at the controller (at = 'controller')")
         return self
@@ -84,7 +84,7 @@ class GustDisturbance(Model):
 
     @property
     def duration_s(self) -> float:
-        """Duration, s."""
+        """Duration of rise, hold and fall [s]."""
         return self.rise_s + self.hold_s + self.fall_s
 
 

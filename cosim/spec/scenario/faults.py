@@ -9,25 +9,25 @@ from cosim.base.signals import MAX_JETS
 from cosim.base.storage.toml import Duration, Model, Seconds, Vector
 
 
-def _station_number(text: str) -> str:
+def _check_station_number(text: str) -> str:
     if text not in map(str, range(1, MAX_JETS + 1)):
         raise ValueError(f"a station is the number of a jet, 1 to {MAX_JETS} at most")
     return text
 
 
-def _once_each(jets: list[int]) -> list[int]:
+def _check_distinct(jets: list[int]) -> list[int]:
     if len(set(jets)) != len(jets):
         raise ValueError("name a jet once")
     return jets
 
 
-StationNumber = Annotated[str, AfterValidator(_station_number)]
+StationNumber = Annotated[str, AfterValidator(_check_station_number)]
 JetNumber = Annotated[int, Field(ge=1, le=MAX_JETS)]
 Jets = Annotated[
     list[JetNumber],
     Field(min_length=1),
     BeforeValidator(lambda jet: jet if isinstance(jet, list) else [jet]),
-    AfterValidator(_once_each),
+    AfterValidator(_check_distinct),
 ]
 
 
@@ -41,7 +41,7 @@ class TimedFault(Model):
     duration_s: Duration | None = None
 
     def describe(self) -> str:
-        """Return what the fault does, without its place and time."""
+        """Return the fault's effect in words, without place and time."""
         raise NotImplementedError
 
 
@@ -117,7 +117,7 @@ class ServoJam(TimedFault):
 
 
 class SensorBias(TimedFault):
-    """An addition to a sensor's output: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
+    """Bias added to a sensor's output: rad/s (gyro), rad about the body axes (attitude), m (gnss, NED; barometer)."""
 
     amount = "bias"
     kind: Literal["sensor_bias"]
@@ -126,7 +126,7 @@ class SensorBias(TimedFault):
     velocity_bias: Vector = (0.0, 0.0, 0.0)  # m/s, NED, for the GNSS alone
 
     @model_validator(mode="after")
-    def _fits_the_sensor(self) -> Self:
+    def _check_bias_shape(self) -> Self:
         count = 1 if self.sensor == "barometer" else 3
         if len(self.bias) != count:
             raise ValueError(f"bias: the {self.sensor} needs a list of {count}")

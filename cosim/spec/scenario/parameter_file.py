@@ -11,11 +11,11 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model
 
-_CONTENTS: dict[tuple[str, str], bytes] = {}  # file contents by path and hash
+_CONTENT_CACHE: dict[tuple[str, str], bytes] = {}  # file contents by path and hash
 
 
 class ParameterFile(Model):
-    """File whose numbers are in ``vehicle``: a designed controller, or identified models.
+    """Record of a file whose values were merged into ``vehicle``: a designed controller, or identified models.
 
     A flight reads it to see that it is still the file with this hash, and which of its numbers are in effect.
     """
@@ -24,19 +24,19 @@ class ParameterFile(Model):
     file: str  # path relative to the scenario
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # of its content, which must match to fly
 
-    def seen_from(self, folder: Path) -> Self:
-        """Return the same with a path that is valid anywhere."""
+    def resolve(self, folder: Path) -> Self:
+        """Return the record with an absolute path; a relative one is resolved against ``folder``."""
         return self.model_copy(update={"file": str((folder / self.file).absolute())})
 
 
 def parameter_files(known: list[ParameterFile], kind: Literal["design", "models"], path: Path) -> list[dict[str, str]]:
-    """Return a scenario's parameter files as tables, with ``path`` replacing the one of its kind.
+    """Return the records of a scenario's parameter files as tables, with ``path`` as the one of its kind.
 
     Raises InputError if the file cannot be read.
     """
     content = read_whole(path, str(path))
     entry = {"kind": kind, "file": str(path.absolute()), "sha256": sha256(content).hexdigest()}
-    _CONTENTS[entry["file"], entry["sha256"]] = content
+    _CONTENT_CACHE[entry["file"], entry["sha256"]] = content
     return [*(file.model_dump() for file in known if file.kind != kind), entry]
 
 
@@ -47,7 +47,7 @@ def read_verified(entry: ParameterFile, folder: Path, where: str) -> bytes:
     session goes on with it.  Raises InputError that begins with ``where`` for a file that is missing or another one.
     """
     path = folder / entry.file
-    content = _CONTENTS.get((str(path.absolute()), entry.sha256))
+    content = _CONTENT_CACHE.get((str(path.absolute()), entry.sha256))
     if content is not None:
         return content
     content = read_whole(path, where)

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge
-from cosim.spec.controller_name import HASH_LETTERS, describe_controller, label
+from cosim.spec.controller_name import HASH_DIGITS, describe_controller, label
 from cosim.spec.scenario.parameter_file import ParameterFile, parse_table, read_verified
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.vehicle import is_aircraft_path, is_file
@@ -60,7 +60,7 @@ def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
         controller = str(table.get("controller", "")) if entry.kind == "design" else ""
         changed = [] if controller in ("", scenario.controller) else ["controller"]
         stated = table.get("vehicle") if entry.kind == "design" else {"identified": table.get("identified")}
-        changed += _not_in_effect(scenario, stated if isinstance(stated, dict) else {})
+        changed += _find_overridden_keys(scenario, stated if isinstance(stated, dict) else {})
         flown.append(FlownParameters(entry.kind, entry.file, entry.sha256, content, controller, changed))
     return flown
 
@@ -74,7 +74,7 @@ def controller_shown(scenario: Scenario) -> str:
 def copy_parameters(
     parameters: Sequence[FlownParameters], files: dict[str, Path | bytes], reserved: Collection[str]
 ) -> list[ParameterFile]:
-    """Return parameter files under their names beside a resolved scenario; their contents are added to ``files``.
+    """Return parameter files with paths beside a resolved scenario; add their contents to ``files``.
 
     None gets a name that is ``reserved`` or that another file has.
     """
@@ -98,43 +98,43 @@ def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[
     if scenario.origin is not None:
         for flown in parameters:
             if flown.sha256 not in [file.sha256 for file in scenario.origin.parameter_files]:
-                texts[flown.kind] = f"{flown.kind} = {Path(flown.file).name} {flown.sha256[:HASH_LETTERS]}"
-        texts |= {key: f"{key} = {_text(value)}" for key, value in _differing(scenario, scenario.origin, parameters)}
+                texts[flown.kind] = f"{flown.kind} = {Path(flown.file).name} {flown.sha256[:HASH_DIGITS]}"
+        texts |= {key: f"{key} = {_to_text(value)}" for key, value in _changes(scenario, scenario.origin, parameters)}
     first = [key for key in ("aircraft", "engine", "controller") if key in texts]
     return [texts[key] for key in dict.fromkeys([*first, *texts])]
 
 
 def list_differing_keys(scenario: Scenario, other: Scenario) -> list[str]:
-    """List the keys by which two scenarios' flights differ, with vehicles as flown.
+    """List the keys whose values differ between two scenarios' flights, vehicles as flown.
 
     The number of JSBSim runs and the seed are none of them.
     """
-    now, before = (dict(_leaves(_as_flown(one))) for one in (scenario, other))
+    now, before = (dict(_flatten(_list_flown_keys(one))) for one in (scenario, other))
     return [key for key in dict.fromkeys([*now, *before]) if now.get(key) != before.get(key)]
 
 
-def _as_flown(scenario: Scenario) -> dict[str, Any]:
-    """Return the keys that affect the flight, with the complete vehicle."""
-    table = _comparable(scenario) | {"vehicle": scenario.resolved_vehicle()[0].model_dump(mode="json")}
+def _list_flown_keys(scenario: Scenario) -> dict[str, Any]:
+    """Return the values that affect the flight by key, with the complete vehicle."""
+    table = _list_comparable_keys(scenario) | {"vehicle": scenario.resolved_vehicle()[0].model_dump(mode="json")}
     return {key: value for key, value in table.items() if key not in ("substeps", "step_s")} | {
         "step_s": scenario.step_s
     }
 
 
-def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
+def _changes(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
     """Yield keys and values that differ from the scenario's file and are not set by a parameter file."""
-    now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))
+    now, before = (dict(_flatten(_list_comparable_keys(one))) for one in (scenario, origin))
     kinds = {file.kind: parse_table(file.content, file.file) for file in parameters}
     design = kinds.get("design", {}).get("vehicle")
-    stated = dict(_leaves(design if isinstance(design, dict) else {}, "vehicle."))
+    stated = dict(_flatten(design if isinstance(design, dict) else {}, "vehicle."))
     for key in dict.fromkeys([*now, *before]):
         modelled = "models" in kinds and key.startswith("vehicle.identified.")
         if now.get(key) != before.get(key) and not modelled and stated.get(key, now) != now.get(key):
             yield key, now.get(key)
 
 
-def _comparable(scenario: Scenario) -> dict[str, Any]:
-    """Return the keys that affect the flight; files as absolute paths, so that two paths to one file compare equal."""
+def _list_comparable_keys(scenario: Scenario) -> dict[str, Any]:
+    """Return the values that affect the flight by key, with absolute paths, so that equal files compare equal."""
     table = {key: value for key, value in scenario.stated("json").items() if key not in _NO_EFFECT_ON_FLIGHT}
     table["substeps"] = scenario.substeps
     if is_aircraft_path(scenario.aircraft):
@@ -144,8 +144,8 @@ def _comparable(scenario: Scenario) -> dict[str, Any]:
     return table
 
 
-def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
-    """Return the keys of the flown vehicle that would change if a file's tables were merged over it again."""
+def _find_overridden_keys(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
+    """Return the flown vehicle's keys that would change if a parameter file were merged again."""
     flown, _ = scenario.resolved_vehicle()
     try:
         again, _ = load_with_profile(
@@ -156,20 +156,20 @@ def _not_in_effect(scenario: Scenario, stated: Mapping[str, Any]) -> list[str]:
         return ["vehicle"]
     if again == flown:
         return []
-    now, then = (dict(_leaves(one.model_dump(mode="json"))) for one in (flown, again))
+    now, then = (dict(_flatten(one.model_dump(mode="json"))) for one in (flown, again))
     return [key for key in dict.fromkeys([*now, *then]) if now.get(key) != then.get(key)]
 
 
-def _leaves(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
     """Yield nested tables as dotted keys with their values; lists stay whole."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from _leaves(value, f"{above}{key}.")
+            yield from _flatten(value, f"{above}{key}.")
         else:
             yield f"{above}{key}", value
 
 
-def _text(value: object) -> str:
+def _to_text(value: object) -> str:
     if value is None:
         return "none"
     if isinstance(value, (list, dict)):

@@ -34,9 +34,9 @@ from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
-# What is known of a parameter of the engines that is set beside their models, and of one that is a mismatch.
-MODELS_STAY: Final = "the predictor's model stays"
-NOT_TOLD: Final = "no controller knows it"
+# Remarks on an engine parameter: set for the flight only, so that models keep the old value; or set as a mismatch.
+PREDICTOR_KEEPS_MODEL: Final = "the predictor's model stays"
+UNKNOWN_TO_CONTROLLER: Final = "no controller knows it"
 
 
 class Scenario(Model):
@@ -101,7 +101,7 @@ class Scenario(Model):
     @model_validator(mode="before")
     @classmethod
     def _leave_out_engine_start(cls, data: Any) -> Any:
-        """Ignore the engine start key of version 0.2.0, which had a single value."""
+        """Drop the engine start key of version 0.2.0, which had a single value."""
         if isinstance(data, dict) and data.get("engine_start") == "before flight":
             return {key: value for key, value in data.items() if key != "engine_start"}
         return data
@@ -133,16 +133,16 @@ class Scenario(Model):
         return repr(self)
 
     def _repr_html_(self) -> str:
-        """Return a table for notebooks: every key that is not left at its default."""
+        """Return an HTML table for notebooks of every key that differs from its default."""
         table = self.model_dump(mode="json", exclude_defaults=True, exclude={"name", "title", "description"})
         rows = "".join(
-            f"<tr><td>{escape(key)}</td><td>{escape(_shorten(str(value)))}</td></tr>" for key, value in table.items()
+            f"<tr><td>{escape(key)}</td><td>{escape(_truncate(str(value)))}</td></tr>" for key, value in table.items()
         )
         return f"<p><b>{escape(self.name)}</b>: {escape(self.title)}</p><table>{rows}</table>"
 
     @property
     def folder(self) -> Path:
-        """Folder that relative file names in the scenario start from."""
+        """Folder against which relative file names of the scenario are resolved."""
         return self._folder
 
     @property
@@ -151,7 +151,7 @@ class Scenario(Model):
         return self._origin
 
     def resolved_vehicle(self) -> tuple[Vehicle, Path]:
-        """Return the aircraft with :attr:`vehicle` merged over it, and its folder; they are read and checked once.
+        """Return the aircraft with :attr:`vehicle` merged over it, and its folder; cached after the first call.
 
         Raises
         ------
@@ -198,7 +198,7 @@ class Scenario(Model):
         return any(not isinstance(fault, (ServoJam, SensorBias, SensorDropout)) for fault in self.fault)
 
     def after_the_end(self) -> list[str]:
-        """Return a line on each entry that begins only at or after the end of the flight: it has no effect."""
+        """Return a line on each command, disturbance or fault that begins at or after the flight's end."""
         return [
             f"{kind}.{number} begins at {entry.start_s:g} s and the flight ends at {self.duration_s:g} s"
             for kind, entries in (("command", self.command), ("disturbance", self.disturbance), ("fault", self.fault))
@@ -212,7 +212,7 @@ class Scenario(Model):
         return self.count(self.duration_s, "duration_s")
 
     def count(self, seconds: float, key: str) -> int:
-        """Return how many control steps a time is.
+        """Return the number of control steps in ``seconds``.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class Scenario(Model):
 
     @classmethod
     def load(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
-        """Return the scenario of a name or a file, validated; it cannot be changed, see :meth:`replace`.
+        """Return the validated scenario of a name or a file; for changes see :meth:`replace`.
 
         Parameters
         ----------
@@ -255,7 +255,7 @@ class Scenario(Model):
 
     @classmethod
     def read(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
-        """Return a scenario validated but for its vehicle: of an older version, or one that will get another aircraft.
+        """Return a scenario validated without its vehicle, such as one that will get another aircraft.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Scenario(Model):
 
     @classmethod
     def as_filed(cls, path: Path) -> "Scenario | None":
-        """Return the scenario of a file without overrides; None if the file is incomplete without them.
+        """Return the scenario of a file without settings; None if the file is invalid without them.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class Scenario(Model):
             data = data | {"substeps": runs_for(error, str(data.get("aircraft", "hexjet")), where)}
         of_engine = [f"engine.{key}" for key in data["engine"]] if isinstance(data.get("engine"), Mapping) else []
         for key in (*of_engine, *(data.keys() - cls.model_fields.keys())):
-            if (meant := describe_meant(key)) is not None:
+            if (meant := suggest_key(key)) is not None:
                 raise InputError(f"{where}: unknown key {key!r}; {meant}")
         scenario = validate(cls, data, where)
         scenario._folder = folder
@@ -342,7 +342,7 @@ class Scenario(Model):
         return changed
 
     def stated(self, mode: Literal["python", "json"] = "python") -> dict[str, Any]:
-        """Return its values by key, to change and read again, without those that are None or follow from its aircraft.
+        """Return the stated values by key, as :meth:`from_table` reads them, without None or the aircraft's own step.
 
         Parameters
         ----------
@@ -373,7 +373,7 @@ class Scenario(Model):
             For a wrong key or value.
         """
         nested = nest(changes)
-        trust_named_code(_code_names(nested), self.folder)
+        trust_named_code(_list_code_texts(nested), self.folder)
         data = self.stated()
         if nested.get("controller", self.controller) != self.controller:  # these keys belong to the old controller
             data = {
@@ -383,7 +383,7 @@ class Scenario(Model):
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Self:
-        """Return a copy with validated parts replaced; it counts as read from a file of its own and has no origin.
+        """Return a copy with validated parts replaced and without :attr:`origin`.
 
         Parameters
         ----------
@@ -407,21 +407,21 @@ class Scenario(Model):
         return copy
 
 
-def describe_meant(name: str) -> str | None:
-    """Return which keys a name may mean that is none, with who knows of a delay or ``engine.NAME``; None for none."""
+def suggest_key(name: str) -> str | None:
+    """Return a clause ``did you mean KEY?`` on a name that is no key of a scenario, or None."""
     _, _, parameter = name.partition(".")
     if not name.startswith("engine.") and (parameter or "delay" not in name):
-        return None if (key := likely_key(name)) is None else f"did you mean {key!r}?"
+        return None if (key := find_similar_key(name)) is None else f"did you mean {key!r}?"
     delays = {"added_delay_samples": Scenario, "mismatch.delay_samples": Mismatch} if "delay" in name else {}
     parameter = "delay_samples" if delays else parameter
     shown = [f"{key} ({meaning_of(model, key.rpartition('.')[2])})" for key, model in delays.items()]
-    shown += [f"engine_parameters.{parameter} ({MODELS_STAY})"]
-    shown += [] if delays else [f"mismatch.engine_parameters.{parameter} ({NOT_TOLD})"]
+    shown += [f"engine_parameters.{parameter} ({PREDICTOR_KEEPS_MODEL})"]
+    shown += [] if delays else [f"mismatch.engine_parameters.{parameter} ({UNKNOWN_TO_CONTROLLER})"]
     return f"did you mean {', '.join(shown[:-1])} or {shown[-1]}?"
 
 
-def likely_key(name: str) -> str | None:
-    """Return the dotted key of a scenario that is called ``name``, with or without its unit; None if none is.
+def find_similar_key(name: str) -> str | None:
+    """Return the dotted key of a scenario whose last part is ``name``, with or without a unit; None if there is none.
 
     The scenario's own keys come first, then those of its vehicle and of its sections.
     """
@@ -437,13 +437,13 @@ def likely_key(name: str) -> str | None:
     return next(iter([*same, *(path for path, key in keys.items() if key.startswith(f"{name}_"))]), None)
 
 
-def _shorten(text: str, letters: int = 200) -> str:
-    """Return a text that fits a cell of a notebook's table."""
+def _truncate(text: str, letters: int = 200) -> str:
+    """Return a text cut to ``letters`` characters, for a cell of a notebook's table."""
     return text if len(text) <= letters else f"{text[: letters - 3]}..."
 
 
-def _code_names(changes: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the texts in a change that may name code."""
+def _list_code_texts(changes: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the texts in changes of a scenario that may name code."""
     for key in ("controller", "metrics", "observers", "sensors", "wind", "engine"):
         value = changes.get(key)
         yield from (text for text in (value if isinstance(value, list) else [value]) if isinstance(text, str))

@@ -35,17 +35,19 @@ class Environment(Model):
 
 
 class Range(Model):
+    """Range of a metric; at least one end is stated."""
+
     min: float | None = None
     max: float | None = None
 
     @model_validator(mode="after")
-    def _says_something(self) -> Self:
+    def _require_value(self) -> Self:
         if self.min is None and self.max is None:
             raise ValueError("give min, max or both")
         return self
 
 
-def _most(value: Any) -> float | Literal[False] | None:
+def _parse_limit(value: Any) -> float | Literal[False] | None:
     if value is None or value is False:
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= float_info.max:
@@ -53,7 +55,7 @@ def _most(value: Any) -> float | Literal[False] | None:
     return float(value)
 
 
-Most = Annotated[bool | float | None, BeforeValidator(_most)]
+Most = Annotated[bool | float | None, BeforeValidator(_parse_limit)]
 
 
 class FlightLimits(Model):
@@ -93,7 +95,7 @@ class RequireEntry(Model):
 
 
 def unique_names(entries: list[RequireEntry]) -> list[RequireEntry]:
-    """Return requirements of which no two have the same name.  Raises ValueError."""
+    """Return the requirements unchanged.  Raises ValueError if two have the same name."""
     names = [entry.name for entry in entries]
     for name in names:
         if names.count(name) > 1:
@@ -109,7 +111,7 @@ class Station(Model):
     parameters: dict[str, float] = {}
 
     @model_validator(mode="after")
-    def _says_something(self) -> Self:
+    def _require_value(self) -> Self:
         if self.engine is None and not self.parameters:
             raise ValueError("give engine, parameters or both")
         return self

@@ -17,10 +17,10 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import Model, read_toml, validate
 from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
-SUBSTEPS = 4  # default of scenarios
-CAMPAIGN = "campaign"  # word for the step chosen for campaigns
-_FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")  # such as "0.01 deg"
-_POSITIVE = Annotated[float, Field(gt=0.0)]  # type of a positive number
+SUBSTEPS = 4  # default: JSBSim runs per control step
+CAMPAIGN = "campaign"  # word in place of an error
+_PATTERN = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")  # "0.01 deg"
+_Positive = Annotated[float, Field(gt=0.0)]  # a positive number
 
 
 class StepErrors(Model):
@@ -36,11 +36,11 @@ class StepErrors(Model):
     engines: list[str] = []
     controllers: list[str] = []
     runs: list[int]
-    attitude_deg: list[_POSITIVE]
-    place_mm: list[_POSITIVE]
+    attitude_deg: list[_Positive]
+    place_mm: list[_Positive]
 
     def fewest_runs(self, size: float, unit: str) -> int | None:
-        """Return the fewest runs from which on the error is at most ``size`` [deg or mm], or None."""
+        """Return the fewest JSBSim runs per step with an error of at most ``size`` [deg or mm], or None."""
         kept = None
         for runs, error in reversed(list(zip(self.runs, self._errors(unit), strict=True))):
             if error > size:
@@ -49,7 +49,7 @@ class StepErrors(Model):
         return kept
 
     def for_campaigns(self, more_deg: float = 0.1, more_mm: float = 20.0) -> int:
-        """Return the fewest runs, two or more, off by at most so much more than SUBSTEPS are.
+        """Return the fewest runs, at least two, whose errors exceed those of SUBSTEPS by at most these margins.
 
         That is twice the noise with which shipped vehicles see attitude and height; chosen by us.
         """
@@ -60,11 +60,11 @@ class StepErrors(Model):
         return min(runs for runs, (turned, off) in rows.items() if runs > 1 and turned <= most_deg and off <= most_mm)
 
     def smallest_error(self, unit: str) -> float:
-        """Return the error with the most runs that were measured."""
+        """Return the error [deg or mm] with the largest measured number of runs."""
         return self._errors(unit)[-1]
 
     def errors_at(self, runs: int) -> tuple[float, float] | None:
-        """Return the errors [deg, mm] with so many runs a step; None where that was not measured."""
+        """Return the errors [deg, mm] with ``runs`` JSBSim runs per step; None if not measured."""
         if runs not in self.runs:
             return None
         place = self.runs.index(runs)
@@ -76,20 +76,20 @@ class StepErrors(Model):
 
 @cache
 def measured_errors(aircraft: str) -> StepErrors | None:
-    """Return the measured errors of a shipped vehicle, or None."""
+    """Return the measured step errors of a shipped vehicle, or None."""
     path = data_folder("aircraft") / "substeps.toml"
     table = read_toml(path).get(aircraft)
     return None if table is None else validate(StepErrors, table, f"{path}: {aircraft}")
 
 
 def runs_for(error: str, aircraft: str, where: str) -> int:
-    """Return the fewest JSBSim runs a step, 1 to 8, with which a vehicle's shipped flights keep to an error.
+    """Return the fewest JSBSim runs per step, 1 to 8, with at most this measured error on a shipped vehicle.
 
     The error is ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg and 20 mm more than with
     :data:`SUBSTEPS`.  Raises InputError, which begins with ``where``, for another form, a vehicle of which nothing was
     measured, and an error below what was.
     """
-    form = _FORM.fullmatch(error)
+    form = _PATTERN.fullmatch(error)
     said = f"{where}: substeps = {error!r}"
     if error != CAMPAIGN and (form is None or not float(form["size"]) > 0.0):
         raise InputError(f"{said}: a whole number, {CAMPAIGN!r}, or the error to keep to, such as '0.01 deg' or '1 mm'")

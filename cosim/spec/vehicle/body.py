@@ -19,7 +19,7 @@ class Panel(Model):
     turn_rad: Annotated[float, Field(ge=-3.2, le=3.2)] = 0.0  # angle at the surface's property 1
 
     @model_serializer(mode="wrap")
-    def _without_a_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _leave_out_surface(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         table: dict[str, Any] = handler(self)
         return {key: value for key, value in table.items() if key == "corners_m" or self.surface is not None}
 
@@ -44,7 +44,7 @@ class GroundEffect(Model):
     hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # rise at each height; the last is 0
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _check_hot_gas(self) -> Self:
         if self.jet_m >= self.planform_m:
             raise ValueError(f"jet_m {self.jet_m:g} must be below planform_m {self.planform_m:g}")
         heights, rises = self.hot_gas_height_m, self.hot_gas_rise_k

@@ -17,11 +17,11 @@ from cosim.spec.file_kind import AIRCRAFT, check_kind
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
-VEHICLE = "vehicle.toml"  # file in an aircraft's folder
+VEHICLE = "vehicle.toml"  # in an aircraft's folder
 
 
 class ScaledFrom(Model):
-    """The table ``scaled``: missing keys are those of ``base``, scaled to this mass."""
+    """Table ``scaled`` of a vehicle: missing keys are those of ``base``, scaled to this mass."""
 
     base: str
     mass_kg: Positive
@@ -120,7 +120,7 @@ def load_vehicle(
     path = find_aircraft(name, folder)
     tables, vehicle = _read_cached(path)
     if overrides:
-        vehicle = validate(Vehicle, merge(tables, _without_bank_inertia(overrides)), where)
+        vehicle = validate(Vehicle, merge(tables, _default_bank_inertia(overrides)), where)
     return vehicle, path.parent
 
 
@@ -130,18 +130,18 @@ def read_tables(name: str, folder: Path = Path()) -> dict[str, Any]:
 
 
 def _read_cached(path: Path) -> tuple[dict[str, Any], Vehicle]:
-    return _vehicles.get((path, *_source_texts(path)), lambda: _read(path))
+    return _vehicles.get((path, *_read_sources(path)), lambda: _read_vehicle(path))
 
 
-def _without_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
-    """Set the bank inertia of a fully specified servo to zero: files older than that key had none."""
+def _default_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
+    """Set the bank inertia of a fully stated servo to zero by default, as files older than that key mean."""
     servo = overrides.get("servo")
     if not isinstance(servo, dict) or not {"lag_s", "rate_limit_rad_s", "range_rad"} <= set(servo):
         return overrides
     return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
 
 
-def _source_texts(path: Path) -> list[bytes]:
+def _read_sources(path: Path) -> list[bytes]:
     """Return the contents of an aircraft's file and of its scaling base, if any."""
     text = read_file(path)
     base = _bases.get((path, text), lambda: _find_base(path))
@@ -155,7 +155,7 @@ def _find_base(path: Path) -> str | None:
     return base if base in aircraft_names() else None
 
 
-def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
+def _read_vehicle(path: Path) -> tuple[dict[str, Any], Vehicle]:
     tables = _read_tables(path)
     vehicle = validate(Vehicle, tables, str(path))
     if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
@@ -169,7 +169,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
 
 
 def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
-    """Refuse implausible units, and legs that cannot carry the vehicle.
+    """Raise InputError for values in implausible units, and for legs that cannot carry the vehicle.
 
     Files are checked as they are read, overrides are not: a study may vary a vehicle beyond what is plausible.
     """
@@ -206,10 +206,10 @@ def _find_implausible(
 def _check_gyration(
     mass: float, inertia: Vector3, positions: list[Vector3], low: float = 0.02, high: float = 3.0
 ) -> str:
-    """Return the first moment of inertia whose radius is not ``low`` to ``high`` of the farthest part's from the axis.
+    """Return a line on the first moment of inertia with an implausible radius of gyration, or an empty string.
 
-    Bodies have 0.05 to 1; chosen by us: beyond three times that a unit is wrong, because a thousandfold mass, length or
-    inertia is off by thirty at least.
+    ``low`` and ``high``: allowed radius over the farthest part's distance from the axis.  Bodies have 0.05 to 1; chosen
+    by us: a wrong unit is off by thirty at least.
     """
     for n, (axis, moment) in enumerate(zip("xyz", inertia, strict=True)):
         farthest = max(hypot(*(x for other, x in enumerate(position) if other != n)) for position in positions)
@@ -230,13 +230,13 @@ def _check_legs(legs: Mapping[str, Vector3]) -> str:
     for key, foot in legs.items():
         if foot[2] <= 0.0:
             return f"{key} {list(foot)}: a leg reaches below the centre of gravity; z points down and must be above 0"
-    if not _surround_origin([(x, y) for x, y, _ in legs.values()]):
+    if not _encloses_origin([(x, y) for x, y, _ in legs.values()]):
         at = ", ".join(f"[{x:g}, {y:g}]" for x, y, _ in legs.values())
         return f"contacts: the centre of gravity, [0, 0], is not between the legs at {at} m; they must stand around it"
     return ""
 
 
-def _surround_origin(points: list[tuple[float, float]]) -> bool:
+def _encloses_origin(points: list[tuple[float, float]]) -> bool:
     """Return whether the origin is inside the convex hull: no line through it has all points on one side."""
     for x, y in points:
         # Only lines through the origin and one of the points need to be tried.

@@ -10,14 +10,14 @@ from cosim.base.storage.toml import Axis3, Model, NotNegative, Positive
 
 
 class AttitudeGains(Model):
-    """Quaternion P: rate set-point = gain x attitude error, limited per axis."""
+    """Gain of the quaternion P law: rate set-point = gain x attitude error, limited per axis."""
 
     gain_1_s: Axis3
     rate_limit_rad_s: tuple[Positive, Positive, Positive]
 
 
 class RateGains(Model):
-    """Rate PID of one axis; output in throttle (roll) or rad of tilt (pitch, yaw)."""
+    """Gains of the rate PID of one axis; output in throttle (roll) or rad of tilt (pitch, yaw)."""
 
     p: NotNegative
     i: NotNegative
@@ -33,7 +33,7 @@ class RateControl(Model):
 
 
 class EngineLead(Model):
-    """Poles of an engine, and where a lead moves them; see :mod:`cosim.control.lead`."""
+    """Poles of an engine and those to which a lead moves them; see :mod:`cosim.control.lead`."""
 
     natural_rad_s: Positive  # two poles; with damping 0 a single lag
     damping: Positive | None = None
@@ -83,7 +83,7 @@ class Schedule(Model):
     level: Annotated[list[ThrustLevel], Field(min_length=2)]  # smallest share first
 
     @model_validator(mode="after")
-    def _rising(self) -> Self:
+    def _check_levels(self) -> Self:
         shares = [level.share for level in self.level]
         if any(b <= a for a, b in pairwise(shares)):
             raise ValueError(f"level: every share must be above the one before it, not {shares}")
@@ -91,7 +91,7 @@ class Schedule(Model):
 
 
 class AltitudeGains(Model):
-    """Height: P to climb rate, PI to vertical acceleration, with the hover throttle fed forward."""
+    """Gains of height control: P to climb rate, PI to vertical acceleration, hover throttle fed forward."""
 
     position_1_s: NotNegative
     climb_limit_m_s: Positive
@@ -111,7 +111,7 @@ class AllocationLimits(Model):
     horizontal: Annotated[bool, Field(exclude_if=not_)] = False
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check_throttle_limits(self) -> Self:
         if self.throttle_min >= self.throttle_max:
             raise ValueError(f"throttle_min {self.throttle_min} must be below throttle_max {self.throttle_max}")
         return self
@@ -190,7 +190,7 @@ class WingControl(Model):
     bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # limit of the bank
 
     @model_validator(mode="after")
-    def _has_a_corridor(self) -> Self:
+    def _check_alpha(self) -> Self:
         least, most = self.alpha_rad
         if not -0.6 <= least < most <= 0.6:
             raise ValueError(f"alpha_rad [{least:g}, {most:g}]: least, then most, within -0.6 to 0.6 rad")
@@ -212,7 +212,7 @@ class Control(Model):
     wing: Annotated[WingControl | None, Field(exclude_if=not_)] = None  # None: no forward speed can be commanded
 
     @model_validator(mode="after")
-    def _leads_at_every_level(self) -> Self:
+    def _check_leads(self) -> Self:
         """Require each lead's parameters at all levels, in one form; parameters of absent leads are ignored."""
         for number, level in enumerate(self.schedule.level if self.schedule else ()):
             for name, stated in (("roll", level.roll), ("altitude", level.altitude)):

@@ -10,7 +10,7 @@ from cosim.base.storage.toml import Model, Positive, read_toml, validate
 from cosim.spec.file_kind import MODELS, check_kind
 
 
-def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
+def _append_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
     if not pairs:
         return real
     return [*map(complex, real), *(complex(re, sign * im) for re, im in pairs for sign in (1.0, -1.0))]
@@ -35,7 +35,7 @@ class RateModel(Model):
     engine_sha256: Annotated[str, Field(exclude_if=not_)] = ""
 
     @model_validator(mode="after")
-    def _strictly_proper(self) -> Self:
+    def _check_strictly_proper(self) -> Self:
         if len(self.all_zeros) >= len(self.all_poles):
             raise ValueError("a predictor needs a strictly proper model: fewer zeros than poles")
         if any(re * re + im * im > 1.0 for re, im in self.pole_pairs):
@@ -45,12 +45,12 @@ class RateModel(Model):
     @property
     def all_poles(self) -> list[float] | list[complex]:
         """All poles: real ones, then conjugate pairs."""
-        return _with_pairs(self.poles, self.pole_pairs)
+        return _append_pairs(self.poles, self.pole_pairs)
 
     @property
     def all_zeros(self) -> list[float] | list[complex]:
         """All zeros: real ones, then conjugate pairs."""
-        return _with_pairs(self.zeros, self.zero_pairs)
+        return _append_pairs(self.zeros, self.zero_pairs)
 
 
 class ModelFile(Model):

@@ -10,53 +10,53 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import merge, read_toml, validate
-from cosim.spec.controller_name import HASH_LETTERS
+from cosim.spec.controller_name import HASH_DIGITS
 from cosim.spec.vehicle.files import load_vehicle
 from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.vehicle import Vehicle
 
 STATED = "stated"  # name of the unchanged profile
-_LATENCY = ("latency_s", "latency_samples")  # latency in a profile, in a vehicle
+_LATENCY_KEYS = ("latency_s", "latency_samples")  # of a profile, of a vehicle
 
 
 def profile_names() -> list[str]:
     """Return the names of all sensor profiles, the neutral one first."""
-    return [STATED, *read_toml(_file())]
+    return [STATED, *read_toml(_profiles_file())]
 
 
 def describe_profile(profile: str) -> str:
     """Return a profile's name with its file and the first letters of that file's SHA-256; nothing for ``stated``."""
     if profile == STATED:
         return ""
-    return f"{profile} ({_file().name} {sha256(_file().read_bytes()).hexdigest()[:HASH_LETTERS]})"
+    return f"{profile} ({_profiles_file().name} {sha256(_profiles_file().read_bytes()).hexdigest()[:HASH_DIGITS]})"
 
 
 def load_with_profile(
     aircraft: str, overrides: dict[str, Any], where: str, folder: Path, profile: str, step: float
 ) -> tuple[Vehicle, Path]:
-    """Read an aircraft with a sensor profile, and a scenario's overrides on top.
+    """Return an aircraft with a sensor profile and then a scenario's overrides merged over it.
 
     As :func:`cosim.spec.vehicle.load_vehicle`; a profile's latency is rounded to a whole number of control steps [s].
     """
     vehicle, own_folder = load_vehicle(aircraft, overrides, where, folder)
-    tables = _tables(profile)
+    tables = _read_profile(profile)
     if not tables:
         return vehicle, own_folder
     for table in tables.values():
-        if _LATENCY[0] in table:
-            table[_LATENCY[1]] = round(table.pop(_LATENCY[0]) / step)
+        if _LATENCY_KEYS[0] in table:
+            table[_LATENCY_KEYS[1]] = round(table.pop(_LATENCY_KEYS[0]) / step)
     merged = merge(merge(vehicle.sensors.model_dump(), tables), overrides.get("sensors", {}))
     return vehicle.model_copy(update={"sensors": validate(Sensors, merged, f"{where}.sensors")}), own_folder
 
 
 def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str) -> None:
-    """Refuse a profile for a file that states its own sensors, such as a run's scenario.
+    """Raise InputError for a profile with a file that states its own sensors, such as a run's scenario.
 
     ``stated``: the file's ``vehicle.sensors``.  Raises InputError if it has a value that one of the profiles states.
     """
-    for sensor, table in (item for profile in profiles for item in _tables(profile).items()):
+    for sensor, table in (item for profile in profiles for item in _read_profile(profile).items()):
         for key in table:
-            name = _LATENCY[1] if key == _LATENCY[0] else key
+            name = _LATENCY_KEYS[1] if key == _LATENCY_KEYS[0] else key
             if name in stated.get(sensor, {}):
                 raise InputError(
                     f"{where}: sensors: the file itself states {sensor}.{name} in vehicle.sensors, which would stand "
@@ -64,9 +64,9 @@ def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str)
                 )
 
 
-def _file() -> Path:
+def _profiles_file() -> Path:
     return data_folder("aircraft") / "sensors.toml"
 
 
-def _tables(profile: str) -> dict[str, dict[str, Any]]:
-    return {} if profile == STATED else read_toml(_file())[profile]
+def _read_profile(profile: str) -> dict[str, dict[str, Any]]:
+    return {} if profile == STATED else read_toml(_profiles_file())[profile]

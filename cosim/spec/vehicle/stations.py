@@ -12,8 +12,8 @@ from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.storage.toml import Model, NotNegative, Positive, Vector
 
 
-def _unit(axis: Vector) -> Vector:
-    """Return a vector scaled to length 1; one of that length is returned unchanged, to the last bit."""
+def _normalise(axis: Vector) -> Vector:
+    """Return a vector scaled to length 1; one that has it already is returned unchanged, to the last bit."""
     length = hypot(*axis)
     if not length:
         raise ValueError("must have a direction, not [0, 0, 0]")
@@ -22,7 +22,7 @@ def _unit(axis: Vector) -> Vector:
     return (axis[0] / length, axis[1] / length, axis[2] / length)
 
 
-Direction = Annotated[Vector, AfterValidator(_unit)]
+Direction = Annotated[Vector, AfterValidator(_normalise)]
 
 
 class Airflow(Model):
@@ -92,7 +92,7 @@ class Hinge(Model):
         return self.range_rad if isinstance(self.range_rad, tuple) else (-self.range_rad, self.range_rad)
 
     @model_validator(mode="after")
-    def _can_be(self) -> Self:
+    def _check_hinge(self) -> Self:
         least, most = self.angle_limits
         if least >= most:
             raise ValueError(f"range_rad [{least:g}, {most:g}]: the first must be below the second")
@@ -132,18 +132,18 @@ class Surface(Model):
     effort: Positive = 1.0
 
     @model_validator(mode="after")
-    def _has_a_range(self) -> Self:
+    def _check_range(self) -> Self:
         if not self.range[0] <= 0.0 <= self.range[1] or self.range[0] == self.range[1]:
             raise ValueError(f"range {list(self.range)}: least and most, and 0 within them")
         return self
 
 
 def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
-    """Return the layout of stations and hinges; a bank of jets with a ``servo`` turns each about its station."""
+    """Return the layout of jets and hinges; jets with a ``servo`` turn about their own stations."""
     stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
     if any(jet.servo for jet in jets):
         banks = [tuple(n for n, jet in enumerate(jets) if jet.servo == side) for side in SERVOS]
-        # The axis is -y, so that positive angles lean the thrust forward.
+        # The axis is -y, so that positive angles tilt the thrust forward.
         turns = [HingeAxis((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (), bank) for bank in banks]
     else:
         turns = [

@@ -33,13 +33,13 @@ class Limits(Model):
     touchdown_m_s: Positive  # a leg touches faster: crashed
 
 
-def _named(name: str) -> str:
+def _check_name(name: str) -> str:
     if not fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise ValueError("letters, digits, - and _ are allowed, a letter or digit first")
     return name
 
 
-def _differ(where: str, names: Sequence[str]) -> None:
+def _require_distinct(where: str, names: Sequence[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{where}: two are called {name!r}; names must differ")
@@ -48,7 +48,7 @@ def _differ(where: str, names: Sequence[str]) -> None:
 class Vehicle(Model):
     """The contents of ``aircraft/<name>/vehicle.toml``."""
 
-    name: Annotated[str, AfterValidator(_named)]
+    name: Annotated[str, AfterValidator(_check_name)]
     title: str
     model: str | None = None  # JSBSim model; None: built from this file
     engine: str | None = None  # default engine
@@ -74,15 +74,15 @@ class Vehicle(Model):
     limits: Limits
 
     @model_validator(mode="after")
-    def _all_tilt_or_none(self) -> Self:
+    def _check_servos(self) -> Self:
         tilting = [jet.servo is not None for jet in self.jets]
         if any(tilting) != all(tilting) or any(tilting) != (self.servo is not None):
             raise ValueError("jets: either all jets have a servo and there is a table [servo], or none and no table")
         return self
 
     @model_validator(mode="after")
-    def _hinges_move_jets(self) -> Self:
-        _differ(
+    def _check_hinges(self) -> Self:
+        _require_distinct(
             "hinges, surfaces", [*(hinge.name for hinge in self.hinges), *(surface.name for surface in self.surfaces)]
         )
         for number, hinge in enumerate(self.hinges):
@@ -92,7 +92,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _surfaces_turn_panels(self) -> Self:
+    def _check_surfaces(self) -> Self:
         names = [surface.name for surface in self.surfaces]
         for number, panel in enumerate(self.panels):
             if panel.surface is not None and panel.surface not in names:
@@ -105,7 +105,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _banks_stand_alone(self) -> Self:
+    def _check_banks(self) -> Self:
         if self.servo is None:
             return self
         if self.hinges:
@@ -120,11 +120,11 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _method_fits(self) -> Self:
+    def _check_allocation(self) -> Self:
         method, where = self.control.allocation.method, "control.allocation.method"
         if method == "banks" and self.servo is None:
             raise ValueError(f"{where} 'banks': is for two banks with a table [servo]; take 'effectiveness'")
-        if method == "rotors" and (self.servo is not None or not self._plain):
+        if method == "rotors" and (self.servo is not None or not self._is_upright):
             raise ValueError(f"{where} 'rotors': is for jets that all point straight up; take 'effectiveness'")
         if method == "effectiveness" and self.servo is not None:
             raise ValueError(f"{where} 'effectiveness': state the two banks of [servo] as [[hinges]]")
@@ -135,7 +135,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _wing_turns_thrust(self) -> Self:
+    def _check_wing(self) -> Self:
         wing, where = self.control.wing, "control.wing"
         if wing is None:
             return self
@@ -154,11 +154,11 @@ class Vehicle(Model):
             return self.control.allocation.method
         if self.servo is not None:
             return "banks"
-        return "rotors" if self._plain else "effectiveness"
+        return "rotors" if self._is_upright else "effectiveness"
 
     @property
-    def _plain(self) -> bool:
-        """Whether all jets point straight up and nothing but banks moves."""
+    def _is_upright(self) -> bool:
+        """Whether all jets point straight up, without hinges or surfaces."""
         return not self.hinges and not self.surfaces and all(jet.axis in (None, UP) for jet in self.jets)
 
     @property
@@ -168,7 +168,7 @@ class Vehicle(Model):
 
     @property
     def turns(self) -> tuple[tuple[float, float], ...]:
-        """Range of each angle of :meth:`layout` [rad]; empty if no thrust turns."""
+        """Range [rad] of each angle of :meth:`layout`; empty if no thrust direction changes."""
         if self.servo is not None:
             return ((-self.servo.range_rad, self.servo.range_rad),) * len(SERVOS)
         return tuple(hinge.angle_limits for hinge in self.hinges)
@@ -212,12 +212,12 @@ class Vehicle(Model):
         return layout_of(self.jets, self.hinges)
 
     @model_validator(mode="after")
-    def _contacts_differ(self) -> Self:
-        _differ("contacts", [contact.name for contact in self.contacts])
+    def _check_contacts(self) -> Self:
+        _require_distinct("contacts", [contact.name for contact in self.contacts])
         return self
 
     @model_validator(mode="after")
-    def _inertia_exists(self) -> Self:
+    def _check_inertia(self) -> Self:
         a, b, c = sorted(self.inertia_kg_m2)
         if a + b < c:
             raise ValueError(
@@ -237,7 +237,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _banks_are_a_part(self) -> Self:
+    def _check_bank_inertia(self) -> Self:
         if self.servo and 2.0 * self.servo.bank_inertia_kg_m2 >= self.inertia_kg_m2[1]:
             raise ValueError(
                 f"servo.bank_inertia_kg_m2 {self.servo.bank_inertia_kg_m2:g}: two banks are a part of the vehicle and "
@@ -246,7 +246,7 @@ class Vehicle(Model):
         return self
 
     @model_validator(mode="after")
-    def _exists_without_fuel(self) -> Self:
+    def _check_empty_vehicle(self) -> Self:
         if self.fuel is None:
             return self
         whole, fuel = self.mass_kg, self.fuel.mass_kg

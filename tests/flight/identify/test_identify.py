@@ -492,13 +492,13 @@ def test_an_amplitude_that_noise_alone_brings_to_a_limit_goes_down_quicker(monke
 
     def fly(base: Scenario, axis: str, sweep: Sweep) -> object:
         flown.append(sweep.amplitude)
-        fine = sweep.amplitude <= 0.65
+        share = 1.0 if sweep.amplitude <= 0.65 else 0.999
         ending = SimpleNamespace(outcome="completed", reason="")
         engine = SimpleNamespace(name="some")
-        return SimpleNamespace(sweep=sweep, fine=fine, fits_in=1.0 if fine else 0.999, ending=ending, engine=engine)
+        return SimpleNamespace(sweep=sweep, is_usable=share == 1.0, fitting_fraction=share, ending=ending, engine=engine)
 
-    monkeypatch.setattr(sweeping, "_fly", fly)
-    found = sweeping._sweep(Scenario.load("hover"), "yaw", Sweep(0.3, 6.0, 4.0, 67.0), True)
+    monkeypatch.setattr(sweeping, "_fly_sweep", fly)
+    found = sweeping._fly_unsaturated(Scenario.load("hover"), "yaw", Sweep(0.3, 6.0, 4.0, 67.0), True)
     assert found.sweep.amplitude == flown[-1] > 0.3
     assert flown[:5] == [4.0, 3.2, 2.6, 2.1, 1.7]
     assert len(flown) <= 7

@@ -101,7 +101,7 @@ def test_a_second_flight_repeats_no_work(monkeypatch: pytest.MonkeyPatch) -> Non
         (ElementTree, "tostring"),
         (archive, "_read"),
         (engine_measure, "measure"),
-        (vehicle_files, "_read"),
+        (vehicle_files, "_read_vehicle"),
         (FMU3Slave, "_loadFunctions"),
     ):
         monkeypatch.setattr(module, name, counted(done, name, getattr(module, name)))
@@ -167,7 +167,7 @@ def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "fmus").mkdir()
     for path in data_folder("fmus").glob("edf*.fmu"):
         shutil.copy(path, tmp_path / "fmus")
-    monkeypatch.setattr("cosim.base.storage.paths._ROOT", tmp_path)
+    monkeypatch.setattr("cosim.base.storage.paths._DATA_ROOT", tmp_path)
     return tmp_path
 
 
@@ -341,7 +341,7 @@ def test_no_place_for_temporary_files_is_one_line(monkeypatch: pytest.MonkeyPatc
     def refuse(prefix: str) -> str:
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr("cosim.base.storage.scratch._made", {})
+    monkeypatch.setattr("cosim.base.storage.scratch._folders", {})
     monkeypatch.setattr(tempfile, "mkdtemp", refuse)
     with pytest.raises(InputError, match=r"^temporary files: No usable temporary directory found; TMPDIR can"):
         unpack(find_source("edf").archive)

@@ -25,7 +25,7 @@ from cosim.base.storage.toml import read_toml
 from cosim.cli.main import run
 from cosim.results.expectations import check_expected, find_expectation
 from cosim.simulation.build import build
-from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
+from cosim.spec.scaling import _VEHICLE_EXPONENTS, length_scale, scale_vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import standing_height
@@ -72,8 +72,8 @@ def numbers(table: Any, law: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[
 
 def test_every_number_of_a_vehicle_has_its_law() -> None:
     """A new key of vehicle.toml must be given an exponent, or stay the same for a reason."""
-    assert set(Vehicle.model_fields) - set(_LAW) == WITHOUT_LAW
-    for path, law in numbers({key: each for key, each in STATED.items() if key != "identified"}, _LAW):
+    assert set(Vehicle.model_fields) - set(_VEHICLE_EXPONENTS) == WITHOUT_LAW
+    for path, law in numbers({key: each for key, each in STATED.items() if key != "identified"}, _VEHICLE_EXPONENTS):
         if law is None:
             assert path[-1] in SAME, f"{'.'.join(path)}: neither in cosim/spec/scaling.py nor among those that stay"
 

@@ -15,7 +15,7 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.external_controller import find_controller
 from cosim.simulation.controllers.source import Source, from_object
 from cosim.simulation.delay_ledger import sum_transport_samples
-from cosim.spec.controller_name import label, seen_from
+from cosim.spec.controller_name import label, resolve_controller
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
 from hexjet_design.loop.engine_uncertainty import EngineSensitivity
 from hexjet_design.loop.limit import AxisLimit
@@ -157,7 +157,7 @@ def measure_margins(
             raise InputError(f"axis {axis!r}: {nearest(axis, AXES)}")
     own: Source | None = None
     if isinstance(controller, str):
-        scenario = scenario.replace(controller=seen_from(controller, scenario.folder))
+        scenario = scenario.replace(controller=resolve_controller(controller, scenario.folder))
     elif controller is not None:
         own = from_object(controller)
         scenario = scenario.replace(controller=own.name)

@@ -104,13 +104,13 @@ def faults(
     InputError
         For an aircraft, an engine, a controller or a fault that there is none of.
     """
-    from cosim.spec.controller_name import seen_from
+    from cosim.spec.controller_name import resolve_controller
     from hexjet_prove.surveys.faults import FaultSurvey, plan_faults
     from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
     trust_named_code([*controllers, engine], Path())
-    named = [seen_from(controller, Path()) for controller in controllers]
+    named = [resolve_controller(controller, Path()) for controller in controllers]
     plan = plan_faults(str(aircraft), None if engine is None else str(engine), named, kinds, limits, nominal_engine)
     campaign = fly_study(plan.study, out, workers, hears)
     return FaultsResult(campaign, FaultSurvey(plan, campaign))
