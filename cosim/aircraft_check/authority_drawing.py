@@ -67,13 +67,13 @@ def _section(
         lines.append(direction)
     sizes = reach.section(lines)
 
-    def corners(ends: list[float]) -> Corners:
+    def to_corners(ends: list[float]) -> Corners:
         if not all(map(isfinite, ends)):
             return []
         return [(size * cos(angle), size * sin(angle)) for size, angle in zip(ends, angles, strict=True)]
 
     far = any(size.upper - size.lower > bound_gap * abs(size.upper) for size in sizes)
-    return corners([size.lower for size in sizes]), corners([size.upper for size in sizes]) if far else []
+    return to_corners([size.lower for size in sizes]), to_corners([size.upper for size in sizes]) if far else []
 
 
 def _draw_section(
@@ -84,19 +84,19 @@ def _draw_section(
     high = _find_scale(abs(y) for _, y in corners)
     middle_x, middle_y, half = left_px + VIEW / 2.0, TITLE + VIEW / 2.0, VIEW / 2.0 - MARGIN
 
-    def at(corner: tuple[float, float]) -> tuple[float, float]:
+    def to_pixels(corner: tuple[float, float]) -> tuple[float, float]:
         return middle_x + half * corner[0] / wide, middle_y - half * corner[1] / high
 
     for (x, y), (u, v) in (((-wide, 0.0), (wide, 0.0)), ((0.0, -high), (0.0, high))):
-        line(root, "axis", *at((x, y)), *at((u, v)))
+        line(root, "axis", *to_pixels((x, y)), *to_pixels((u, v)))
     if not whole:
         text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
     for kind, section in (("whole", whole), ("most", bound), *(("lost", corners) for corners in without.values())):
         if section:
-            points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(at, section))
+            points = " ".join(f"{x:.2f},{y:.2f}" for x, y in map(to_pixels, section))
             ET.SubElement(root, "polygon", {"class": kind, "points": points})
     for number, (name, section) in enumerate(without.items()):  # draw each pair of axes in its own corner
-        x, y = at(section[number % len(section)])
+        x, y = to_pixels(section[number % len(section)])
         text(root, x + 3, y - 3, name, "dim")
     text(root, left_px + VIEW - 8, middle_y + 14, f"{AXES[axes[0]]} {wide:.3g}", "dim", "end")
     text(root, middle_x + 4, TITLE + MARGIN - 8, f"{AXES[axes[1]]} {high:.3g}", "dim")

@@ -35,7 +35,7 @@ _CONTROLLER_INPUTS = (
 _AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s along the heading, over the ground
 _JET_INPUTS = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")  # inputs for each jet
 # Optional outputs of a whole controller: unallocated part, jets shut off, and signals shown in the log.
-EXTRAS = ("unallocated", "off", "shown")
+OPTIONAL = ("unallocated", "off", "shown")
 _LOGGED = ("rate_setpoint", "predicted", "torque")  # signals for the log, per axis
 LEVEL_BY_OUTPUT = {  # controller's level by an output's name
     "throttle_1": "controller", "roll_torque": "rate", "roll_rate_setpoint": "attitude", "predicted_rate": "predictor",

@@ -37,7 +37,7 @@ _DATA_FILE = re.compile(
 _SKIPPED = ("__pycache__", "runs")  # folders without code to run
 _SHIPPED_FOLDERS = ("aircraft", "engines", "fmus", "scenarios", "studies")  # with this package's own code
 _HASH_LINE = re.compile(r"[0-9a-f]{64}(?=  )")  # line of the file of trusted folders
-_CODE_ENDINGS = (".py", ".fmu")  # of files
+_CODE_ENDINGS = (".py", ".fmu")  # file endings of code
 _ENGINE_FLAGS = ("--engine", "--engine=")  # options that may name a mapping file
 _SEPARATORS = re.compile(r"[\s\"'\[\],=]+")  # separates names in KEY=["NAME"]
 

@@ -31,13 +31,13 @@ from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
-# Continuous requests, of which only the latest counts.
-_STREAMS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosition)
+# Requests of continuous streams, of which a newer one replaces a waiting one.
+_REPLACED_REQUESTS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosition)
 
 
 @dataclass(frozen=True)
 class Restart:
-    """Request to end this flight and begin another on the ground; refused in the air."""
+    """Request to end this flight and begin a new one on the ground; refused in the air."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Shutdown:
 
 GroundRequest = rq.Request | Restart | Shutdown
 AnswerCallback = Callable[[rq.Answer], None]
-Claim = Callable[[], bool]  # False: the sender was answered before
+Claim = Callable[[], bool]  # False: already answered as late
 
 
 def ignore_answer(answer: rq.Answer) -> None:
@@ -69,7 +69,7 @@ class FlightInfo(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """State of the flight after one step."""
+    """Published state of the flight after one step."""
 
     published: float  # s, by the clock of the exchange
     info: FlightInfo
@@ -86,7 +86,7 @@ class Snapshot(NamedTuple):
 
 
 class PendingRequest(NamedTuple):
-    """One request on its way to the flight."""
+    """Request that waits for the flight, with its answer callback and deadline."""
 
     sender: str
     request: GroundRequest
@@ -95,7 +95,7 @@ class PendingRequest(NamedTuple):
 
 
 class Exchange:
-    """Snapshots, messages and request queues of one session; times are by ``clock`` [s].
+    """Exchange of snapshots, messages and requests between one session and its clients; times by ``clock`` [s].
 
     ``waiting_per_sender``: of one sender, requests that may wait, of which a mission is one: a quarter second of steps.
     ``senders``: with waiting requests at most.  ``message_history``: lines that are kept.
@@ -118,20 +118,20 @@ class Exchange:
         self._messages: tuple[Message, ...] = ()
         self._message_count = 0
         self._wakers: tuple[Callable[[], None], ...] = ()
-        self.turned_away = 0  # requests rejected because of no room
+        self.turned_away = 0  # requests rejected: queues were full
 
     @property
     def snapshot(self) -> Snapshot | None:
-        """The last snapshot that was published; None before the first."""
+        """Snapshot that was published last; None before the first."""
         return self._snapshot
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """The last lines for the people on the ground, numbered from 1 through the whole session."""
+        """Latest text messages for the ground, numbered from 1 through the whole session."""
         return self._messages
 
     def subscribe(self, wake: Callable[[], None]) -> Callable[[], None]:
-        """Call ``wake`` in the flight's thread after each snapshot, briefly; return a function that stops this."""
+        """Call ``wake`` in the flight's thread after each snapshot; return a function that ends the subscription."""
         with self._lock:
             self._wakers = (*self._wakers, wake)
 
@@ -159,7 +159,7 @@ class Exchange:
         dropped: PendingRequest | None = None
         with self._lock:
             queue = self._queues.get(sender, deque())
-            if isinstance(request, _STREAMS) and queue and type(queue[-1][0].request) is type(request):
+            if isinstance(request, _REPLACED_REQUESTS) and queue and type(queue[-1][0].request) is type(request):
                 dropped, _ = queue.pop()
             is_new = sender not in self._queues
             is_full = len(queue) >= self.waiting_per_sender or (is_new and len(self._queues) >= self.senders)
@@ -180,7 +180,7 @@ class Exchange:
             return sum(len(queue) for queue in self._queues.values())
 
     def take_requests(self, limit: int) -> list[PendingRequest]:
-        """Take up to ``limit`` requests from the queues, in turn of the senders."""
+        """Remove and return up to ``limit`` requests, one sender after the other in turn."""
         if not self._queues:
             return []
         taken: list[PendingRequest] = []
@@ -200,7 +200,7 @@ class Exchange:
         return taken
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
-        """Send a text to the ground with the next snapshot."""
+        """Queue a text message for the ground, sent with the next snapshot."""
         with self._lock:
             self._message_count += 1
             self._messages = (
@@ -209,7 +209,7 @@ class Exchange:
             )
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Replace the snapshot, and wake the subscribers."""
+        """Publish a new snapshot and wake the subscribers."""
         self._snapshot = snapshot
         for wake in self._wakers:
             with suppress(OSError):  # the socket is being closed
@@ -217,7 +217,7 @@ class Exchange:
 
 
 class Port:
-    """Access to the exchange from another thread's event loop, in which each method is called.
+    """Client of the exchange in another thread's event loop, which calls each method.
 
     ``wake`` is called in the flight's thread when there is something to collect; it must return at once.
     ``timeout_s``: for an answer; ground stations ask again after 1 to 3 s.
@@ -248,7 +248,7 @@ class Port:
         number, until = self._request_count, self._exchange.clock() + self.timeout_s
         self._replies[number], self._deadlines[number] = reply, until
         self._exchange.ask(
-            request, lambda answer: self._queue_answer(number, answer), sender, until, lambda: self._withdraw(number)
+            request, lambda answer: self._queue_answer(number, answer), sender, until, lambda: self._try_claim(number)
         )
 
     def deliver_answers(self, now: float) -> None:
@@ -258,11 +258,11 @@ class Port:
         """
         while self._answered:
             number, answer = self._answered.popleft()
-            self._withdraw(number)
+            self._try_claim(number)
             if number in self._replies:
                 self._replies.pop(number)(answer)
         for number in [number for number, until in self._deadlines.copy().items() if now >= until]:
-            if self._withdraw(number):
+            if self._try_claim(number):
                 self._replies.pop(number)(rq.Answer(False, rq.Result.FAILED, "the flight does not answer"))
 
     def take_messages(self) -> list[Message]:
@@ -272,17 +272,17 @@ class Port:
         return new
 
     def _on_publish(self) -> None:
-        """Keep the new snapshot and wake the loop; called in the flight's thread."""
+        """Store the new snapshot and wake the event loop; called in the flight's thread."""
         snapshot = self._exchange.snapshot
         if snapshot is not None and snapshot.sample is not None:
             self.snapshot, self._messages = snapshot, self._exchange.messages
             self.wake()
 
-    def _withdraw(self, number: int) -> bool:
-        """Return whether the request was undecided; atomic, as two threads may call it."""
+    def _try_claim(self, number: int) -> bool:
+        """Return whether the caller may answer a request; atomic, as two threads may call it."""
         return self._deadlines.pop(number, None) is not None
 
     def _queue_answer(self, number: int, answer: rq.Answer) -> None:
-        """Queue an answer and wake the loop; called in the flight's thread or in this one."""
+        """Queue an answer and wake the event loop; called in the flight's thread or in this one."""
         self._answered.append((number, answer))
         self.wake()

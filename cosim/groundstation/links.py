@@ -28,7 +28,7 @@ from cosim.results.summary import versions
 
 
 class Links:
-    """Links to ``urls`` (without any: to the two that ground stations listen to), and the page.
+    """MAVLink links to ``urls`` (by default the two that ground stations listen to), and the local page.
 
     They are silent before the first flight begins.  ``public``: servers may listen to the network.
     ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
@@ -86,12 +86,12 @@ class Links:
 
     @property
     def stations_heard(self) -> int:
-        """Number of ground stations that have sent something."""
+        """Number of ground stations from which a frame was received."""
         return sum(peer.last_heard >= 0.0 for peer in self.link.peers)
 
     @property
     def frame_counts(self) -> dict[str, Any]:
-        """Numbers of accepted frames, of refused frames and requests by reason, and of failures."""
+        """Counts of accepted frames, of refused frames and requests by reason, and of internal failures."""
         link = self.link
         return {
             "taken": link.taken,
@@ -101,18 +101,18 @@ class Links:
         }
 
     def begin(self, info: FlightInfo) -> None:
-        """Begin a flight, with its telemetry log in its folder."""
+        """Begin a flight: open its telemetry log, and start the link on the first flight."""
         self._folder = info.folder
         if info.folder is not None and info.folder.is_dir():
-            self._log_to(TelemetryLog(info.folder / TELEMETRY, self.system))
+            self._replace_log(TelemetryLog(info.folder / TELEMETRY, self.system))
         if self._vehicle is None:
-            self._start(info)
+            self._start_vehicle(info)
         elif self._parameters is not None:
             self._parameters.replace(info.parameters)
 
     def end(self) -> None:
-        """End a flight, whose run is then offered as a log."""
-        self._log_to(None)
+        """End a flight: close its telemetry log, and offer its run as a log for download."""
+        self._replace_log(None)
         if self._log_store is not None:
             self._log_store.mark_outdated()
 
@@ -121,7 +121,7 @@ class Links:
         return ReadOnlyObserver(self.exchange, self.begin)
 
     def close(self) -> None:
-        """Close everything; may be called twice."""
+        """Close page, links and log store; may be called twice."""
         if self._page is not None:
             self._page.stop()
             self._page = None
@@ -139,7 +139,7 @@ class Links:
     ) -> None:
         self.close()
 
-    def _start(self, info: FlightInfo) -> None:
+    def _start_vehicle(self, info: FlightInfo) -> None:
         constants = make_vehicle_constants(info, self._personality, self.system)
         vehicle = self._vehicle = MavlinkVehicle(
             constants, self._exchange_port, self.link, shutdown_requests=(Restart(), Shutdown())
@@ -149,7 +149,7 @@ class Links:
             vehicle.page_count = lambda: page.clients
         self._parameters = ParameterService(info.parameters, self._exchange_port.ask, self._personality)
         metadata = Metadata(info.parameters, constants.name, constants.version)
-        log_store = self._log_store = LogStore(self._runs)
+        log_store = self._log_store = LogStore(self._find_session_runs)
         files: dict[str, File] = {path: MemoryFile(data) for path, data in metadata.files.items()}
         exchange = self.exchange
         missions = MissionService(
@@ -167,32 +167,32 @@ class Links:
         vehicle.on_request |= metadata.on_request
         self.link.start(vehicle)
 
-    def _log_to(self, log: TelemetryLog | None) -> None:
+    def _replace_log(self, log: TelemetryLog | None) -> None:
         before, self.link.log = self.link.log, log
         if before is not None:
             before.close()
 
-    def _runs(self) -> list[Path]:
-        """Return the finished runs of sessions in the same folder, the oldest first."""
+    def _find_session_runs(self) -> list[Path]:
+        """Return the folders of finished session runs beside this flight's, the oldest first."""
         if self._folder is None:
             return []
         return [run for run in find_finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
 
 
 def find_files(metadata: Mapping[str, File], log_store: LogStore, path: str) -> Mapping[str, File]:
-    """Return the files that a path may name: metadata, and at the root and in ``log`` the logs, which are then made."""
+    """Return the files that a path may name: metadata, and in the root and in ``log`` the converted logs."""
     is_of_logs = path == "" or f"{path}/".startswith(LOG_FOLDER)
     return {**metadata, **log_store.files()} if is_of_logs else metadata
 
 
 def make_vehicle_constants(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:
-    """Return what the telemetry needs to know of a vehicle."""
+    """Return the constant data of a vehicle for telemetry."""
     vehicle, sensors = info.vehicle, info.vehicle.sensors
     return VehicleConstants(
         info.geodesy,
         len(vehicle.jets),
         vehicle.name,
-        versions().get("hexjet-cosim", "0.0.0"),  # not installed: a checkout
+        versions().get("hexjet-cosim", "0.0.0"),  # a checkout has none
         personality,
         system,
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),

@@ -20,26 +20,26 @@ from cosim.control.autopilot.modes import Severity
 from cosim.control.autopilot.parameters import Caution, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
 from cosim.groundstation.exchange import GroundRequest, PendingRequest
-from cosim.groundstation.parameter_store import FORCE, ParameterStore
+from cosim.groundstation.parameter_store import FORCE_NAME, ParameterStore
 
-T = TypeVar("T")  # type of a judged value
+T = TypeVar("T")  # result type of a task
 
 
 class StabilityChecker(Protocol):
-    """Predicts the effect of parameters on the loops; called in a thread of its own."""
+    """Predictor of parameter changes' effect on the loops' stability; called in a separate thread."""
 
     def prepare(self) -> None:
-        """Prepare the computation, so that the first verdict is as fast as later ones."""
+        """Prepare the computation, so that the first result is as fast as later ones."""
 
     def tunes_loop(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
 
     def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
-        """Return a caution for every loop that a change makes worse."""
+        """Return a caution for each loop whose stability a change reduces."""
 
 
 class ParameterGuard:
-    """Queue of parameter changes that wait for their verdicts, in order.
+    """Queue of parameter changes that wait, in order, for their check of stability.
 
     ``max_deferred``: changes that wait at most: twice a whole set, as the first verdict may take seconds.
     ``batch_size``: changes that are checked together and act at one step: as many as a step takes requests.
@@ -50,17 +50,17 @@ class ParameterGuard:
         self.max_deferred = max_deferred
         self.checker = checker
         self._deferred: deque[PendingRequest] = deque()
-        self._batch: list[PendingRequest] = []  # changes that are being judged
+        self._batch: list[PendingRequest] = []  # changes that are being checked
         self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
 
     def prepare(self) -> None:
-        """Let the checker begin, in its thread; returns at once."""
+        """Start the checker's preparation in its thread; returns at once."""
         if self.checker is not None:
             self._submit(self.checker.prepare)
 
     def defer(self, waiting: PendingRequest) -> bool:
-        """Queue a change that affects a loop until :meth:`take_verdicts` returns it; False: it affects none."""
+        """Queue a change that affects a loop for :meth:`take_verdicts`; return False if it affects none."""
         request = waiting.request
         if self.checker is None or not isinstance(request, SetParameter) or not self.checker.tunes_loop(request.name):
             return False
@@ -71,20 +71,20 @@ class ParameterGuard:
         return True
 
     def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[PendingRequest, list[Caution] | None]]:
-        """Return the next changes with verdicts; None: too late, to be refused.
+        """Return the next checked changes with their cautions, None for changes that are too late.
 
         ``now`` [s] is of the clock of :attr:`PendingRequest.deadline`.
         """
         if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
-            # Discard the running verdict: it assumed that the late changes would be made.
+            # Discard the running check: it assumed that the late changes would be made.
             if any(now > waiting.deadline for waiting in self._batch):
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:
             self._batch = list(self._deferred)[: self.batch_size]
-            steps = _steps(parameters, [waiting.request for waiting in self._batch])
-            self._verdict = self._submit(lambda: self._cautions(steps))
+            steps = _to_steps(parameters, [waiting.request for waiting in self._batch])
+            self._verdict = self._submit(lambda: self._find_batch_cautions(steps))
         if self._verdict is None or not self._verdict.done():
             return []
         verdicts = self._verdict.result()
@@ -113,8 +113,8 @@ class ParameterGuard:
         self._thread = self._thread or ThreadPoolExecutor(1, "parameters")
         return self._thread.submit(task)
 
-    def _cautions(self, steps: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[Caution]]:
-        """Return verdicts up to the first change that may be refused, on which later ones depend."""
+    def _find_batch_cautions(self, steps: list[tuple[dict[str, float], dict[str, float]]]) -> list[list[Caution]]:
+        """Return each change's cautions, up to the first change that may be refused, as later ones depend on it."""
         assert self.checker is not None
         verdicts: list[list[Caution]] = []
         for before, after in steps:
@@ -124,8 +124,8 @@ class ParameterGuard:
         return verdicts
 
 
-def _steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[dict[str, float], dict[str, float]]]:
-    """Return all values before and after each change; the same where a change is not allowed."""
+def _to_steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[dict[str, float], dict[str, float]]]:
+    """Return all values before and after each change; equal if a change is not allowed."""
     steps, before = [], dict(parameters.values)
     for request in requests:
         assert isinstance(request, SetParameter)
@@ -136,7 +136,7 @@ def _steps(parameters: Parameters, requests: list[GroundRequest]) -> list[tuple[
 
 
 def split_allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
-    """Return the acceptable values as the vehicle stores them, and one line for each refused."""
+    """Return the allowed values as the vehicle stores them, and a line for each refused value."""
     accepted: dict[str, float] = {}
     refused = []
     for name, value in values.items():
@@ -150,26 +150,26 @@ def split_allowed(parameters: Parameters, values: Mapping[str, float]) -> tuple[
 def find_refusal(
     request: SetParameter, cautions: list[Caution] | None, in_air: bool, values: Mapping[str, float]
 ) -> str:
-    """Return why a change is refused; empty: it is accepted.  ``cautions`` None: verdict too late."""
+    """Return why a change is refused, empty if it is accepted; ``cautions`` None: the check is late."""
     if cautions is None:
         return f"{_format_value(request.name, request.value)} not taken: no verdict in time, ask again"
     losing = [caution for caution in cautions if caution.was_stable]
-    if not losing or not in_air or values.get(FORCE):
+    if not losing or not in_air or values.get(FORCE_NAME):
         return ""
     change = _format_value(request.name, request.value)
-    return f"{change} refused in the air: {losing[0].text}; {FORCE} 1 takes it all the same"
+    return f"{change} refused in the air: {losing[0].text}; {FORCE_NAME} 1 takes it all the same"
 
 
-def warn(
+def report_cautions(
     say: Callable[[Severity, str, int], None], request: SetParameter, cautions: list[Caution] | None, k: int
 ) -> None:
-    """Report a line at step ``k`` for each loop that a change makes worse."""
+    """Report a warning at step ``k`` for each loop whose stability a change reduces."""
     for caution in cautions or ():
         say(Severity.WARNING, f"{_format_value(request.name, request.value)}: {caution.text}", k)
 
 
 def list_changes(parameters: Parameters, values: Mapping[str, float]) -> list[str]:
-    """List the changes from defaults as ``NAME 0 (default 0.02)``; a count replaces the last ones.
+    """List changes from defaults as ``NAME 0 (default 0.02)``, at most eight and then a count.
 
     What the vehicle refuses comes after these, each with the reason.
     """
@@ -179,17 +179,17 @@ def list_changes(parameters: Parameters, values: Mapping[str, float]) -> list[st
         for name, value in accepted.items()
         if value != parameters.table[name].default
     ]
-    return [*_shorten(changes), *_shorten(refused)]
+    return [*_truncate_list(changes), *_truncate_list(refused)]
 
 
-def _shorten(lines: list[str], max_named: int = 8) -> list[str]:
+def _truncate_list(lines: list[str], max_named: int = 8) -> list[str]:
     return lines if len(lines) <= max_named else [*lines[:max_named], f"and {len(lines) - max_named} more"]
 
 
 def find_saved_cautions(
     checker: StabilityChecker | None, parameters: Parameters, values: Mapping[str, float]
 ) -> list[Caution]:
-    """Return cautions for the loops that saved values, as far as they are taken, make worse than the defaults."""
+    """Return cautions for loops that saved values make less stable than the defaults."""
     default = {line.name: line.default for line in parameters}
     after = {**default, **split_allowed(parameters, values)[0]}
     if checker is None or not any(checker.tunes_loop(name) for name in after if after[name] != default[name]):
@@ -209,7 +209,7 @@ def report_saved(
     parameters: Parameters,
     values: Mapping[str, float],
 ) -> None:
-    """Report changed parameters and their effect on stability at the start of a flight."""
+    """Report changed parameters and their effect on stability, at the start of a flight."""
     for text in list_changes(parameters, values):
         say(Severity.NOTICE, f"not the default: {text}")
     for caution in find_saved_cautions(checker, parameters, values):
@@ -221,7 +221,7 @@ def _format_value(name: str, value: float) -> str:
 
 
 class ParameterWriter:
-    """Writes parameters to their file in another thread, because a disk may be slower than a step.
+    """Writer of parameters to their file in another thread, because a disk may be slower than a step.
 
     ``path`` None: they are kept for the session alone.  Raises InputError for a file that cannot be used.
     """
@@ -247,16 +247,16 @@ class ParameterWriter:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Parameters that are saved now, by name."""
+        """Saved parameters by name."""
         return self._values
 
     def save(self, values: dict[str, float]) -> None:
         """Save these parameters, except HJ_FORCE, which holds for one flight."""
-        self._values = {name: value for name, value in values.items() if name != FORCE}
+        self._values = {name: value for name, value in values.items() if name != FORCE_NAME}
         if self._store is None:
             return
         if self._thread is None:
-            self._thread = Thread(target=self._write, name="parameters")
+            self._thread = Thread(target=self._write_queued, name="parameters")
             self._thread.start()
         self._work.put(self._values)
 
@@ -267,7 +267,7 @@ class ParameterWriter:
             self._thread.join()
             self._thread = None
 
-    def _write(self) -> None:
+    def _write_queued(self) -> None:
         assert self._store is not None
         while (values := self._work.get()) is not None:
             try:

@@ -15,13 +15,13 @@ from cosim.spec.controller_name import HASH_DIGITS, folder_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
 
-FORCE = "HJ_FORCE"  # valid for one flight, never saved
-_FORMAT = 1  # version of the file format
-_HEAD = "# What differs from the defaults; written by hexjet gcs.\n"  # first line of the file
+FORCE_NAME = "HJ_FORCE"  # valid for one flight, never saved
+_FORMAT_VERSION = 1  # of the file
+_HEAD_LINE = "# What differs from the defaults; written by hexjet gcs.\n"  # first line of the file
 
 
 def make_vehicle_key(scenario: Scenario) -> str:
-    """Return the key of the parameter file: defaults depend on engine and controller."""
+    """Return the key of a vehicle's saved parameters, whose defaults depend on engine and controller."""
     engine = file_label(Path(scenario.engine)) if is_file(scenario.engine) else scenario.engine
     designs = [f"{Path(f.file).stem}-{f.sha256[:HASH_DIGITS]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
@@ -33,7 +33,7 @@ def find_default_file(vehicle: str) -> Path:
 
 
 class ParameterStore:
-    """File of one vehicle's changed parameters.
+    """Store of one vehicle's changed parameters in a file.
 
     What the vehicle refuses (a name of another version, a range of another engine) is told once and stays in the file.
     A file that cannot be understood is never written over: it is renamed to ``NAME.broken`` first.
@@ -46,7 +46,7 @@ class ParameterStore:
         self._saved: dict[str, float] | None = None
 
     def load(self) -> dict[str, float]:
-        """Return every value in the file but HJ_FORCE; none if there is no file.
+        """Return the values in the file except HJ_FORCE; empty if there is no file.
 
         Raises InputError: one line, what is wrong and where.
         """
@@ -57,8 +57,8 @@ class ParameterStore:
         for key in data:
             if key not in allowed:
                 raise InputError(f"{self.path}: unknown key {key!r}; allowed: {', '.join(sorted(allowed))}")
-        if data.get("format") != _FORMAT:
-            raise InputError(f"{self.path}: format = {data.get('format')!r}: must be {_FORMAT}")
+        if data.get("format") != _FORMAT_VERSION:
+            raise InputError(f"{self.path}: format = {data.get('format')!r}: must be {_FORMAT_VERSION}")
         if data.get("vehicle") != self._vehicle:
             raise InputError(
                 f"{self.path}: vehicle = {data.get('vehicle')!r}: these are not the parameters of {self._vehicle}"
@@ -70,7 +70,7 @@ class ParameterStore:
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise InputError(f"{self.path}: parameters.{name} = {value!r}: must be a number")
         self._saved = {name: float(value) for name, value in table.items()}
-        return {name: value for name, value in self._saved.items() if name != FORCE}
+        return {name: value for name, value in self._saved.items() if name != FORCE_NAME}
 
     def restore(self, apply: Callable[[str, float], None]) -> list[str]:
         """Apply each value of the file; return one line for each that is refused with InputError.
@@ -78,9 +78,9 @@ class ParameterStore:
         Raises InputError for a file that cannot be read.
         """
         values, complaints = self.load(), []
-        if FORCE in (self._saved or {}):
+        if FORCE_NAME in (self._saved or {}):
             complaints.append(
-                f"{self.path}: {FORCE} is not taken from a file: set it anew in each flight that needs it"
+                f"{self.path}: {FORCE_NAME} is not taken from a file: set it anew in each flight that needs it"
             )
         for name, value in values.items():
             try:
@@ -97,7 +97,7 @@ class ParameterStore:
             return
 
         numbers = {name: values[name] for name in sorted(values)}
-        text = _HEAD + toml_text({"format": _FORMAT, "vehicle": self._vehicle, "parameters": numbers})
+        text = _HEAD_LINE + toml_text({"format": _FORMAT_VERSION, "vehicle": self._vehicle, "parameters": numbers})
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._rename_broken()
@@ -107,7 +107,7 @@ class ParameterStore:
         self._saved = values
 
     def _rename_broken(self) -> None:
-        """Rename an unreadable file, so that it is not overwritten."""
+        """Rename an unreadable file to keep it from being overwritten."""
         try:
             ParameterStore(self.path, self._vehicle).load()
         except InputError:

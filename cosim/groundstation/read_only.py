@@ -15,13 +15,13 @@ from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Exchange, FlightInfo
-from cosim.groundstation.session_flight import PUBLISH_INTERVAL_S, forward_messages, make_flight_info, make_snapshot
+from cosim.groundstation.session_flight import MIN_PUBLISH_INTERVAL_S, forward_messages, make_flight_info, make_snapshot
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
 
 class ReadOnlyObserver:
-    """Observer that publishes a scripted or recorded flight and refuses every request; called to begin a flight."""
+    """Observer that publishes a scripted or recorded flight and refuses every request."""
 
     def __init__(self, exchange: Exchange, on_begin: Callable[[FlightInfo], None] = lambda info: None) -> None:
         self._exchange = exchange
@@ -41,7 +41,7 @@ class ReadOnlyObserver:
     def observe(self, sample: Sample) -> None:
         """Publish the flight after a step, at most at the publishing rate."""
         now = time.monotonic()
-        if now - self._last < PUBLISH_INTERVAL_S:
+        if now - self._last < MIN_PUBLISH_INTERVAL_S:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
@@ -57,7 +57,7 @@ class ReadOnlyObserver:
 
 
 def scripted_status(simulation: Simulation, sample: Sample) -> Status:
-    """Return the status of a flight without an autopilot: armed, and holding what the script commands."""
+    """Return an autopilot status for a flight without one: armed, with the script's commands as set-points."""
     measured, command = simulation.measured, sample.command
     return Status(
         k=simulation.k,
@@ -85,7 +85,7 @@ def scripted_status(simulation: Simulation, sample: Sample) -> Status:
 
 
 def _list_parameters(simulation: Simulation) -> Parameters:
-    """Return the parameters that this vehicle's autopilot would have; none if it has no autopilot."""
+    """Return the parameters of the vehicle's autopilot; empty if the vehicle has none."""
     control = simulation.vehicle.control
     if control.position is None or control.pilot is None:
         return Parameters([])

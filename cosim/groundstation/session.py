@@ -30,8 +30,8 @@ from cosim.groundstation.parameter_guard import (
     StabilityChecker,
     describe_saved,
     find_refusal,
+    report_cautions,
     report_saved,
-    warn,
 )
 from cosim.groundstation.parameter_store import make_vehicle_key
 from cosim.groundstation.session_flight import MAX_LOG_MB, Publisher, SessionFlight, forward_messages, make_flight_info
@@ -43,12 +43,12 @@ from cosim.simulation.pacing import Pace
 from cosim.spec.scenario import Scenario
 
 # Chosen by us: a request takes about 10 us, a new predictor 3 ms, and stepping takes a tenth of a step's 4 ms.
-_MAX_REQUESTS_PER_STEP = 8  # requests
+_MAX_REQUESTS_PER_STEP = 8
 
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """Where and how the flights of a session are recorded.
+    """Folder, log size and report of the flights of a session.
 
     ``out``: the first run's folder, or None for new ones in ``runs/``; a restart goes to the next of ``OUT-2``,
     ``OUT-3``... that is free.  ``log_mb``: of each flight's log at most, None without a limit.
@@ -60,7 +60,7 @@ class RecordOptions:
 
 
 class Session:
-    """Flights on request, each recorded in its own folder.
+    """Session of flights on request, each recorded in its own folder.
 
     ``factor``: of real time, None as fast as it goes.  ``parameter_file``: a TOML file that parameters are read
     from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop`
@@ -93,9 +93,9 @@ class Session:
         self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
-        self._folder_number = 1  # number of the last folder at ``out``
-        # Built here, so that wrong input is reported before a link opens.
-        self._next: SessionFlight | None = self._build()
+        self._folder_number = 1  # suffix of the last folder
+        # The first flight is built here, so that wrong input is reported before a link opens.
+        self._next: SessionFlight | None = self._build_flight()
 
     @property
     def info(self) -> FlightInfo:
@@ -105,7 +105,7 @@ class Session:
 
     @property
     def parameter_file(self) -> Path | None:
-        """File for saved parameters; None: they last for the session."""
+        """File of the saved parameters; None: they are kept for the session only."""
         return self._parameters.path
 
     def set_stability_checker(self, checker: StabilityChecker) -> None:
@@ -117,7 +117,7 @@ class Session:
         return describe_saved(self._guard.checker, self.info.parameters, self._parameters.values)
 
     def stop(self, why: str) -> None:
-        """End the session after the present step; from any thread, and from a signal handler."""
+        """End the session after the present step; may be called from any thread or signal handler."""
         self._stopping = self._stopping or why
 
     def run(self) -> list[Run]:
@@ -130,7 +130,7 @@ class Session:
 
     def _fly_all(self) -> list[Run]:
         while True:
-            flight = self._next or self._build()
+            flight = self._next or self._build_flight()
             self._next = None
             try:
                 ending = self._fly(flight)
@@ -143,26 +143,26 @@ class Session:
                 return self.runs
             self._restart = False
 
-    def _build(self) -> SessionFlight:
-        """Build a flight, creating nothing but its folder."""
+    def _build_flight(self) -> SessionFlight:
+        """Build the next flight and claim its folder."""
         number = len(self.runs) + 1
         simulation = build(self.scenario)
         try:
             pilot = attach_autopilot(simulation)
-            info = make_flight_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
+            info = make_flight_info(simulation, number, pilot.parameters, self._claim_run_folder(number), self.factor)
         except BaseException:
             simulation.close()
             raise
         return SessionFlight(simulation, pilot, info, Pace(simulation.dt, self.factor), self.exchange)
 
-    def _folder(self, number: int) -> Path:
-        """Return the run's folder; the first is claimed now, so that an error is reported before anybody connects."""
+    def _claim_run_folder(self, number: int) -> Path:
+        """Return a run's folder; the first is created at once, so that errors are reported before links open."""
         if self._records.out is None:
             return reserve_folder(Path("runs"), f"gcs-{self.scenario.aircraft_name}")
         if number == 1:
             claim_folder(self._records.out)
             return self._records.out
-        # A folder with another run is skipped, because a vehicle must be able to reboot.
+        # Existing folders are skipped, because a vehicle must be able to reboot.
         self._folder_number = max(number, self._folder_number + 1)
         while (folder := self._records.out.with_name(f"{self._records.out.name}-{self._folder_number}")).exists():
             self._folder_number += 1
@@ -172,7 +172,7 @@ class Session:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
-        # Requests still in the queue were meant for the previous flight.
+        # Refuse queued requests, which were meant for the previous flight.
         while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take_requests(1)]):
             for waiting in late:
                 waiting.answer(rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, "a new flight begins"))
@@ -182,7 +182,7 @@ class Session:
         parameters = flight.pilot.parameters
         report_saved(exchange.say, self._guard.checker, parameters, parameters.changed())
         flight.publish(None, None)
-        # Done after each file was opened, because loading a library may change the current folder.
+        # Prepare after every file was opened, because loading a library may change the current folder.
         self._guard.prepare()
         with steady_timing():
             started = time.perf_counter()
@@ -205,7 +205,7 @@ class Session:
         return ending
 
     def _handle_requests(self, flight: SessionFlight, k: int, request_s: float = 0.5e-3) -> Ending | None:
-        """Handle a limited number of requests between steps; return an ending if one was requested."""
+        """Handle a limited number of requests between steps; return the flight's ending if one was requested."""
         if self._stopping:
             in_air = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
             return Ending("completed", f"{self._stopping}{' in the air' if in_air else ''}")
@@ -217,16 +217,16 @@ class Session:
             until = until or time.perf_counter() + request_s
             for waiting in taken:
                 if not self._guard.defer(waiting):
-                    waiting.answer(self._serve(flight, waiting, k))
+                    waiting.answer(self._execute(flight, waiting, k))
             if time.perf_counter() > until:
                 break
         for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, self.exchange.clock()):
-            waiting.answer(self._serve_judged(flight, waiting, cautions, k))
+            waiting.answer(self._execute_checked(flight, waiting, cautions, k))
         if self._restart:
             return Ending("completed", "a restart was requested")
         return None
 
-    def _serve(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:
+    def _execute(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:
         """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
@@ -239,14 +239,14 @@ class Session:
         if isinstance(request, rq.SetParameter) and answer.accepted:
             self._parameters.save(flight.pilot.parameters.changed())
         elif isinstance(request, (rq.MissionUpload, rq.MissionClear)):
-            # Publish at once, because a client may read the mission back as soon as it has the answer.
+            # Publish at once, because a client may read the mission back right after the answer.
             flight.publish(None, None)
         return answer
 
-    def _serve_judged(
+    def _execute_checked(
         self, flight: SessionFlight, waiting: PendingRequest, cautions: list[Caution] | None, k: int
     ) -> rq.Answer:
-        """Make a parameter change with its verdict and warn, or refuse and record it."""
+        """Make a parameter change after its check and report its cautions, or refuse and record it."""
         request, pilot = waiting.request, flight.pilot
         assert isinstance(request, rq.SetParameter)
         in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
@@ -255,9 +255,9 @@ class Session:
             answer = rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, why)
             flight.refuse(waiting.sender, request, answer, k)
             return answer
-        answer = self._serve(flight, waiting, k)
+        answer = self._execute(flight, waiting, k)
         if answer.accepted:
-            warn(self.exchange.say, request, cautions, k)
+            report_cautions(self.exchange.say, request, cautions, k)
         return answer
 
     def _end_or_restart(self, request: Restart | Shutdown, sender: str, is_armed: bool) -> rq.Answer:
@@ -294,7 +294,7 @@ class Session:
     def _set_for_next_flight(
         self, flight: SessionFlight, request: rq.SetParameter, cautions: list[Caution] | None
     ) -> rq.Answer:
-        """Set a parameter for the next flight, because this one is over."""
+        """Set a parameter for the next flight after the end of this one."""
         if why := find_refusal(request, cautions, False, {}):
             return rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
@@ -302,12 +302,12 @@ class Session:
             self._parameters.save(flight.pilot.parameters.changed())
             value = flight.pilot.parameters[request.name]
             self.exchange.say(Severity.NOTICE, f"{request.name} {value:g} from the next flight on")
-            warn(self.exchange.say, request, cautions, flight.simulation.k)
+            report_cautions(self.exchange.say, request, cautions, flight.simulation.k)
         return answer
 
 
 def make_ground_scenario(scenario: Scenario, duration: float | None, longest_s: float = 86_400.0) -> Scenario:
-    """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands.
+    """Return the scenario with the vehicle on the ground and an autopilot in place of commands.
 
     ``longest_s``: of a flight without a planned end, a day.
     """
@@ -331,7 +331,7 @@ def make_ground_scenario(scenario: Scenario, duration: float | None, longest_s: 
 
 
 def parse_place(text: str) -> dict[str, float]:
-    """Parse ``LAT,LON`` in degrees to fields of a scenario's environment.  Raises InputError for anything else."""
+    """Parse ``LAT,LON`` [deg] into keys of a scenario's environment.  Raises InputError."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError as error:
@@ -341,14 +341,14 @@ def parse_place(text: str) -> dict[str, float]:
 
 @contextmanager
 def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
-    """Steady the timing of a paced flight: no long garbage collections, short thread switches.
+    """Avoid pauses of a paced flight: no long garbage collections, short thread switch interval.
 
     ``switch_s``: after which a busy thread is switched; Python's 5 ms are longer than a step.
     """
     previous = sys.getswitchinterval()
     sys.setswitchinterval(switch_s)
     gc.collect()
-    gc.freeze()  # the garbage collector skips these
+    gc.freeze()  # existing objects are not searched
     try:
         yield
     finally:
@@ -358,20 +358,20 @@ def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
 
 @contextmanager
 def stop_on_signals(session: Session) -> Iterator[None]:
-    """End the session properly on Ctrl-C and SIGTERM; a second signal ends the process at once."""
+    """End the session in order on Ctrl-C or SIGTERM; a second signal ends the process at once."""
     previous: dict[int, Any] = {}
 
-    def restore() -> None:
+    def restore_handlers() -> None:
         for caught, handler in previous.items():
             signal.signal(caught, handler)
 
-    def stop(number: int, frame: object) -> None:
+    def request_stop(number: int, frame: object) -> None:
         session.stop(f"stopped by {signal.Signals(number).name}")
-        restore()
+        restore_handlers()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        previous[number] = signal.signal(number, stop)
+        previous[number] = signal.signal(number, request_stop)
     try:
         yield
     finally:
-        restore()
+        restore_handlers()

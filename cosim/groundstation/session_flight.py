@@ -28,15 +28,15 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace, PaceReport
 from cosim.simulation.step import Simulation
 
-# Chosen by us: s of wall time, half a step at 250 Hz; flights at full speed publish fewer steps.
-PUBLISH_INTERVAL_S = 2e-3
-# Two hours of flight at 250 Hz.
+# Shortest wall time between snapshots, half a step at 250 Hz; chosen by us. Faster flights publish fewer steps.
+MIN_PUBLISH_INTERVAL_S = 2e-3
+# Default limit of a flight's log: two hours at 250 Hz.
 MAX_LOG_MB = 2000.0
 
 
 @dataclass
 class SessionFlight:
-    """One flight with autopilot, records and its link to the exchange."""
+    """Flight of a session with autopilot, recordings and exchange."""
 
     simulation: Simulation
     pilot: Autopilot
@@ -47,13 +47,13 @@ class SessionFlight:
     log: RequestLog | None = None
     pilot_record: PilotRecord | None = None
     sample: Sample | None = None
-    last_message: int = 0  # number of the last one passed on
+    last_message: int = 0  # last forwarded message's number
 
     def __post_init__(self) -> None:
         self.stick_owner = StickOwner(self.pilot.parameters, self.simulation.dt)
 
     def begin(self, log_mb: float | None = MAX_LOG_MB) -> LogLimit:
-        """Make the run's folder with a log of at most this many MB.  Raises InputError."""
+        """Begin the recording in the run's folder, with a log of at most ``log_mb`` MB.  Raises InputError."""
         assert self.info.folder is not None
         self.recording = record(self.simulation, self.info.folder, {REQUESTS: b""}, background=True)
         self.log = RequestLog(self.info.folder / REQUESTS)
@@ -63,7 +63,7 @@ class SessionFlight:
         return self.log_limit
 
     def ask(self, sender: str, request: Request, k: int) -> Answer:
-        """Pass a request to the autopilot and log it; sticks only from their holder.  Raises FlightError."""
+        """Pass a request to the autopilot and log it; sticks only from their owner.  Raises FlightError."""
         assert self.log is not None
         if isinstance(request, Sticks) and (holder := self.stick_owner.find_other_holder(sender, k)):
             if self.stick_owner.note_refusal():
@@ -104,7 +104,7 @@ class SessionFlight:
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
-        """Finish the run's files and return the run, whose scenario ends with the flight."""
+        """Finish the run's files and return the run; its scenario has the flown duration."""
         assert self.recording is not None
         self.close_record()
         steps, reason = self.simulation.k, ending.reason
@@ -129,7 +129,7 @@ class SessionFlight:
 
 
 class StickOwner:
-    """Holder of the sticks: the first sender, until it falls silent, as PX4 selects sources."""
+    """Selects the owner of the sticks: the first sender until it falls silent, as in PX4."""
 
     def __init__(self, parameters: Parameters, step: float) -> None:
         self._parameters, self._step = parameters, step
@@ -137,7 +137,7 @@ class StickOwner:
         self._is_announced = False
 
     def find_other_holder(self, sender: str, k: int) -> str:
-        """Return another sender that holds the sticks at step ``k``; empty: ``sender`` now holds them."""
+        """Return the other sender that owns the sticks at step ``k``; empty if ``sender`` owns them now."""
         is_recent = (k - self._last_step) * self._step <= self._parameters["HJ_STICK_TIME"]
         if self._holder not in ("", sender) and is_recent:
             return self._holder
@@ -146,21 +146,21 @@ class StickOwner:
         return ""
 
     def note_refusal(self) -> bool:
-        """Return whether this refusal is the first since the holder changed, to report it once."""
+        """Return whether this refusal is the first since the owner changed, to report it once."""
         was_announced, self._is_announced = self._is_announced, True
         return not was_announced
 
 
 def estimate_hourly_mb(info: FlightInfo) -> float:
-    """Return how many megabytes the log of an hour's flight has."""
+    """Return the size [MB] of the log of an hour's flight."""
     columns = log_columns(logged_vehicle(info.vehicle), info.columns)
     return 8.0 * len(columns) * 3600.0 / info.scenario.step_s / 1e6
 
 
 class LogLimit:
-    """Observer that passes samples on to a recording until its log has ``limit_mb`` (None: for ever).
+    """Observer that passes samples to a recording until its log has ``limit_mb`` (None: no limit).
 
-    ``say`` gets a line for the people on the ground, at four fifths of the size and at the end.
+    ``say`` gets a text message for the ground, at ``warn_at`` of the size and at the end.
     """
 
     def __init__(
@@ -174,11 +174,11 @@ class LogLimit:
 
     @property
     def is_full(self) -> bool:
-        """Whether the log has its size, so that nothing more is recorded."""
+        """Whether the log has reached its limit, so that nothing more is recorded."""
         return self._most is not None and self.rows >= self._most
 
     def observe(self, sample: Sample) -> None:
-        """Record the sample if there is room."""
+        """Record the sample unless the log is full."""
         if self.is_full:
             return
         self._recording.observe(sample)
@@ -201,15 +201,15 @@ class Publisher:
 
     def observe(self, sample: Sample) -> None:
         now = time.monotonic()
-        if now - self._last < PUBLISH_INTERVAL_S:
+        if now - self._last < MIN_PUBLISH_INTERVAL_S:
             return
         self._last = now
         self._flight.publish(sample, None)
         if now - self._warned >= self.warn_every_s:
             self._warned = now
-            self._warn()
+            self._report_late_steps()
 
-    def _warn(self) -> None:
+    def _report_late_steps(self) -> None:
         report = self._flight.pace.report
         missed = report.missed - self._missed
         self._missed = report.missed
@@ -231,7 +231,7 @@ def make_snapshot(
     ending: Ending | None = None,
     mission: tuple[MissionItem, ...] = (),
 ) -> Snapshot:
-    """Return a snapshot of the flight as it is now, after ``sample``."""
+    """Return a snapshot of the flight after ``sample``."""
     k, state, measured = simulation.k, simulation.state, simulation.measured
     time = k * info.scenario.step_s
     diagnostics = simulation.controller.diagnostics

@@ -60,7 +60,7 @@ def write_index(folder: Path) -> Path:
 
     from cosim.results.report.cards import Card, Page
 
-    rows = [entry._asdict() | {"page": _url(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
+    rows = [entry._asdict() | {"page": _url(entry), "text": _search_text(entry)} for entry in list_entries(folder)]
     page = folder / INDEX_NAME
     if page.exists() and TITLE_MARK not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
@@ -74,7 +74,7 @@ def _url(entry: Entry) -> str:
     return f"{quote(entry.name)}/{quote(entry.page)}" if entry.page else ""
 
 
-def _searched_text(entry: Entry) -> str:
+def _search_text(entry: Entry) -> str:
     return " ".join([entry.name, entry.kind, *entry.details.values()]).lower()
 
 

@@ -341,7 +341,7 @@ def test_the_state_that_is_told(flown: Flown) -> None:
     thrust = tuple(7.0 + jet for jet in range(6))
     sample = sample._replace(engines=sample.engines._replace(thrust=thrust))
     snapshot = snapshot._replace(sample=sample)
-    told = json.loads(server._dump(feed.describe_state(snapshot)))
+    told = json.loads(server._to_json(feed.describe_state(snapshot)))
     assert told["t"] == pytest.approx(snapshot.k * 0.004, abs=5e-4)
     assert told["mode"] == snapshot.status.mode.value
     assert told["height"] == round(seen.altitude, 4)

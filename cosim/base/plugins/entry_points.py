@@ -15,7 +15,7 @@ from cosim.base.plugins.execute import import_trusted
 from cosim.base.trust import CodeRefusedError
 
 PLUGIN_GROUP = "hexjet.plugins"  # entry points of all kinds of plug-ins
-API_GROUP = "hexjet.api"  # entry points added to the Python API_GROUP
+API_GROUP = "hexjet.api"  # entry points added to the Python API
 HOOK_GROUP = "hexjet.hooks"  # entry points that cosim calls itself
 KIND_GROUPS = {  # groups of one kind of plug-in each
     "predictor": "hexjet.predictors",

@@ -29,7 +29,7 @@ from cosim.base.storage.scratch import scratch
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import Code, CodeRefusedError, is_code_forbidden, need_trust
 
-_USER_PREFIX = "hexjet_controller_"  # of users' files as modules
+_USER_PREFIX = "hexjet_controller_"  # module names of users' files
 
 
 def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:

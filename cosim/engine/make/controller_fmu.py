@@ -133,7 +133,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
     jets_known = range(1, MAX_JETS + 1)
     if servos is None:
         servos = _servos([v.name for v in all_outputs], mapped)
-    names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)]
+    names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.OPTIONAL)]
     names += [name for level in ("rate", "attitude", "predictor") for name in wire.output_names(level, 1, ())]
     outputs = _match_ports(all_outputs, {normalise_name(name): name for name in names}, mapped)
     level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
@@ -144,7 +144,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
         )
     jets = next(number for number in reversed(jets_known) if number == 1 or f"throttle_{number}" in outputs)
     moved = tuple([name for name in servos if f"tilt_{name}" in outputs])
-    extras = tuple([e for e in wire.EXTRAS if level == "controller" and _extra_outputs(jets, e) <= set(outputs)])
+    extras = tuple([e for e in wire.OPTIONAL if level == "controller" and _extra_outputs(jets, e) <= set(outputs)])
     needed = wire.output_names(level, jets, moved, extras)
     if missing := [name for name in needed if name not in outputs]:
         raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")

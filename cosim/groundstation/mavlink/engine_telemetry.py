@@ -9,13 +9,13 @@ from cosim.base.signals import PerServo
 from cosim.groundstation.mavlink.telemetry_state import I16, I32, U16, U32, TelemetryState, to_field
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
-# Fields hold fuel by volume: the middle of the range of Jet A-1 at 15 degC (ASTM D1655).
+# Density of kerosene, as MAVLink states fuel by volume: middle of the range of Jet A-1 at 15 degC (ASTM D1655).
 KEROSENE_KG_M3 = 808.0
-_RPM = 30.0 / pi  # rpm per rad/s
+_TO_RPM = 30.0 / pi  # from rad/s
 
 
 def servo_output_raw(v: TelemetryState) -> list[Message]:
-    """Return throttles, and servos from the seventh or behind the last, as pulses of 1000 to 2000 us.
+    """Return SERVO_OUTPUT_RAW: throttles, then servos from output 7 on, as pulses of 1000 to 2000 us.
 
     1500 us is straight up, or the middle of a hinge's range; as many as the message has.
     """
@@ -34,7 +34,7 @@ def servo_output_raw(v: TelemetryState) -> list[Message]:
 
 
 def actuator_output_status(v: TelemetryState) -> list[Message]:
-    """Return throttles 0 to 1, and from 6 on or behind them servos -1 to 1, or in rad where they have no range."""
+    """Return ACTUATOR_OUTPUT_STATUS: throttles 0 to 1, then from index 6 on servos, -1 to 1 or in rad."""
     actuation, reach = v.sample.actuation, v.vehicle.tilt_range
     values = [0.0] * 32
     jets = v.vehicle.jets
@@ -55,7 +55,7 @@ def _normalise_tilts(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) ->
 
 
 def fuel_status(v: TelemetryState) -> list[Message]:
-    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow.
+    """Return FUEL_STATUS: kerosene by volume in ml and ml/s, from mass and mass flow.
 
     The tank's gauge measures what remains; what was consumed may not be made of it.
     """
@@ -65,53 +65,53 @@ def fuel_status(v: TelemetryState) -> list[Message]:
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
     capacity, rate = (mass / KEROSENE_KG_M3 * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
-    # MAV_FUEL_TYPE 1 is liquid.
+    # The last argument is MAV_FUEL_TYPE; 1 is liquid.
     return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, 1)]
 
 
-def _engines(v: TelemetryState) -> list[int]:
-    """Return the first engine of each message, as each has room for four."""
+def _first_engines(v: TelemetryState) -> list[int]:
+    """Return the index of the first engine in each message, as a message holds four."""
     return [4 * i for i in range(ceil(v.vehicle.jets / 4))]
 
 
-def _spools(v: TelemetryState) -> list[float]:
-    return [speed * _RPM for speed in v.sample.engines.spool_speed[: v.vehicle.jets]]
+def _spool_speeds_rpm(v: TelemetryState) -> list[float]:
+    return [speed * _TO_RPM for speed in v.sample.engines.spool_speed[: v.vehicle.jets]]
 
 
 def esc_status(v: TelemetryState) -> list[Message]:
-    """Return spool speeds [rpm]; no message if no engine reports one, as the field cannot say unknown."""
-    rpm = _spools(v)
+    """Return ESC_STATUS: spool speeds [rpm]; no message if no engine reports one, as the field has no unknown."""
+    rpm = _spool_speeds_rpm(v)
     if not any(isfinite(speed) for speed in rpm):
         return []
     unknown = [nan] * 4
     return [
         mav.MAVLink_esc_status_message(
-            first, v.us, [to_field(speed, -I32, I32) for speed in _four(rpm, first, 0.0)], unknown, unknown
+            first, v.us, [to_field(speed, -I32, I32) for speed in _take_four(rpm, first, 0.0)], unknown, unknown
         )
-        for first in _engines(v)
+        for first in _first_engines(v)
     ]
 
 
 def esc_info(v: TelemetryState) -> list[Message]:
-    """Return which engines run; exhaust temperature, the only one known, does not fit the field."""
+    """Return ESC_INFO: which engines run, without exhaust temperatures, which exceed the field."""
     health = [1.0 if fraction > 0.0 else 0.0 for fraction in v.sample.health[: v.vehicle.jets]]
     counter = v.sample.k & U16
     return [
         mav.MAVLink_esc_info_message(
             first, v.us, counter, v.vehicle.jets, 0,
-            sum(1 << i for i, alive in enumerate(_four(health, first, 0.0)) if alive),
+            sum(1 << i for i, alive in enumerate(_take_four(health, first, 0.0)) if alive),
             [0] * 4, [0] * 4, [I16] * 4,
         )
-        for first in _engines(v)
+        for first in _first_engines(v)
     ]  # fmt: skip
 
 
-def _four(values: Sequence[float], first: int, missing: float) -> list[float]:
+def _take_four(values: Sequence[float], first: int, missing: float) -> list[float]:
     return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
 
 
 def efi_status(v: TelemetryState) -> list[Message]:
-    """Return each engine's control unit; NaN is unknown, but for voltage and pressure MAVLink defines 0 as that."""
+    """Return EFI_STATUS of each engine; unknown is NaN, for voltage and pressure 0 as MAVLink defines."""
     sample, engines = v.sample, v.sample.engines
     messages = []
     for i in range(v.vehicle.jets):
@@ -123,7 +123,7 @@ def efi_status(v: TelemetryState) -> list[Message]:
         exhaust = engines.exhaust_temperature[i] - 273.15
         messages.append(
             mav.MAVLink_efi_status_message(
-                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, burnt, flow, load, throttle,
+                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _TO_RPM, burnt, flow, load, throttle,
                 nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
             )
         )  # fmt: skip
@@ -131,5 +131,5 @@ def efi_status(v: TelemetryState) -> list[Message]:
 
 
 def raw_rpm(v: TelemetryState) -> list[Message]:
-    """Return the spool speeds [rpm] of the first four engines, as no station shows more."""
-    return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spools(v)[:4]) if isfinite(rpm)]
+    """Return RAW_RPM of the first four engines, as no station shows more."""
+    return [mav.MAVLink_raw_rpm_message(i, rpm) for i, rpm in enumerate(_spool_speeds_rpm(v)[:4]) if isfinite(rpm)]

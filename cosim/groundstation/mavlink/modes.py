@@ -12,18 +12,18 @@ from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
 from cosim.groundstation.mavlink.telemetry_state import Personality
 from cosim.groundstation.mavlink.wire.dialect import mav
 
-AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT in heartbeats
+AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT of a heartbeat
 # MAV_TYPE by number of engines: tricopter, quadrotor, hexa-, octo-, deca- and dodecarotor.
-_TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}
+_MAV_TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}
 
 
 def vehicle_type(jets: int) -> int:
-    """Return MAV_TYPE of a vehicle that hovers on so many engines."""
-    return _TYPES.get(jets, int(mav.MAV_TYPE_GENERIC_MULTIROTOR))
+    """Return MAV_TYPE of a vehicle that hovers on ``jets`` engines."""
+    return _MAV_TYPES.get(jets, int(mav.MAV_TYPE_GENERIC_MULTIROTOR))
 
 
-_AUTO = 4  # PX4's main mode AUTO
-_PX4: dict[Mode, tuple[int, int]] = {  # PX4's main and sub mode
+_AUTO = 4  # main mode AUTO of PX4
+_PX4_MODES: dict[Mode, tuple[int, int]] = {  # main and sub mode of PX4
     Mode.MANUAL: (1, 0),
     Mode.ALTCTL: (2, 0),
     Mode.POSCTL: (3, 0),
@@ -36,8 +36,8 @@ _PX4: dict[Mode, tuple[int, int]] = {  # PX4's main and sub mode
     Mode.STABILIZED: (7, 0),
     Mode.ORBIT: (3, 1),  # a sub mode of position control
 }
-# ArduCopter's modes; it flies to requested positions, and takes off, in GUIDED.
-_COPTER: dict[Mode, int] = {
+# ArduCopter's mode numbers; it takes off and flies to requested positions in GUIDED (4).
+_COPTER_MODES: dict[Mode, int] = {
     Mode.STABILIZED: 0,
     Mode.MANUAL: 0,
     Mode.ALTCTL: 2,
@@ -50,9 +50,9 @@ _COPTER: dict[Mode, int] = {
     Mode.OFFBOARD: 20,
     Mode.ORBIT: 7,  # CIRCLE
 }
-_FROM_PX4 = {value: mode for mode, value in _PX4.items()}  # inverse of _PX4
-# PX4 modes that are refused by name.
-UNSUPPORTED = {
+_FROM_PX4 = {value: mode for mode, value in _PX4_MODES.items()}  # inverse
+# Names of PX4 modes, by main and sub mode, that are refused.
+REFUSED_PX4 = {
     (_AUTO, 8): "follow-me",
     (_AUTO, 9): "precision landing",
     (_AUTO, 10): "VTOL take-off",
@@ -65,18 +65,18 @@ _FROM_COPTER = {  # modes that ArduPilot stations ask for
     16: Mode.POSCTL, 17: Mode.HOLD, 20: Mode.OFFBOARD,
 }  # fmt: skip
 
-# MAV_STANDARD_MODE
+# MAV_STANDARD_MODE of each mode that has one.
 STANDARD: dict[Mode, int] = {
     Mode.POSCTL: 1, Mode.ALTCTL: 4, Mode.RTL: 5, Mode.MISSION: 6, Mode.LAND: 7, Mode.TAKEOFF: 8,
 }  # fmt: skip
 FROM_STANDARD = {value: mode for mode, value in STANDARD.items()}  # inverse of STANDARD
 
-# MAV_MODE_PROPERTY
+# Bits of MAV_MODE_PROPERTY.
 _ADVANCED, _AUTOMATIC = 1, 4
 
 
 class ModeLine(NamedTuple):
-    """One mode of MODES, with QGroundControl's names for PX4."""
+    """Mode as reported to stations, with QGroundControl's name for PX4."""
 
     mode: Mode
     name: str
@@ -103,26 +103,26 @@ LANDED: dict[LandedState, int] = {  # MAV_LANDED_STATE
     LandedState.LANDING: 4,
 }
 
-# MAV_MODE_FLAG
+# Bits of MAV_MODE_FLAG.
 CUSTOM, AUTO, GUIDED, STABILIZE, MANUAL_INPUT, ARMED = 1, 4, 8, 16, 64, 128
 
 
 def custom_mode(mode: Mode, personality: Personality) -> int:
-    """Return HEARTBEAT.custom_mode."""
+    """Return the field custom_mode of HEARTBEAT."""
     if personality == "ardupilot":
-        return _COPTER[mode]
-    main, sub = _PX4[mode]
+        return _COPTER_MODES[mode]
+    main, sub = _PX4_MODES[mode]
     return main << 16 | sub << 24
 
 
 def base_mode(mode: Mode, armed: bool) -> int:
-    """Return HEARTBEAT.base_mode."""
+    """Return the field base_mode of HEARTBEAT."""
     flags = MANUAL_INPUT | STABILIZE if mode in BY_STICK else STABILIZE | GUIDED | AUTO
     return CUSTOM | flags | (ARMED if armed else 0)
 
 
 def from_custom(value: int, personality: Personality) -> Mode | None:
-    """Return the mode of SET_MODE.custom_mode; None for an unknown number."""
+    """Return the mode for the field custom_mode of SET_MODE; None for an unknown number."""
     if personality == "ardupilot":
         return _FROM_COPTER.get(value)
     if value & 0xFFFF:
@@ -131,5 +131,5 @@ def from_custom(value: int, personality: Personality) -> Mode | None:
 
 
 def from_main_sub(main: int, sub: int) -> Mode | None:
-    """Return the mode of PX4's main and sub mode, as DO_SET_MODE has them.  Sub modes count in AUTO only."""
+    """Return the mode for PX4's main and sub mode (DO_SET_MODE); the sub mode counts in AUTO only."""
     return _FROM_PX4.get((main, sub if main == _AUTO else 0))

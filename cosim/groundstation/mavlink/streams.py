@@ -20,7 +20,7 @@ Build = Callable[[TelemetryState], list[Message]]
 
 @dataclass(frozen=True)
 class Stream:
-    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder.
+    """Telemetry message: name, default rate [Hz of wall time] (0: on request only) and builder.
 
     ``in_turn``: one message a slot, because stations have one gauge for all of them; all on request.
     """
@@ -28,14 +28,14 @@ class Stream:
     name: str
     rate: float
     make_messages: Build
-    in_turn: bool = False  # messages take turns, one per slot
+    in_turn: bool = False  # one message per slot, in turn
 
     def select(self, messages: list[Message], turn: int) -> list[Message]:
-        """Return the messages for a slot; ``turn``: number of earlier slots."""
+        """Return the messages for one slot; ``turn``: number of earlier slots."""
         return [messages[turn % len(messages)]] if self.in_turn and messages else messages
 
 
-# Add new streams at the end, because time slots depend on the place in this list.
+# Messages that are sent as telemetry. New ones come last, as time slots depend on the order.
 STREAMS = (
     Stream("HEARTBEAT", 1.0, telemetry.heartbeat),
     Stream("SYS_STATUS", 2.0, telemetry.sys_status),
@@ -81,44 +81,44 @@ STREAMS = (
 
 MIN_INTERVAL_S = 0.004  # one control step
 BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}  # streams by message id
-DEFAULT_S: dict[int, float] = {  # by message id; 0: not sent
+DEFAULT_INTERVALS_S: dict[int, float] = {  # by message id; 0: on request only
     number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()
 }
 
-# Phase of each message in its interval: multiples of the golden ratio are spread evenly.
-_PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
+# Phase of each message in its interval, 0 to 1: multiples of the golden ratio spread them evenly.
+_PHASES = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
 
 def stream_interval(peer: Peer, number: int) -> float:
-    """Return the seconds between two messages of a kind to a station; 0: it gets none unasked."""
-    return peer.intervals.get(number, DEFAULT_S[number])
+    """Return the interval [s] of a message to a station; 0: on request only."""
+    return peer.intervals.get(number, DEFAULT_INTERVALS_S[number])
 
 
 class Streams:
-    """Schedule of all messages; ``start`` [s]: when the first slot begins."""
+    """Schedule of all telemetry messages; ``start`` [s]: time of the first slot."""
 
     def __init__(self, start: float) -> None:
         self._start = start
         self._next: dict[tuple[int, float], float] = {}
         self._next_due = start
 
-    def _slot(self, now: float, number: int, every: float) -> float:
-        """Return the time of a message's next slot; messages take turns in an interval, so that none fills a line."""
-        start = self._start + _PHASE[number] * every
+    def _find_next_slot(self, now: float, number: int, every: float) -> float:
+        """Return the time of a message's next slot; phases differ, so that messages do not bunch up."""
+        start = self._start + _PHASES[number] * every
         return start + (floor((now - start) / every + 1e-9) + 1) * every
 
     @property
     def next_due(self) -> float:
-        """Time of the next due message, as of the last call."""
+        """Time at which the next message is due, as of the last :meth:`iterate_due`."""
         return self._next_due
 
     def iterate_due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
-        """Yield due messages and their stations, none if only for the log."""
+        """Yield each due message with the stations that get it, none if it is only for the log."""
         earliest = inf
         slots = self._next
         next_slots: dict[tuple[int, float], float] = {}
         for number, stream in BY_ID.items():
-            default = DEFAULT_S[number]
+            default = DEFAULT_INTERVALS_S[number]
             stations_by_interval: dict[float, list[Peer]] = {default: []} if default else {}
             for peer in peers:
                 every = stream_interval(peer, number)
@@ -131,7 +131,7 @@ class Streams:
                 if now >= at:
                     any_due = True
                     receivers += stations
-                    at = self._slot(now, number, every)
+                    at = self._find_next_slot(now, number, every)
                 next_slots[number, every] = at
                 earliest = min(earliest, at)
             if any_due:

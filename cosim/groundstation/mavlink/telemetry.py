@@ -30,16 +30,16 @@ from cosim.vehicle.atmosphere import standard_air, standard_density
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32  # MAV_SYS_STATUS_SENSOR
 _RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768  # MAV_SYS_STATUS_SENSOR
 _GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30  # MAV_SYS_STATUS_SENSOR
-# Sensors reported as present. There is no magnetometer, as attitude is measured with the heading; but MAVSDK never
-# reports ready without this bit.
-_SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _POSITION | _MOTORS | _AHRS
+# Sensors reported as present. There is no magnetometer, as attitude is measured with the heading, but without its bit
+# MAVSDK never reports the vehicle as ready.
+_PRESENT = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _POSITION | _MOTORS | _AHRS
 
-# MAV_PROTOCOL_CAPABILITY
+# Bits of MAV_PROTOCOL_CAPABILITY that this vehicle has.
 _CAPABILITIES = 2 | 4 | 8 | 32 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
 _BYTEWISE, _C_CAST = 16, 131072  # parameter encodings
-PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}  # its bit in the capabilities
+PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}  # bit of MAV_PROTOCOL_CAPABILITY
 
-# HIGHRES_IMU_UPDATED_FLAGS: three axes of each; absolute pressure and its height.
+# Bits of HIGHRES_IMU_UPDATED_FLAGS: three axes of each sensor; absolute pressure and its height.
 _FORCE_FIELDS, _GYRO_FIELDS, _BAROMETER_FIELDS = 0b111, 0b111_000, 1 << 9 | 1 << 11
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
@@ -57,24 +57,24 @@ def sys_status(v: TelemetryState) -> list[Message]:
     status = v.status
     has_tank = not isnan(v.vehicle.fuel_capacity)
     battery = 0 if has_tank or v.remaining is None else _BATTERY
-    present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
+    present = _PRESENT | _GEOFENCE | _PREARM | _PROPULSION | battery
     # The fence is reported healthy and disabled, because MAVProxy treats an unhealthy fence as breached.
     enabled = present & ~_GEOFENCE
     lost = any(health == 0.0 for health in v.sample.health[: v.vehicle.jets])
-    bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
+    bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _list_unhealthy(v)
     health = present & ~bad
     load = v.snapshot.pace.load
     return [
         mav.MAVLink_sys_status_message(
             present, enabled, health,
             0 if load is None else to_field(load * 1000.0, 0, 1000),
-            U16, -1, _percent(v), 0, 0, 0, 0, 0, 0,
+            U16, -1, _battery_percent(v), 0, 0, 0, 0, 0, 0,
         )
     ]  # fmt: skip
 
 
-def _unhealthy(v: TelemetryState) -> int:
-    """Return the bits of sensors that are not trusted, and of quantities that cannot be controlled without them."""
+def _list_unhealthy(v: TelemetryState) -> int:
+    """Return MAV_SYS_STATUS_SENSOR bits of untrusted sensors and of the control loops that need them."""
     quality = v.status.quality
     return sum(
         bits
@@ -91,7 +91,7 @@ def _unhealthy(v: TelemetryState) -> int:
     )
 
 
-def _percent(v: TelemetryState) -> int:
+def _battery_percent(v: TelemetryState) -> int:
     return -1 if v.remaining is None else to_field(100.0 * v.remaining, 0, 100)
 
 
@@ -108,7 +108,7 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     course = to_field(degrees(atan2(ve, vn) % (2.0 * pi)) * 100.0, 0, 35999) if fixed else U16
     return [
         mav.MAVLink_gps_raw_int_message(
-            # Without a geoid the ellipsoid height is 0, which marks an extension field as not sent.
+            # Without a geoid model the ellipsoid height stays 0, which marks an extension field as not sent.
             v.us, 3 if fixed else 1, to_e7(lat), to_e7(lon), to_mm(metres), U16, U16, speed, course, U8, 0,
             to_field(vehicle.position_noise * 1e3, 0, I32), to_field(vehicle.position_noise * 1e3, 0, I32),
             to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
@@ -161,7 +161,7 @@ def attitude_target(v: TelemetryState) -> list[Message]:
     ]
 
 
-# Mask of a target without velocity, acceleration and turn rate.
+# Type mask of a target with position and yaw, without velocity, acceleration and yaw rate.
 _POSITION_ONLY = 0b1101_1111_1000
 
 
@@ -197,15 +197,15 @@ def altitude(v: TelemetryState) -> list[Message]:
 
 
 def battery_status(v: TelemetryState) -> list[Message]:
-    """Return the remaining fuel or battery in per cent, as stations show no other fuel message."""
+    """Return BATTERY_STATUS with the remaining fuel or battery [%], as stations show no fuel message."""
     function = 1 if isnan(v.vehicle.fuel_capacity) else 2  # MAV_BATTERY_FUNCTION: all, propulsion
-    voltages, percent = [U16] * 10, _percent(v)
+    voltages, percent = [U16] * 10, _battery_percent(v)
     return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
 
 
 def autopilot_version(v: TelemetryState) -> list[Message]:
     vehicle = v.vehicle
-    version = _version(vehicle.version)
+    version = _encode_version(vehicle.version)
     capabilities = _CAPABILITIES | PARAMETER_ENCODING[vehicle.personality]
     identity = list(vehicle.name.encode()[:18].ljust(18, b"\0"))
     return [
@@ -215,8 +215,8 @@ def autopilot_version(v: TelemetryState) -> list[Message]:
     ]
 
 
-def _version(text: str) -> int:
-    """Return major, minor, patch and kind of release, a byte each.
+def _encode_version(text: str) -> int:
+    """Return the version as four bytes: major, minor, patch and kind of release.
 
     QGroundControl asks for an update of anything below 1.4.1, so what this project calls 0.1 is 2.1 here.  The kind is
     128, a beta: an official release would be compared with PX4's newest.
@@ -226,7 +226,7 @@ def _version(text: str) -> int:
 
 
 def parse_version(version: str) -> tuple[int, int, int]:
-    """Return major, minor and patch, each clipped to a byte."""
+    """Return major, minor and patch of a version, each clipped to a byte."""
     numbers = [min(int(part), U8) if part.isdigit() else 0 for part in version.split(".")[:3]]
     major, minor, patch = (*numbers, 0, 0, 0)[:3]
     return major, minor, patch
@@ -256,7 +256,7 @@ def home_position(v: TelemetryState) -> list[Message]:
 
 
 def orbit_execution_status(v: TelemetryState) -> list[Message]:
-    """Return the orbit that is being flown, its centre and radius [m] (negative: to the left)."""
+    """Return ORBIT_EXECUTION_STATUS: centre and radius [m] of the present orbit (negative: to the left)."""
     orbit, centre = v.status.orbit, v.status.target
     if orbit is None or centre is None:
         return []
@@ -279,7 +279,7 @@ def extended_sys_state(v: TelemetryState) -> list[Message]:
 
 
 def estimator_status(v: TelemetryState) -> list[Message]:
-    """Return which estimates are valid; absolute positions and their predictions only with a home.
+    """Return ESTIMATOR_STATUS: which estimates are valid, absolute positions only with a home.
 
     A position that is dead-reckoned without fixes counts as relative, as far as its speed is valid.  Where no
     autopilot estimates anything the accuracies are the sensors'.
@@ -303,7 +303,7 @@ def estimator_status(v: TelemetryState) -> list[Message]:
 
 
 def wind_cov(v: TelemetryState) -> list[Message]:
-    """Return the wind as estimated from the force on the vehicle; nothing measures it."""
+    """Return WIND_COV: wind estimated from the force on the vehicle, as no sensor measures it."""
     status, fix = v.status, v.status.fix
     if status.landed is LandedState.ON_GROUND or not status.positioned:
         return []
@@ -326,7 +326,7 @@ def available_modes(v: TelemetryState) -> list[Message]:
 
 
 def mode_line(vehicle: VehicleConstants, index: int) -> Message:
-    """Return MODES of one mode, counted from 1."""
+    """Return AVAILABLE_MODES of one mode by its index from 1."""
     mode, name, properties = MODES[index - 1]
     number = custom_mode(mode, vehicle.personality)
     return mav.MAVLink_available_modes_message(
@@ -335,18 +335,18 @@ def mode_line(vehicle: VehicleConstants, index: int) -> Message:
 
 
 def mission_progress(status: Status) -> Message:
-    """Return MISSION_CURRENT, the progress of the mission."""
+    """Return MISSION_CURRENT: the progress of the mission."""
     return mav.MAVLink_mission_current_message(*mission_state(status))
 
 
 def mission_state(status: Status) -> tuple[int, int, int, int]:
-    """Return the present item, the number of items (65535: none), the state, and whether it is being flown."""
+    """Return the mission's present item, number of items (65535: none), state, and whether it is flown."""
     count = status.mission_count
-    return (max(0, min(status.mission_current, count - 1)), count or 65535, *_state(status))
+    return (max(0, min(status.mission_current, count - 1)), count or 65535, *_mission_state_code(status))
 
 
-def _state(status: Status) -> tuple[int, int]:
-    """Return MISSION_STATE, and whether the mission is being flown (1) or not (2)."""
+def _mission_state_code(status: Status) -> tuple[int, int]:
+    """Return MISSION_STATE, and 1 if the mission is being flown or 2 if not."""
     flies = status.mode is Mode.MISSION and status.armed
     if not status.mission_count:
         return _NO_MISSION, 2
@@ -363,7 +363,7 @@ def mission_current(v: TelemetryState) -> list[Message]:
 
 
 def predictor_array(v: TelemetryState) -> list[Message]:
-    """Return DEBUG_FLOAT_ARRAY "predictor": seven times roll, pitch, yaw.
+    """Return DEBUG_FLOAT_ARRAY "predictor": seven signals of roll, pitch and yaw.
 
     Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
     (rad/s), command.
@@ -378,7 +378,7 @@ def predictor_array(v: TelemetryState) -> list[Message]:
 
 
 def named_values(v: TelemetryState) -> list[Message]:
-    """Return the predictor's roll axis as named values, for tools that plot single numbers."""
+    """Return NAMED_VALUE_FLOAT messages of the roll predictor, for tools that plot single numbers."""
     sample, (model, _, delay) = v.sample, v.predictor_signals
     measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
     values = {
@@ -394,7 +394,7 @@ def named_values(v: TelemetryState) -> list[Message]:
 
 
 def debug_vect(v: TelemetryState) -> list[Message]:
-    """Return the predicted rates about the three body axes [rad/s]."""
+    """Return DEBUG_VECT with the predicted body rates [rad/s]."""
     return [mav.MAVLink_debug_vect_message(b"rate_pred", v.us, *v.sample.control.rate_predicted)]
 
 
@@ -406,7 +406,7 @@ def flight_information(v: TelemetryState) -> list[Message]:
 
 
 def odometry(v: TelemetryState) -> list[Message]:
-    """Return position and attitude in NED, and velocity and rates in body axes."""
+    """Return ODOMETRY: position and attitude in NED, velocity and rates in body axes."""
     fix = v.status.fix
     velocity = (*fix.velocity, v.estimate.velocity[2])
     body = rotate(conjugate(v.estimate.attitude), velocity)
@@ -420,7 +420,7 @@ def odometry(v: TelemetryState) -> list[Message]:
 
 
 def highres_imu(v: TelemetryState) -> list[Message]:
-    """Return measured rates and specific force, and the barometer's height with its pressure in the standard air.
+    """Return HIGHRES_IMU: measured rates and specific force, and barometric height with standard pressure.
 
     The force is marked invalid without an accelerometer.
     """
@@ -431,7 +431,7 @@ def highres_imu(v: TelemetryState) -> list[Message]:
 
 
 def hil_state_quaternion(v: TelemetryState) -> list[Message]:
-    """Return the true state of the simulation."""
+    """Return HIL_STATE_QUATERNION: the true state of the simulation."""
     state = v.sample.state
     lat, lon, height = v.vehicle.geodesy.to_geodetic(*state.position[:2], state.altitude)
     speeds = [to_field(speed * 100.0, -I16, I16) for speed in state.velocity]
@@ -446,7 +446,7 @@ def hil_state_quaternion(v: TelemetryState) -> list[Message]:
 
 
 def statustext(severity: int, text: str, number: int) -> list[Message]:
-    """Return a line of any length as pieces of 50 characters, which ``number`` (not 0) groups."""
+    """Return STATUSTEXT messages of 50 characters each for a text, grouped by ``number`` (not 0)."""
     data = text.encode("ascii", "replace")[: 50 * 256]
     if len(data) <= 50:
         return [mav.MAVLink_statustext_message(severity, data)]

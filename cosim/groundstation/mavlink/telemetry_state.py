@@ -15,15 +15,15 @@ from cosim.base.signals import PerJet, Vector3
 from cosim.control.autopilot.modes import LandedState
 from cosim.groundstation.exchange import Snapshot
 
-# Largest values of fields.
+# Largest values of integer fields by type.
 U8, U16, U32, I16, I32 = 0xFF, 0xFFFF, 0xFFFFFFFF, 0x7FFF, 0x7FFFFFFF
 Personality = Literal["px4", "ardupilot", "generic"]
-PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")  # autopilots that it can present itself as
+PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")  # autopilots that it imitates
 
 
 @dataclass(frozen=True)
 class VehicleConstants:
-    """Constant data of a vehicle: identity, outputs, engines, and noise of its sensors."""
+    """Constant data of a vehicle for telemetry: identity, outputs, engines, sensor noise."""
 
     geodesy: Geodesy
     jets: int
@@ -44,7 +44,7 @@ class VehicleConstants:
 
 @dataclass
 class FlightEvents:
-    """Events of the flight that messages need: wall-clock times in microseconds since 1970."""
+    """Times of flight events [us since 1970] and burnt fuel, for telemetry."""
 
     armed: int = 0
     took_off: int = 0
@@ -55,17 +55,17 @@ class FlightEvents:
 
     def update(self, before: TelemetryState | None, now: TelemetryState) -> None:
         """Record arming, take-off, landing and burnt fuel between two snapshots."""
-        self._share_fuel(before, now)
+        self._distribute_fuel(before, now)
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
-            self.armed, self.took_off, self.landed_ms = self._now(), 0, 0
+            self.armed, self.took_off, self.landed_ms = self._wall_clock_us(), 0, 0
             self.flights += 1
         if status.landed is LandedState.IN_AIR and not self.took_off:
-            self.took_off = self._now()
+            self.took_off = self._wall_clock_us()
         if was and status.landed is LandedState.ON_GROUND and was.landed is not LandedState.ON_GROUND:
             self.landed_ms = now.ms
 
-    def _share_fuel(self, before: TelemetryState | None, now: TelemetryState) -> None:
+    def _distribute_fuel(self, before: TelemetryState | None, now: TelemetryState) -> None:
         """Distribute the fuel lost since the last snapshot over the engines, by their flows."""
         flows, full = now.sample.engines.fuel_flow[: now.vehicle.jets], now.vehicle.fuel_capacity
         spent, total = before.sample.fuel - now.sample.fuel if before else nan, sum(flows)
@@ -76,12 +76,12 @@ class FlightEvents:
             shares = zip(self.burnt, flows, strict=True)
             self.burnt = tuple(burnt + spent * flow / total for burnt, flow in shares)
 
-    def _now(self) -> int:
+    def _wall_clock_us(self) -> int:
         return int(self.clock() * 1e6)
 
 
 class TelemetryState:
-    """A snapshot with derived values that several messages need."""
+    """Snapshot with derived values that several telemetry messages need."""
 
     def __init__(self, vehicle: VehicleConstants, snapshot: Snapshot, events: FlightEvents) -> None:
         assert snapshot.sample is not None
@@ -102,7 +102,7 @@ class TelemetryState:
             self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
-        # Motion as the autopilot estimates it, or else as measured.
+        # Motion as estimated by the autopilot, or else as measured.
         self.estimate = self.status.seen or self.measured
         self.euler = to_euler(self.estimate.attitude)
         self.position_deg = vehicle.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
@@ -111,7 +111,7 @@ class TelemetryState:
 
     @property
     def predictor_signals(self) -> tuple[Vector3, Vector3, Vector3]:
-        """Model rates of the predictors without and with delay [rad/s], and delays [s], per axis; NaN: none."""
+        """Predictor models' rates without and with delay [rad/s], and delays [s], by axis; NaN: no predictor."""
         roll, pitch, yaw = self.snapshot.diagnostics
         step = self.snapshot.info.scenario.step_s
         return (
@@ -142,7 +142,7 @@ class TelemetryState:
 
 
 def to_field(value: float, low: int, high: int) -> int:
-    """Return a value rounded and clipped to a field's range; NaN becomes 0."""
+    """Return a value as an integer clipped to a field's range; NaN becomes 0."""
     return 0 if isnan(value) else round(min(max(value, low), high))
 
 

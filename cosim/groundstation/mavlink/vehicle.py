@@ -41,14 +41,14 @@ from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
-NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"  # reason of a refusal
-# Long and not urgent: the client asks again for what was lost.
-_BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
-_PAGE = (0, 0)  # id of the local page as a station
+FOLLOW_ME_REFUSED = "follow-me is not flown here: the place to follow is not used"  # reason of a refusal
+# Bulk messages, which are not urgent: the client asks again for lost ones.
+_BULK_MESSAGES = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
+_PAGE_ID = (0, 0)  # of the local page as a station
 
 
 class MavlinkVehicle:
-    """A vehicle on MAVLink links.  ``services``: the first that handles a message gets it.
+    """Vehicle on MAVLink links.  ``services``: the first that handles a message gets it.
 
     ``on_request``: messages for REQUEST_MESSAGE beside the telemetry, made of simulation time in ms.
     ``shutdown_requests``: the requests for a reboot and for a shutdown; none: both are unsupported.
@@ -95,14 +95,14 @@ class MavlinkVehicle:
             packed = self._prepare(message)
             if packed is None:
                 continue
-            priority = Priority.BULK if message.msgname in _BULK else Priority.ANSWER
+            priority = Priority.BULK if message.msgname in _BULK_MESSAGES else Priority.ANSWER
             if peer is None:
                 self.link.broadcast(packed, priority)
             else:
                 self.link.send(peer, packed, priority)
 
     def say(self, severity: int, text: str, peer: Peer | None = None) -> None:
-        """Send a line for the people on the ground."""
+        """Send a text message to one station, or to all (None)."""
         self._text_count += 1
         self.send(peer, statustext(severity, text, self._text_count))
 
@@ -130,7 +130,7 @@ class MavlinkVehicle:
                 return
 
     def poll(self, now: float, service_s: float = 0.01) -> float:
-        """Do everything that is due, and return the time of the next call."""
+        """Send due messages and poll the services; return the time of the next call."""
         self._now = now
         self.port.deliver_answers(now)
         snapshot = self.port.snapshot
@@ -153,7 +153,7 @@ class MavlinkVehicle:
                 packets = stream.select(made, peer.turn)
                 peer.turn += stream.in_turn
                 for index, packed in enumerate(packets):
-                    # A heartbeat is not replaced by a newer one: each shows that the vehicle is connected.
+                    # Queued heartbeats are not replaced by newer ones: each shows that the vehicle is connected.
                     if stream.name == "HEARTBEAT":
                         peer.send(packed)
                     else:
@@ -207,9 +207,9 @@ class MavlinkVehicle:
             self.send(None, home_position(state))
 
     def _watch_link(self, now: float, lost_s: float = 3.5) -> None:
-        """Tell the pilot when no station was heard for ``lost_s`` (as in QGroundControl), or one is back."""
+        """Report a lost link to the pilot after ``lost_s`` without a station (as in QGroundControl), and its return."""
         if self.page_count():
-            self._note_station(_PAGE)
+            self._note_station(_PAGE_ID)
         if not self.stations:
             return
         is_lost = now - max(self.stations.values()) > lost_s
@@ -219,22 +219,22 @@ class MavlinkVehicle:
 
         def reply(answer: Answer) -> None:
             if not answer.accepted:
-                self._is_lost = not is_lost  # tried again at the next poll
+                self._is_lost = not is_lost  # try again at the next poll
 
         self.port.ask(LinkLost() if is_lost else LinkBack(), reply, "link")
 
-    def _heartbeat(self, message: Message, client: Client) -> None:
+    def _handle_heartbeat(self, message: Message, client: Client) -> None:
         if message.type == mav.MAV_TYPE_GCS:
             self._note_station((client.system, client.component))
 
     def _note_station(self, ids: tuple[int, int], max_stations: int = 64) -> None:
-        """Record that a station is alive; with too many, drop the one that was silent for longest."""
+        """Record that a station is alive; of too many the one silent for longest is dropped."""
         self.stations.pop(ids, None)
         if len(self.stations) >= max_stations:
             del self.stations[next(iter(self.stations))]
         self.stations[ids] = self._now
 
-    def _command(self, message: Message, client: Client, repeat_s: float = 5.0) -> None:
+    def _handle_command(self, message: Message, client: Client, repeat_s: float = 5.0) -> None:
         command = parse_command(message)
         state = self._state
         if state is None:
@@ -243,7 +243,7 @@ class MavlinkVehicle:
         key = (client.system, client.component, command)
         if key in self._pending:
             return  # its answer is still to be sent
-        if self._last_done is not None and command.number in commands.ONCE:
+        if self._last_done is not None and command.number in commands.ONCE_ONLY:
             done, at, result = self._last_done
             if done == key and self._now - at < repeat_s:
                 self._acknowledge(command, client, result)
@@ -265,7 +265,7 @@ class MavlinkVehicle:
         return None if build is None or self._state is None else [build(self._state.ms)]
 
     def _request_next(self, plan: Plan, index: int, command: MavCommand, client: Client, key: tuple[Any, ...]) -> None:
-        """Make a command's requests in turn; acknowledge the last answer or the first refusal."""
+        """Send a command's requests in turn; acknowledge the last answer or the first refusal."""
 
         def reply(answer: Answer) -> None:
             if answer.accepted and index + 1 < len(plan.requests):
@@ -276,7 +276,7 @@ class MavlinkVehicle:
             self._acknowledge(command, client, result)
             if result is CommandResult.ACCEPTED:
                 self._last_done = (key, self._now, result)
-            # For Arm the pilot itself sends the reason of a refusal.
+            # The pilot itself reports why arming is refused.
             elif answer.text and not isinstance(plan.requests[index], Arm):
                 self.say(int(Severity.WARNING), answer.text, client.peer)
 
@@ -288,7 +288,7 @@ class MavlinkVehicle:
         self.send(client.peer, (ack,))
 
     def _set_mode(self, message: Message, client: Client) -> None:
-        """Set a mode without acknowledgement: heartbeats show the mode, a text explains a refusal."""
+        """Set a mode without acknowledgement; heartbeats show it, and a text message explains a refusal."""
         mode = from_custom(message.custom_mode, self.constants.personality) if message.base_mode & 1 else None
         if mode is None:
             self._report_unusable(f"mode {message.custom_mode} is not known here", client.peer)
@@ -310,25 +310,25 @@ class MavlinkVehicle:
             self._report_unusable(str(error), client.peer)
 
     def _report_unusable(self, text: str, peer: Peer) -> None:
-        """Count frequent messages that are not understood, and report them now and then."""
+        """Count a message that cannot be used, and report it at most every ``report_interval_s``."""
         self.link.refused["value"] += 1
         if self._now - self._last_report >= self.report_interval_s:
             self._last_report = self._now
             self.say(int(Severity.WARNING), text, peer)
 
-    def _ping(self, message: Message, client: Client) -> None:
+    def _answer_ping(self, message: Message, client: Client) -> None:
         if message.target_system == 0:
             answer = mav.MAVLink_ping_message(message.time_usec, message.seq, client.system, client.component)
             self.send(client.peer, (answer,))
 
-    def _timesync(self, message: Message, client: Client) -> None:
-        """Answer with simulation time, which all time stamps use."""
+    def _answer_timesync(self, message: Message, client: Client) -> None:
+        """Answer TIMESYNC with simulation time, which all time stamps use."""
         if message.tc1 == 0 and self._state is not None:
             now = round(self._state.time * 1e9)
             self.send(client.peer, (mav.MAVLink_timesync_message(now, message.ts1),))
 
-    def _origin(self, message: Message, client: Client) -> None:
-        """Answer with the fixed origin, and report that it was not moved."""
+    def _handle_origin(self, message: Message, client: Client) -> None:
+        """Answer SET_GPS_GLOBAL_ORIGIN with the fixed origin, and report that it was not moved."""
         state = self._state
         if state is None:
             return
@@ -339,28 +339,28 @@ class MavlinkVehicle:
         if not valid or hypot(*at.to_local(lat, lon, at.ground)[:2]) > commands.MAX_ORIGIN_ERROR_M:
             self._report_unusable(commands.ORIGIN_FIXED, client.peer)
 
-    def _follow(self, message: Message, client: Client) -> None:
-        """Report that follow-me is not supported, the only use of a target's position."""
-        self._report_unusable(NO_FOLLOWING, client.peer)
+    def _refuse_follow_me(self, message: Message, client: Client) -> None:
+        """Report that follow-me is not supported."""
+        self._report_unusable(FOLLOW_ME_REFUSED, client.peer)
 
 
-_SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {  # parser of each set-point message
+_SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {  # parser by message
     "MANUAL_CONTROL": lambda message, state: setpoints.parse_sticks(message),
     "SET_ATTITUDE_TARGET": lambda message, state: setpoints.parse_attitude(message),
     "SET_POSITION_TARGET_LOCAL_NED": setpoints.parse_local,
     "SET_POSITION_TARGET_GLOBAL_INT": setpoints.parse_global,
 }
-_HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {  # method for each message
-    "HEARTBEAT": MavlinkVehicle._heartbeat,
-    "COMMAND_LONG": MavlinkVehicle._command,
-    "COMMAND_INT": MavlinkVehicle._command,
+_HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {  # by message name
+    "HEARTBEAT": MavlinkVehicle._handle_heartbeat,
+    "COMMAND_LONG": MavlinkVehicle._handle_command,
+    "COMMAND_INT": MavlinkVehicle._handle_command,
     "SET_MODE": MavlinkVehicle._set_mode,
     **dict.fromkeys(_SETPOINTS, MavlinkVehicle._handle_setpoint),
-    "PING": MavlinkVehicle._ping,
-    "TIMESYNC": MavlinkVehicle._timesync,
-    "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,
-    "FOLLOW_TARGET": MavlinkVehicle._follow,
-    # Ignored, as rates are set for each message.
+    "PING": MavlinkVehicle._answer_ping,
+    "TIMESYNC": MavlinkVehicle._answer_timesync,
+    "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._handle_origin,
+    "FOLLOW_TARGET": MavlinkVehicle._refuse_follow_me,
+    # Ignored, because rates are set per message.
     "REQUEST_DATA_STREAM": lambda vehicle, message, client: None,
 }
 assert set(_HANDLERS) <= set(BY_NAME)

@@ -25,7 +25,7 @@ Point = tuple[float | None, ...]  # t [s]; p, q, r and predicted [deg/s]
 
 
 def describe_flight(info: FlightInfo) -> dict[str, Any]:
-    """Return the constant data of a flight."""
+    """Return the constant data of a flight for the page."""
     scenario, vehicle = info.scenario, info.vehicle
     return {
         "type": "flight",
@@ -33,7 +33,7 @@ def describe_flight(info: FlightInfo) -> dict[str, Any]:
         "scenario": scenario.name,
         "vehicle": vehicle.name,
         "controller": controller_shown(scenario),
-        "engines": [{"name": spec.name, "most_N": _finite(spec.curve.thrust[-1])} for spec in info.stations],
+        "engines": [{"name": spec.name, "most_N": _round_finite(spec.curve.thrust[-1])} for spec in info.stations],
         "watched": scenario.monitored,
         "takeoff_m": info.parameters["MIS_TAKEOFF_ALT"],
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
@@ -44,7 +44,7 @@ def describe_flight(info: FlightInfo) -> dict[str, Any]:
 
 
 def describe_parameters(parameters: Parameters) -> list[dict[str, Any]]:
-    """Return the vehicle's parameters without values, which are sent separately."""
+    """Return the vehicle's parameters for the page, without values, which are sent separately."""
     keys = ("name", "kind", "unit", "group", "text", "default", "least", "most", "values", "read_only")
     return [{key: getattr(line, key) for key in keys} for line in parameters]
 
@@ -72,7 +72,7 @@ class RowConverter:
 
 
 def describe_state(snapshot: Snapshot) -> dict[str, Any]:
-    """Return the state of the flight at one instant."""
+    """Return the state of the flight in a snapshot for the page."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
     estimate = status.seen or snapshot.measured
     sample = snapshot.sample
@@ -86,17 +86,17 @@ def describe_state(snapshot: Snapshot) -> dict[str, Any]:
         "ready": status.ready,
         "refusals": status.refusals,
         "failsafe": status.failsafe,
-        "home": _position(status.home),
-        "target": _position(status.target),
-        "position": _finite_list(status.fix.position),
-        "velocity": _finite_list((*status.fix.velocity, estimate.velocity[2])),
-        "height": _finite(estimate.altitude),
-        "height_asked": _finite(status.altitude),
+        "home": _list_coordinates(status.home),
+        "target": _list_coordinates(status.target),
+        "position": _round_list(status.fix.position),
+        "velocity": _round_list((*status.fix.velocity, estimate.velocity[2])),
+        "height": _round_finite(estimate.altitude),
+        "height_asked": _round_finite(status.altitude),
         "attitude_deg": _to_degrees(to_euler(estimate.attitude)),
         "attitude_asked_deg": _to_degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
-        "remaining": _finite(status.remaining),
+        "remaining": _round_finite(status.remaining),
         "jets": [] if sample is None else describe_jets(snapshot.info, sample, status.engines is EngineState.OFF),
-        "pace": {"asked": pace.factor, "reached": _finite(pace.reached_factor), "missed": pace.missed},
+        "pace": {"asked": pace.factor, "reached": _round_finite(pace.reached_factor), "missed": pace.missed},
         "ending": None if ending is None else {"outcome": ending.outcome, "reason": ending.reason},
     }
 
@@ -111,13 +111,13 @@ def describe_jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str,
         throttle = 0.0 if off else sample.actuation.throttle[jet]
         jets.append(
             {
-                "throttle": _finite(throttle),
-                "asked_N": 0.0 if off else _finite(spec.thrust_at(throttle)),
-                "thrust_N": _finite(out.thrust[jet]),
-                "rpm": _finite(out.spool_speed[jet] * (30.0 / pi)),
-                "exhaust_C": _finite(out.exhaust_temperature[jet] - 273.15),
-                "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has_port("fuel_flow") else None,
-                "health": _finite(sample.health[jet]),
+                "throttle": _round_finite(throttle),
+                "asked_N": 0.0 if off else _round_finite(spec.thrust_at(throttle)),
+                "thrust_N": _round_finite(out.thrust[jet]),
+                "rpm": _round_finite(out.spool_speed[jet] * (30.0 / pi)),
+                "exhaust_C": _round_finite(out.exhaust_temperature[jet] - 273.15),
+                "fuel_g_s": _round_finite(1e3 * out.fuel_flow[jet]) if spec.has_port("fuel_flow") else None,
+                "health": _round_finite(sample.health[jet]),
                 "fault": bool(sample.faults[jet]),
             }
         )
@@ -125,13 +125,13 @@ def describe_jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str,
 
 
 def make_chart_point(sample: Sample) -> Point:
-    """Return a strip chart's point: rates measured at the step's beginning, and those fed to the rate loop."""
+    """Return a point of the strip chart: time, measured rates, and rates fed to the rate loop [deg/s]."""
     rates = (*sample.measured.rate, *sample.control.rate_predicted)
     return (round(sample.time, 3), *(round(degrees(rate), 2) if isfinite(rate) else None for rate in rates))
 
 
 def describe_messages(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
-    """Return messages for the people on the ground, with their time [s] from the step size [s]."""
+    """Return text messages for the page, with time in s from steps of ``step`` s."""
     return [
         {
             "number": message.number,
@@ -143,17 +143,17 @@ def describe_messages(messages: Iterable[Message], step: float) -> list[dict[str
     ]
 
 
-def _finite(value: float | None, decimals: int = 4) -> float | None:
+def _round_finite(value: float | None, decimals: int = 4) -> float | None:
     return None if value is None or not isfinite(value) else round(value, decimals)
 
 
-def _finite_list(values: Iterable[float]) -> list[float | None]:
-    return [_finite(value) for value in values]
+def _round_list(values: Iterable[float]) -> list[float | None]:
+    return [_round_finite(value) for value in values]
 
 
 def _to_degrees(values: Iterable[float]) -> list[float | None]:
-    return [_finite(degrees(value)) for value in values]
+    return [_round_finite(degrees(value)) for value in values]
 
 
-def _position(home: Home | None) -> list[float | None] | None:
-    return None if home is None else _finite_list(home)
+def _list_coordinates(home: Home | None) -> list[float | None] | None:
+    return None if home is None else _round_list(home)

@@ -41,37 +41,37 @@ from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
 
 class PageLimits(NamedTuple):
-    """Limits of the server and of its pages, chosen by us."""
+    """Limits of the page's server and connections, chosen by us."""
 
     frames_1_s: int = 20  # frames per second, smooth to the eye
-    max_message_bytes: int = 4096  # messages of our page have 200 bytes
+    max_message_bytes: int = 4096  # the page's messages have 200 bytes
     messages_1_s: float = 80.0  # per page; its sticks send 20
     burst_messages: float = 160.0
     max_pages: int = 8
-    # Buffers for a page that reads slowly, here (it then misses frames of 2 kB) and in the kernel, whose own choice
-    # would hold seconds of old frames.
+    # Buffers for a page that reads slowly, here (it then misses frames of 2 kB) and in the kernel, whose default
+    # size would hold seconds of old frames.
     buffer_bytes: int = 64 * 1024
     kernel_bytes: int = 32 * 1024
     stuck_s: float = 10.0  # s until a page that never reads is shut
     hello_s: float = 5.0  # s for a page to send its token
-    # Points of the strip chart that may wait, which is a second at 16 times real time; and points in one frame.
+    # Most queued points of the strip chart, a second at 16 times real time; and most points in one frame.
     max_waiting_points: int = 4000
     max_points: int = 40
-    values_every: int = 10  # frames between parameters: half a second
+    values_every: int = 10  # frames between parameters: 0.5 s
 
 
 LIMITS = PageLimits()  # limits of pages and connections
 _STATIC = Path(__file__).with_name("static")  # folder of the page's files
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"  # placeholders in the page
-# Files of the reports that this page uses too.
-_ASSETS = (
+# Scripts of the report pages that this page uses too.
+_REPORT_ASSETS = (
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
 
-# Our own codes for closing a WebSocket.
+# Codes of this server for closing a WebSocket.
 WRONG_TOKEN, TOO_MANY = 4401, 4429
-TEXT = "text/plain; charset=utf-8"  # content type of text files
-TYPES = {  # content types by file ending
+TEXT_TYPE = "text/plain; charset=utf-8"  # content type of text files
+CONTENT_TYPES = {  # by file ending
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -79,8 +79,8 @@ TYPES = {  # content types by file ending
 }
 
 
-# Requests that the page offers; missions and faults are left to ground stations.
-ALLOWED = (
+# Requests that the page may make; missions and faults are left to ground stations.
+ALLOWED_REQUESTS = (
     rq.Arm,
     rq.Disarm,
     rq.SetMode,
@@ -120,34 +120,34 @@ class WebServer:
 
     @property
     def url(self) -> str:
-        """Address of the page with the token, for those who may command."""
+        """URL of the page with the token that permits commands."""
         return f"http://127.0.0.1:{self.port}/?token={self._token}"
 
     @property
     def clients(self) -> int:
-        """Number of pages that are connected and have shown the token."""
+        """Number of connected pages that presented the token."""
         return len(self._pages)
 
     def start(self) -> None:
-        """Serve from now on."""
+        """Start serving in a separate thread."""
         try:
             listening = socket.create_server(("127.0.0.1", self.port))
         except OSError as error:
             reason = os.strerror(error.errno or 0)
             raise InputError(f"web {self.port}: the port cannot be opened: {reason}") from error
-        # Connections inherit the option from the listening socket.
+        # Connections inherit this option from the listening socket.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, LIMITS.kernel_bytes)
         self.port = listening.getsockname()[1]
         self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run(listening, running)), name="web")
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run_server(listening, running)), name="web")
         self._thread.daemon = True  # the thread ends with the process
         self._thread.start()
         running.wait()
 
     def stop(self) -> None:
-        """Close all pages and end the thread; may be called twice."""
+        """Close all pages and end the server's thread; may be called twice."""
         if self._thread is not None:
             self._call_soon(self._stopping.set)
             self._thread.join()
@@ -160,10 +160,10 @@ class WebServer:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    async def _run(self, listening: socket.socket, running: threading.Event) -> None:
+    async def _run_server(self, listening: socket.socket, running: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
-        # Browsers open connections ahead of need, which is not an error.
+        # Browsers open connections that they may not use, which is not an error.
         quiet = logging.getLogger("cosim.groundstation.web")
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False
@@ -188,15 +188,15 @@ class WebServer:
             await self._stopping.wait()
             unsubscribe()
             frames.cancel()
-            self._frame()  # pages see how the flight ended
+            self._send_frame()  # pages see how the flight ended
 
     def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
-        """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
+        """Return a file or a refusal, or None to open a WebSocket, whose origin is checked next."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or host[0].lower() not in self._hosts:
-            return self._refuse(HTTPStatus.MISDIRECTED_REQUEST, "This is not the server you are looking for.")
+            return self._make_refusal(HTTPStatus.MISDIRECTED_REQUEST, "This is not the server you are looking for.")
         if request.method != "GET":
-            refusal = self._refuse(HTTPStatus.METHOD_NOT_ALLOWED, "GET only.")
+            refusal = self._make_refusal(HTTPStatus.METHOD_NOT_ALLOWED, "GET only.")
             refusal.headers["Allow"] = "GET"
             return refusal
         path, _, query = request.path.partition("?")
@@ -207,14 +207,14 @@ class WebServer:
         tokens = parse_qs(query).get("token", []) if path == "/" else []
         if not (any(is_token(token, self._token) for token in tokens) or is_token(key, self._key)):
             text = "Open the address that hexjet has printed, with its token: this page is for those who were told it."
-            return self._refuse(HTTPStatus.FORBIDDEN, text)
+            return self._make_refusal(HTTPStatus.FORBIDDEN, text)
         file = self._files.get(f"/{name}")
         if file is None:
             return make_response(HTTPStatus.NOT_FOUND, b"Not found.\n")
         kind, body, policy = file
         return make_response(HTTPStatus.OK, body, kind, policy)
 
-    def _refuse(self, status: HTTPStatus, text: str) -> Response:
+    def _make_refusal(self, status: HTTPStatus, text: str) -> Response:
         self.refused += 1
         return make_response(status, f"{text}\n".encode())
 
@@ -231,14 +231,14 @@ class WebServer:
                     self.refused += 1
                     await connection.close(TOO_MANY, "too many messages")
                     return
-                self._handle(connection, page, text)
+                self._handle_message(connection, page, text)
         except ConnectionClosed:
             pass
         finally:
             self._pages.pop(connection, None)
 
     async def _admit(self, connection: ServerConnection) -> bool:
-        """Return whether the page sent the token and there is room; else close the connection."""
+        """Return whether a page presented the token and there is room; else close its connection."""
         try:
             async with asyncio.timeout(LIMITS.hello_s):
                 hello = _parse_message(await connection.recv())
@@ -255,7 +255,7 @@ class WebServer:
             return False
         return True
 
-    def _handle(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
+    def _handle_message(self, connection: ServerConnection, page: _Page, text: str | bytes) -> None:
         """Handle one message of a page, ``{"id": n, "request": ..., ...}``."""
         number: Any = None
         try:
@@ -271,10 +271,10 @@ class WebServer:
                 connection, {"type": "answer", "id": number, "accepted": False, "result": "failed", "text": str(error)}
             )
             return
-        self._exchange.ask(request, self._reply(connection, number), f"web-{page.number}")
+        self._exchange.ask(request, self._make_reply_callback(connection, number), f"web-{page.number}")
 
-    def _reply(self, connection: ServerConnection, number: int | None) -> AnswerCallback:
-        """Return the callback that sends the answer; sticks, which have no number, get none."""
+    def _make_reply_callback(self, connection: ServerConnection, number: int | None) -> AnswerCallback:
+        """Return a callback that sends the answer, or None for sticks, which have no number."""
         if number is None:
             return ignore_answer
 
@@ -302,10 +302,10 @@ class WebServer:
     async def _send_frames(self) -> None:
         while True:
             await asyncio.sleep(1.0 / LIMITS.frames_1_s)
-            self._frame()
+            self._send_frame()
 
-    def _frame(self) -> None:
-        """Send the present state to each page that keeps reading."""
+    def _send_frame(self) -> None:
+        """Send the present state to each page whose buffer has room."""
         snapshot = self._exchange.snapshot
         if snapshot is None or not self._pages:
             self._strip.clear()
@@ -320,16 +320,16 @@ class WebServer:
                 self.skipped += 1
         frame = feed.describe_state(snapshot) | {
             "age_s": round(now - snapshot.published, 2),
-            "strip": self._points(snapshot),
+            "strip": self._list_new_points(snapshot),
             "row": self._rows(snapshot.info, snapshot.sample),
         }
         self._frame_count += 1
         for connection in ready:
             self._send_updates(connection, self._pages[connection], snapshot)
-        broadcast(ready, _dump(frame))
+        broadcast(ready, _to_json(frame))
 
-    def _points(self, snapshot: Snapshot) -> list[feed.Point]:
-        """Return new points of the strip chart, thinned if the flight is too fast to draw."""
+    def _list_new_points(self, snapshot: Snapshot) -> list[feed.Point]:
+        """Return new points of the strip chart, thinned if the flight is too fast."""
         new = []
         while self._strip:
             number, sample = self._strip.popleft()
@@ -338,7 +338,7 @@ class WebServer:
         return [feed.make_chart_point(sample) for sample in new[:: 1 + len(new) // LIMITS.max_points]]
 
     def _send_updates(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
-        """Send a page changes of flight, parameters and messages."""
+        """Send a page the changes of flight, parameters and messages since the last update."""
         if page.flight != snapshot.info.number:
             page.flight = snapshot.info.number
             page.values = {}
@@ -357,7 +357,7 @@ class WebServer:
 
 
 class _Page:
-    """State of one open page: what was sent, and its message budget."""
+    """State of one open page: what was sent last, and its message budget."""
 
     def __init__(self, number: int) -> None:
         self.number = number
@@ -376,7 +376,7 @@ class _Page:
         return self._allowance >= 0.0
 
     def is_reading(self, connection: ServerConnection, now: float) -> bool:
-        """Return whether its buffer is empty enough for another frame."""
+        """Return whether the page's buffer has room for another frame."""
         if connection.transport.get_write_buffer_size() > LIMITS.buffer_bytes:
             return False
         self.read_at = now
@@ -384,17 +384,17 @@ class _Page:
 
 
 def _parse_request(message: dict[str, Any]) -> GroundRequest:
-    """Return the request in a message.  Raises InputError for one that the page may not make."""
+    """Return the request in a page's message.  Raises InputError for one that pages may not make."""
     if message == {"request": "Restart"}:
         return Restart()
     request = rq.from_dict(message)
-    if not isinstance(request, ALLOWED):
+    if not isinstance(request, ALLOWED_REQUESTS):
         raise InputError(f"request = {type(request).__name__!r}: is not for the page")
     return request
 
 
 def _parse_message(text: str | bytes) -> dict[str, Any]:
-    """Return a JSON message as a dict.  Raises InputError for anything else."""
+    """Parse a page's JSON message into a dict.  Raises InputError for anything else."""
     if isinstance(text, bytes):
         raise InputError("message: must be text")
 
@@ -413,28 +413,28 @@ def _parse_message(text: str | bytes) -> dict[str, Any]:
 
 
 def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
-    """Send without blocking; a page that does not read gets nothing and is closed soon."""
+    """Send a message without blocking; a page that does not read gets nothing and is closed soon."""
     if connection.transport.get_write_buffer_size() <= 2 * LIMITS.buffer_bytes:
-        broadcast([connection], _dump(message))
+        broadcast([connection], _to_json(message))
 
 
-def _dump(message: dict[str, Any]) -> str:
+def _to_json(message: dict[str, Any]) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
 def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, bytes, str]]:
-    """Return every file of the page by its path behind the key: media type, content, and content policy."""
+    """Return the page's files by path after the key: media type, content and content security policy."""
     sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
     policy = (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    kinds = TYPES | {"txt": TEXT}  # the text files are licences
+    kinds = CONTENT_TYPES | {"txt": TEXT_TYPE}  # the text files are licences
     served = {
         path: (kinds[path.rpartition(".")[2]], body, policy)
         for path, body in [
             *((f"/{path.relative_to(_STATIC).as_posix()}", path.read_bytes()) for path in _STATIC.rglob("*.*")),
-            *((f"/assets/{name}", (ASSETS / name).read_bytes()) for name in _ASSETS),
+            *((f"/assets/{name}", (ASSETS / name).read_bytes()) for name in _REPORT_ASSETS),
         ]
         if path.rpartition(".")[2] in kinds
     }
@@ -444,12 +444,12 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
 
 
 def is_token(presented: Any, token: str) -> bool:
-    """Compare a page's token in constant time."""
+    """Return whether a presented token is the right one, compared in constant time."""
     return isinstance(presented, str) and presented.isascii() and hmac.compare_digest(presented, token)
 
 
-def make_response(status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "") -> Response:
-    """Return an answer that browsers neither store nor frame; without a ``policy`` its content loads nothing."""
+def make_response(status: HTTPStatus, body: bytes, kind: str = TEXT_TYPE, policy: str = "") -> Response:
+    """Return an HTTP response that browsers neither store nor frame; without ``policy`` it loads nothing else."""
     headers = Headers(
         {
             "Content-Type": kind,

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.identify.sweep.fit import MAX_ROUNDED_SAMPLES, Fit, fit
+from cosim.identify.sweep.fit import MAX_DELAY_ROUNDING, Fit, fit
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate, shortest_record
 from cosim.identify.sweep.result import (
     MAX_SWEEP_S,
@@ -94,7 +94,7 @@ def _fit_forms(response: FrequencyResponse, lags: int, hold: Mapping[str, float]
     """Fit the form, first with a whole delay in samples if the free delay is nearly whole, then with a free delay."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     delay = round(free.model.delay_samples)
-    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > MAX_ROUNDED_SAMPLES:
+    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > MAX_DELAY_ROUNDING:
         return (free,)
     return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(delay)}), free)
 
@@ -126,8 +126,8 @@ def _measure_lags(engine: EngineSpec, throttle: float, size: float, step: float)
     """Return two lags [s] of a step response: of its rise and of its settling.
 
     The first is the time from 10 to 90 % over ln 9, the time constant of a single lag.  The second takes the time until
-    the thrust stays within :data:`SETTLING_BAND` of its end, if that is later, as after a large overshoot, but not with two
-    poles of damping 0.5.
+    the thrust stays within :data:`SETTLING_BAND` of its end, if that is later, as after a large overshoot, but not
+    with two poles of damping 0.5.
     """
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]

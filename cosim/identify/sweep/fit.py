@@ -19,7 +19,7 @@ from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
 MIN_COHERENCE = 0.6  # limit of Tischler and Remple
-MAX_ROUNDED_SAMPLES = 0.05  # from a whole delay: rounded
+MAX_DELAY_ROUNDING = 0.05  # samples to the nearest whole delay
 
 
 @dataclass(frozen=True)

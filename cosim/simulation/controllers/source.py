@@ -23,7 +23,7 @@ from pathlib import Path
 from types import CodeType, ModuleType, SimpleNamespace
 from typing import Any
 
-from cosim.base.controller_wire import EXTRAS
+from cosim.base.controller_wire import OPTIONAL
 from cosim.base.errors import InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
 from cosim.base.plugins.execute import execute_file, import_installed
@@ -324,9 +324,9 @@ def _from_description(
     if not isinstance(extras, (list, tuple)):
         raise InputError(f"{where}: extras = {extras!r}: must be a list")
     for extra in extras:
-        if extra not in EXTRAS or level != "controller":
+        if extra not in OPTIONAL or level != "controller":
             raise InputError(
-                f"{where}: extras: {extra!r}: must be of a whole controller, and one of {', '.join(EXTRAS)}"
+                f"{where}: extras: {extra!r}: must be of a whole controller, and one of {', '.join(OPTIONAL)}"
             )
     source = Source(
         controller,

@@ -42,7 +42,7 @@ class StepErrors(Model):
     def fewest_runs(self, size: float, unit: str) -> int | None:
         """Return the fewest JSBSim runs per step with an error of at most ``size`` [deg or mm], or None."""
         kept = None
-        for runs, error in reversed(list(zip(self.runs, self._errors(unit), strict=True))):
+        for runs, error in reversed(list(zip(self.runs, self._list_errors(unit), strict=True))):
             if error > size:
                 break
             kept = runs
@@ -61,7 +61,7 @@ class StepErrors(Model):
 
     def smallest_error(self, unit: str) -> float:
         """Return the error [deg or mm] with the largest measured number of runs."""
-        return self._errors(unit)[-1]
+        return self._list_errors(unit)[-1]
 
     def errors_at(self, runs: int) -> tuple[float, float] | None:
         """Return the errors [deg, mm] with ``runs`` JSBSim runs per step; None if not measured."""
@@ -70,7 +70,7 @@ class StepErrors(Model):
         place = self.runs.index(runs)
         return self.attitude_deg[place], self.place_mm[place]
 
-    def _errors(self, unit: str) -> Sequence[float]:
+    def _list_errors(self, unit: str) -> Sequence[float]:
         return self.attitude_deg if unit == "deg" else self.place_mm
 
 

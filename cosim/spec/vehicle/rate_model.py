@@ -10,7 +10,7 @@ from cosim.base.storage.toml import Model, Positive, read_toml, validate
 from cosim.spec.file_kind import MODELS, check_kind
 
 
-def _append_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
+def _append_conjugates(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
     if not pairs:
         return real
     return [*map(complex, real), *(complex(re, sign * im) for re, im in pairs for sign in (1.0, -1.0))]
@@ -45,12 +45,12 @@ class RateModel(Model):
     @property
     def all_poles(self) -> list[float] | list[complex]:
         """All poles: real ones, then conjugate pairs."""
-        return _append_pairs(self.poles, self.pole_pairs)
+        return _append_conjugates(self.poles, self.pole_pairs)
 
     @property
     def all_zeros(self) -> list[float] | list[complex]:
         """All zeros: real ones, then conjugate pairs."""
-        return _append_pairs(self.zeros, self.zero_pairs)
+        return _append_conjugates(self.zeros, self.zero_pairs)
 
 
 class ModelFile(Model):

@@ -492,10 +492,10 @@ def test_an_amplitude_that_noise_alone_brings_to_a_limit_goes_down_quicker(monke
 
     def fly(base: Scenario, axis: str, sweep: Sweep) -> object:
         flown.append(sweep.amplitude)
-        share = 1.0 if sweep.amplitude <= 0.65 else 0.999
+        part = 1.0 if sweep.amplitude <= 0.65 else 0.999
         ending = SimpleNamespace(outcome="completed", reason="")
         engine = SimpleNamespace(name="some")
-        return SimpleNamespace(sweep=sweep, is_usable=share == 1.0, fitting_fraction=share, ending=ending, engine=engine)
+        return SimpleNamespace(sweep=sweep, is_usable=part == 1.0, fitting_fraction=part, ending=ending, engine=engine)
 
     monkeypatch.setattr(sweeping, "_fly_sweep", fly)
     found = sweeping._fly_unsaturated(Scenario.load("hover"), "yaw", Sweep(0.3, 6.0, 4.0, 67.0), True)

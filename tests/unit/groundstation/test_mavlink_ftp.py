@@ -530,7 +530,7 @@ def search(store: LogStore, now: float) -> None:
     """Let it look for runs, and wait until it has."""
     store.search(now)
     while store.is_searching:
-        store._list_found(now)
+        store._add_found_runs(now)
 
 
 def test_lists_that_are_asked_for_again_and_again_read_no_files_and_hold_up_nobody(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
 from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
-from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT_S, STREAMS
+from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT_INTERVALS_S, STREAMS
 from cosim.groundstation.mavlink.telemetry import statustext
 from cosim.groundstation.mavlink.telemetry_state import PERSONALITIES, FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
@@ -521,7 +521,7 @@ def test_modes_go_there_and_back(personality: object) -> None:
 
 def test_no_message_is_streamed_twice() -> None:
     assert len(BY_ID) == len(STREAMS)
-    assert DEFAULT_S[BY_NAME["HEARTBEAT"].id] == 1.0
+    assert DEFAULT_INTERVALS_S[BY_NAME["HEARTBEAT"].id] == 1.0
 
 
 class Echo:

@@ -11,7 +11,7 @@ from math import hypot, radians, remainder, tau
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
-from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, MODES, UNSUPPORTED, from_custom, from_main_sub
+from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, MODES, REFUSED_PX4, from_custom, from_main_sub
 from cosim.groundstation.mavlink.services.items import MAX_DISTANCE_M
 from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
@@ -25,11 +25,11 @@ from cosim.groundstation.mavlink.streams import BY_ID, MIN_INTERVAL_S, stream_in
 from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
-# m: what rounding to 1e-7 deg (1 cm) and a station's own arithmetic change.
+# Largest distance at which an origin counts as the same: rounding to 1e-7 deg (1 cm) and a station's arithmetic.
 MAX_ORIGIN_ERROR_M = 1.0
 ORIGIN_FIXED = "the origin stays where the flight began; place puts it elsewhere"  # reason of a refusal
 
-# INJECT_FAILURE has no severity; ours is noticeable in flight and can still be flown.
+# FAILURE_UNIT of motor and servo. INJECT_FAILURE has no severity: those below are noticeable and can be flown.
 _MOTOR, _SERVO = 101, 102
 _SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}  # sensor by FAILURE_UNIT
 _OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6  # FAILURE_TYPE
@@ -44,14 +44,14 @@ _GYRO_BIAS, _BAROMETER_BIAS, _GNSS_BIAS = (0.05, 0.0, 0.0), 3.0, (5.0, 0.0, 0.0)
 
 
 class _FrameError(Exception):
-    """Raised for a frame in which the command has no meaning."""
+    """Raised for a coordinate frame that the command does not support."""
 
 
 Handler = Callable[[MavCommand, Context], Plan]
 
 
 def plan_command(command: MavCommand, context: Context) -> Plan:
-    """Return how a command is executed.  Raises nothing."""
+    """Return the plan that executes a command; errors become refusals."""
     handler = _HANDLERS.get(command.number)
     if handler is None:
         return Plan(result=CommandResult.UNSUPPORTED)
@@ -63,7 +63,7 @@ def plan_command(command: MavCommand, context: Context) -> Plan:
         return Plan(result=CommandResult.UNSUPPORTED_FRAME)
 
 
-def _ask(*requests: rq.Request) -> Plan:
+def _plan(*requests: rq.Request) -> Plan:
     return Plan(requests)
 
 
@@ -71,82 +71,82 @@ def _refuse(text: str, result: CommandResult = CommandResult.DENIED) -> Plan:
     return Plan(result=result, text=text)
 
 
-def _whole(value: float | None) -> int:
-    """Return a parameter as an integer; -1 if it is not one."""
+def _to_integer(value: float | None) -> int:
+    """Return a parameter as an integer, or -1 if it is missing or not whole."""
     return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
 
 
 def _arm(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
     arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
-        return _ask(rq.Arm(force))
+        return _plan(rq.Arm(force))
     if arm == 0.0:
-        return _ask(rq.Disarm(force))
+        return _plan(rq.Disarm(force))
     return _refuse("arm: parameter 1 must be 0 or 1")
 
 
 def _take_off(command: MavCommand, context: Context) -> Plan:
-    """Plan a take-off to parameter 7, above sea as in PX4, or above home for ArduPilot or relative frames."""
+    """Plan a take-off to parameter 7 [m] above sea (PX4), or above home (ArduPilot or relative frames)."""
     altitude = command.params[6]
     if altitude is None:
-        return _ask(rq.Takeoff())
+        return _plan(rq.Takeoff())
     if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
-        return _ask(rq.Takeoff(altitude))
+        return _plan(rq.Takeoff(altitude))
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return _refuse("", CommandResult.UNSUPPORTED_FRAME)
     state = context.state
     if altitude < state.altitude_above_sea + 1.0:
         here = f"the vehicle is at {state.altitude_above_sea:.0f} m"
         return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _ask(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
+    return _plan(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
 
 
 def _land(command: MavCommand, context: Context) -> Plan:
     if command.position is not None:
-        north, east = _local(command.position, context)
+        north, east = _to_local(command.position, context)
         here = context.state.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
             return _refuse("land refused: it lands where it is; fly to the place first")
-    return _ask(rq.Land())
+    return _plan(rq.Land())
 
 
 def _set_mode(command: MavCommand, context: Context) -> Plan:
-    base, main, sub = (_whole(value) for value in command.params[:3])
+    base, main, sub = (_to_integer(value) for value in command.params[:3])
     if base < 0 or not base & CUSTOM:
         return _refuse("mode: only custom modes are known here", CommandResult.UNSUPPORTED)
     if context.vehicle.personality == "ardupilot":
-        return _mode(from_custom(main, "ardupilot"), f"{main}")
-    name = UNSUPPORTED.get((main, sub), "")
-    return _mode(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
+        return _plan_mode_change(from_custom(main, "ardupilot"), f"{main}")
+    name = REFUSED_PX4.get((main, sub), "")
+    return _plan_mode_change(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
 
 
 def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.params[0])
-    return _mode(FROM_STANDARD.get(number), f"{number}")
+    number = _to_integer(command.params[0])
+    return _plan_mode_change(FROM_STANDARD.get(number), f"{number}")
 
 
-def _mode(mode: Mode | None, number: str) -> Plan:
+def _plan_mode_change(mode: Mode | None, number: str) -> Plan:
     if mode is None:
         return _refuse(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
-    return _ask(rq.SetMode(mode.value))
+    return _plan(rq.SetMode(mode.value))
 
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
-    """Plan a flight to a position, height and yaw [rad]; without all of them a pause."""
+    """Plan a flight to a position, height and yaw [rad]; if all are missing, a pause."""
     speed, yaw = command.params[0], command.params[3]
     if command.position is None and command.params[6] is None and yaw is None:
-        return _ask(rq.Hold())
+        return _plan(rq.Hold())
     heading = None if yaw is None else remainder(yaw, tau)
-    return _ask(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
+    return _plan(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
 
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
-    """Plan DO_ORBIT: negative radius turns left; parameter 4 is an angle [rad], 0 is endless."""
+    """Plan DO_ORBIT: a negative radius turns left; parameter 4 is the angle to fly [rad], 0 endless."""
     radius, speed, yaw, angle = command.params[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
     target = _target(command, context)
-    return _ask(
+    return _plan(
         rq.Orbit(
             abs(radius),
             radius > 0.0,
@@ -161,8 +161,8 @@ def _orbit(command: MavCommand, context: Context) -> Plan:
 _ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # yaw by ORBIT_YAW_BEHAVIOUR
 
 
-def _yaw(command: MavCommand, context: Context) -> Plan:
-    """Plan CONDITION_YAW [deg], relative if parameter 4 is 1; parameter 3 is the direction then."""
+def _turn(command: MavCommand, context: Context) -> Plan:
+    """Plan CONDITION_YAW: turn to a heading [deg], relative in direction of parameter 3 if parameter 4 is 1."""
     angle = command.params[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
@@ -170,7 +170,7 @@ def _yaw(command: MavCommand, context: Context) -> Plan:
     if command.params[3] == 1.0:
         sense = -1.0 if command.params[2] is not None and command.params[2] < 0.0 else 1.0
         heading = context.state.euler[2] + sense * heading
-    return _ask(rq.Goto(yaw=remainder(heading, tau)))
+    return _plan(rq.Goto(yaw=remainder(heading, tau)))
 
 
 def _change_speed(command: MavCommand, context: Context) -> Plan:
@@ -179,55 +179,55 @@ def _change_speed(command: MavCommand, context: Context) -> Plan:
         return _refuse("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
         return _refuse("speed: parameter 2 must be m/s")
-    return _ask(rq.SetSpeed(speed))
+    return _plan(rq.SetSpeed(speed))
 
 
 def _set_home(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 1.0:
-        return _ask(rq.SetHome())
+        return _plan(rq.SetHome())
     if command.position is None:
         return _refuse("home: latitude and longitude are missing")
-    return _ask(rq.SetHome(*_target(command, context)))
+    return _plan(rq.SetHome(*_target(command, context)))
 
 
-def _terminate(command: MavCommand, context: Context) -> Plan:
+def _terminate_flight(command: MavCommand, context: Context) -> Plan:
     if command.params[0] is None or command.params[0] < 0.5:
         return _refuse("terminate: parameter 1 must be 1; there is no way back")
-    return _ask(rq.Kill(True))
+    return _plan(rq.Kill(True))
 
 
 def _start_mission(command: MavCommand, context: Context) -> Plan:
-    """Plan a mission start at the present item, or at that of parameter 1 if not 0."""
-    first = _whole(command.params[0])
-    return _ask(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _ask(rq.MissionStart())
+    """Plan a mission start at the item of parameter 1, or at the present item if that is 0."""
+    first = _to_integer(command.params[0])
+    return _plan(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _plan(rq.MissionStart())
 
 
 def _set_mission_item(command: MavCommand, context: Context) -> Plan:
-    item = _whole(command.params[0])
-    return _refuse("mission: parameter 1 must be an item") if item < 0 else _ask(rq.MissionSetCurrent(item))
+    item = _to_integer(command.params[0])
+    return _refuse("mission: parameter 1 must be an item") if item < 0 else _plan(rq.MissionSetCurrent(item))
 
 
-def _pause(command: MavCommand, context: Context) -> Plan:
+def _pause_or_continue(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 0.0:
-        return _ask(rq.Hold())
-    return _ask(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+        return _plan(rq.Hold())
+    return _plan(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
 def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
-    """Return north, east and height above the origin [m] of a command, None if missing.
+    """Return a command's target north, east and above the origin [m], each None if missing.
 
-    Raises InputError for a position that is none or too far away, _FrameError.
+    Raises InputError for an invalid or too distant position, _FrameError for another frame.
     """
     if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         raise _FrameError
     altitude = command.params[6]
-    above = None if altitude is None else _altitude(command, altitude, context)
-    north, east = (None, None) if command.position is None else _local(command.position, context, above)
+    above = None if altitude is None else _to_height(command, altitude, context)
+    north, east = (None, None) if command.position is None else _to_local(command.position, context, above)
     return north, east, above
 
 
-def _local(position: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
-    """Return north and east [m] of a position at this height above the origin [m], or at the vehicle's."""
+def _to_local(position: tuple[float, float], context: Context, above: float | None = None) -> tuple[float, float]:
+    """Return north and east [m] of a position (deg) at a height above the origin [m], by default the vehicle's."""
     lat, lon = position
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"{lat:g}, {lon:g} is no latitude and longitude")
@@ -240,18 +240,18 @@ def _local(position: tuple[float, float], context: Context, above: float | None 
     return north, east
 
 
-def _altitude(command: MavCommand, value: float, context: Context) -> float:
-    """Return an order's height above the origin [m]."""
+def _to_height(command: MavCommand, value: float, context: Context) -> float:
+    """Return a command's altitude as a height above the origin [m]."""
     if command.frame in RELATIVE_FRAMES:
         return value + context.state.altitude - context.state.height_above_home
     return value - context.vehicle.geodesy.ground
 
 
-def _fail(command: MavCommand, context: Context) -> Plan:
-    unit, kind = _whole(command.params[0]), _whole(command.params[1])
-    which = 0 if command.params[2] is None else _whole(command.params[2])
+def _inject_failure(command: MavCommand, context: Context) -> Plan:
+    unit, kind = _to_integer(command.params[0]), _to_integer(command.params[1])
+    which = 0 if command.params[2] is None else _to_integer(command.params[2])
     if kind == _OK:
-        return _ask(rq.ClearFaults())  # MAVLink cannot name a single fault
+        return _plan(rq.ClearFaults())  # MAVLink cannot name a single fault
     faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
@@ -267,11 +267,11 @@ def _fail(command: MavCommand, context: Context) -> Plan:
             return _refuse(f"failure: servo {which}; there are 1 to {len(servos)}, and 0 for all")
         faults = tuple(rq.InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
     elif unit in _SENSORS:
-        faults = _sensor_fault(kind, _SENSORS[unit])
+        faults = _make_sensor_faults(kind, _SENSORS[unit])
     return Plan(faults) if faults else _refuse("failure: not one that can be made here", CommandResult.UNSUPPORTED)
 
 
-def _sensor_fault(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
+def _make_sensor_faults(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
     if kind in (_OFF, _STUCK):
         return (rq.InjectFault("sensor_dropout", sensor=sensor),)
     if kind != _WRONG:
@@ -282,24 +282,24 @@ def _sensor_fault(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
 
 
 def _request_message(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.params[0])
+    number = _to_integer(command.params[0])
     messages = context.find_message(number)
     if messages is None and number == BY_NAME["AVAILABLE_MODES"].id:
-        return _modes(command, context)
+        return _report_modes(command, context)
     if messages is None and number == BY_NAME["MESSAGE_INTERVAL"].id:
         return _get_interval(command._replace(params=(command.params[1], *command.params[1:])), context)
     if messages is None and number in BY_ID:
         messages = BY_ID[number].make_messages(context.state)
         if not messages:
-            # The value is not known yet, and the client will ask again.
+            # The value is not known yet; the client asks again after a temporary rejection.
             return _refuse("", CommandResult.TEMPORARILY_REJECTED)
     if messages is None:
         return Plan(result=CommandResult.UNSUPPORTED)
     return Plan(messages=tuple(messages))
 
 
-def _modes(command: MavCommand, context: Context) -> Plan:
-    index = 0 if command.params[1] is None else _whole(command.params[1])
+def _report_modes(command: MavCommand, context: Context) -> Plan:
+    index = 0 if command.params[1] is None else _to_integer(command.params[1])
     if index == 0:
         return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(MODES) + 1)))
     if not 1 <= index <= len(MODES):
@@ -307,14 +307,14 @@ def _modes(command: MavCommand, context: Context) -> Plan:
     return Plan(messages=(mode_line(context.vehicle, index),))
 
 
-def _requester_of(name: str) -> Handler:
-    """Return the handler of a command that requests one kind of message."""
+def _make_request_handler(name: str) -> Handler:
+    """Return the handler of a command that requests the message ``name``."""
     number = float(BY_NAME[name].id)
     return lambda command, context: _request_message(command._replace(params=(number, *command.params[1:])), context)
 
 
 def _get_interval(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.params[0])
+    number = _to_integer(command.params[0])
     if not 0 <= number <= 0xFFFF:
         return _refuse("interval: parameter 1 must be a message", CommandResult.UNSUPPORTED)
     if number not in BY_ID:
@@ -325,7 +325,7 @@ def _get_interval(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_origin(command: MavCommand, context: Context) -> Plan:
-    """Plan DO_SET_GLOBAL_ORIGIN: only the origin of the flight is accepted; the answer states it."""
+    """Plan DO_SET_GLOBAL_ORIGIN: accept only the flight's own origin, and report it."""
     at = context.vehicle.geodesy
     messages = tuple(gps_global_origin(context.state))
     if command.position is None:
@@ -339,8 +339,8 @@ def _set_origin(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_interval(command: MavCommand, context: Context) -> Plan:
-    """Set a message's interval for the requesting station: parameter 2 in us; -1 none, 0 default."""
-    number, micro = _whole(command.params[0]), command.params[1]
+    """Set a message's interval for the requesting station: parameter 2 [us], -1 never, 0 default."""
+    number, micro = _to_integer(command.params[0]), command.params[1]
     if number not in BY_ID:
         return Plan(result=CommandResult.UNSUPPORTED)
     if micro is None or (micro < 0.0 and micro != -1.0) or micro > 3600e6:
@@ -352,7 +352,7 @@ def _set_interval(command: MavCommand, context: Context) -> Plan:
     return Plan()
 
 
-def _prearm(command: MavCommand, context: Context) -> Plan:
+def _report_prearm_checks(command: MavCommand, context: Context) -> Plan:
     status = context.state.status
     if status.armed:
         return _refuse("pre-arm checks: already armed", CommandResult.TEMPORARILY_REJECTED)
@@ -361,43 +361,43 @@ def _prearm(command: MavCommand, context: Context) -> Plan:
 
 
 def _reboot(command: MavCommand, context: Context) -> Plan:
-    """Plan a new flight if parameter 1 is 1, or the session's end if 2."""
-    number = _whole(command.params[0])
+    """Plan a new flight if parameter 1 is 1, or the end of the session if it is 2."""
+    number = _to_integer(command.params[0])
     if not 1 <= number <= len(context.shutdown_requests):
         return Plan(result=CommandResult.UNSUPPORTED)
     if context.state.status.armed:
         return _refuse("reboot refused: armed")
-    return _ask(context.shutdown_requests[number - 1])
+    return _plan(context.shutdown_requests[number - 1])
 
 
-_HANDLERS: dict[int, Handler] = {  # function for each MAV_CMD
-    17: lambda command, context: _ask(rq.Hold()),  # NAV_LOITER_UNLIM
-    20: lambda command, context: _ask(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
+_HANDLERS: dict[int, Handler] = {  # by MAV_CMD
+    17: lambda command, context: _plan(rq.Hold()),  # NAV_LOITER_UNLIM
+    20: lambda command, context: _plan(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND
     22: _take_off,  # NAV_TAKEOFF
-    115: _yaw,  # CONDITION_YAW
+    115: _turn,  # CONDITION_YAW
     176: _set_mode,  # DO_SET_MODE
     178: _change_speed,  # DO_CHANGE_SPEED
     179: _set_home,  # DO_SET_HOME
-    185: _terminate,  # DO_FLIGHTTERMINATION
+    185: _terminate_flight,  # DO_FLIGHTTERMINATION
     34: _orbit,  # DO_ORBIT
     192: _reposition,  # DO_REPOSITION
-    193: _pause,  # DO_PAUSE_CONTINUE
+    193: _pause_or_continue,  # DO_PAUSE_CONTINUE
     224: _set_mission_item,  # DO_SET_MISSION_CURRENT
     246: _reboot,  # PREFLIGHT_REBOOT_SHUTDOWN
     262: _set_standard_mode,  # DO_SET_STANDARD_MODE
     300: _start_mission,  # MISSION_START
     400: _arm,  # COMPONENT_ARM_DISARM
-    401: _prearm,  # RUN_PREARM_CHECKS
-    410: _requester_of("HOME_POSITION"),  # GET_HOME_POSITION
-    420: _fail,  # INJECT_FAILURE
+    401: _report_prearm_checks,  # RUN_PREARM_CHECKS
+    410: _make_request_handler("HOME_POSITION"),  # GET_HOME_POSITION
+    420: _inject_failure,  # INJECT_FAILURE
     510: _get_interval,  # GET_MESSAGE_INTERVAL
     511: _set_interval,  # SET_MESSAGE_INTERVAL
     512: _request_message,  # REQUEST_MESSAGE
-    519: _requester_of("PROTOCOL_VERSION"),  # REQUEST_PROTOCOL_VERSION
-    520: _requester_of("AUTOPILOT_VERSION"),  # REQUEST_AUTOPILOT_CAPABILITIES
+    519: _make_request_handler("PROTOCOL_VERSION"),  # REQUEST_PROTOCOL_VERSION
+    520: _make_request_handler("AUTOPILOT_VERSION"),  # REQUEST_AUTOPILOT_CAPABILITIES
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
-KNOWN = frozenset(_HANDLERS)  # commands that are answered
-# Commands that are not executed again if only their acknowledgement was lost.
-ONCE = frozenset({22, 420})
+SUPPORTED_COMMANDS = frozenset(_HANDLERS)  # by MAV_CMD
+# Commands whose repetition, after a lost acknowledgement, is acknowledged and not executed again.
+ONCE_ONLY = frozenset({22, 420})

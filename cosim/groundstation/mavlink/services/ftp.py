@@ -21,7 +21,7 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 
 NONE, TERMINATE, RESET, LIST, OPEN, READ = 0, 1, 2, 3, 4, 5  # opcodes of MAVLink FTP
 CRC, BURST, ACK, NAK = 14, 15, 128, 129  # opcodes of MAVLink FTP
-_WRITING = range(6, 14)  # opcodes that would change files
+_WRITE_OPCODES = range(6, 14)  # opcodes that change files
 FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10  # error codes of MAVLink FTP
 
 MAX_DATA_BYTES = 239  # data in one message
@@ -29,7 +29,7 @@ _HEAD = struct.Struct("<HBBBBBxI")  # header of a payload
 
 
 class File(Protocol):
-    """A readable file: ``size`` in bytes, and access to any part."""
+    """Readable file: ``size`` in bytes, and access to any part."""
 
     size: int
 
@@ -37,7 +37,7 @@ class File(Protocol):
 
 
 class MemoryFile:
-    """A file in memory."""
+    """Readable file whose content is in memory."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -47,11 +47,13 @@ class MemoryFile:
         return self._data[offset : offset + length]
 
 
-# Of a path that a client names ("log/run.ulg"): existing files at and below it, by whole path.
+# Returns the existing files at and below a path that a client names ("log/run.ulg"), by full path.
 Files = Callable[[str], Mapping[str, File]]
 
 
 class _Request(NamedTuple):
+    """Request of a client: the header's fields and the data."""
+
     sequence: int
     session: int
     opcode: int
@@ -62,14 +64,16 @@ class _Request(NamedTuple):
 
 @dataclass
 class _Burst:
+    """Burst read that is being sent: position in the file and remaining messages."""
+
     request: _Request
     offset: int
     remaining: int  # messages still to be sent
     sequence: int
 
 
-class _State:
-    """State of one client: open files, and a burst of at most 239 kB/s."""
+class _ClientState:
+    """State of one client: its open files, and its burst at up to 239 kB/s."""
 
     def __init__(self) -> None:
         self.open: OrderedDict[int, File] = OrderedDict()
@@ -90,23 +94,23 @@ class FileService(Service):
         self.burst_length = burst_length
         self.max_open = max_open
         self._files = files
-        self._clients: OrderedDict[Client, _State] = OrderedDict()
+        self._clients: OrderedDict[Client, _ClientState] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
         """Return the answer to one request; bursts are sent later."""
-        request = _parse(message.payload)
+        request = _parse_request(message.payload)
         if request is None:
             return []
-        answer = self._answer(request, self._state(client))
-        return [] if answer is None else [_message(client, answer)]
+        answer = self._execute(request, self._get_state(client))
+        return [] if answer is None else [_make_message(client, answer)]
 
     def poll(self, now: float) -> Outgoing:
-        """Return the next part of every burst."""
+        """Return the messages of all bursts that may be sent now."""
         out: Outgoing = []
         for client, state in self._clients.items():
             if state.burst is not None:
                 for _ in range(state.pace.take_tokens(now, state.burst.remaining, client.peer)):
-                    out.append((client.peer, _message(client, _next_burst_message(state))))
+                    out.append((client.peer, _make_message(client, _next_burst_message(state))))
                     if state.burst is None:
                         break
         return out
@@ -120,38 +124,38 @@ class FileService(Service):
         for client in [client for client in self._clients if client.peer == peer]:
             del self._clients[client]
 
-    def _state(self, client: Client) -> _State:
-        """Return a client's state; with too many, drop that of the least active one."""
+    def _get_state(self, client: Client) -> _ClientState:
+        """Return a client's state; of too many clients the least recently active one is dropped."""
         if client not in self._clients:
             if len(self._clients) >= MAX_CLIENTS:
                 self._clients.popitem(last=False)
-            self._clients[client] = _State()
+            self._clients[client] = _ClientState()
         self._clients.move_to_end(client)
         return self._clients[client]
 
-    def _answer(self, request: _Request, state: _State) -> bytes | None:
+    def _execute(self, request: _Request, state: _ClientState) -> bytes | None:
         code = request.opcode
         if code == NONE:
             return _ack(request)
         if code == TERMINATE:
-            return self._close(request, state)
+            return self._close_file(request, state)
         if code == RESET:
             state.open.clear()
             state.burst = None
             return _ack(request)
-        if code in _WRITING:
+        if code in _WRITE_OPCODES:
             return _nak(request, PROTECTED)
         if code not in (LIST, OPEN, CRC, READ, BURST):
             return _nak(request, UNKNOWN)
         if request.size > MAX_DATA_BYTES:
             return _nak(request, BAD_SIZE)
-        return self._read(request, state) if code in (READ, BURST) else self._look_up(request, state)
+        return self._read_file(request, state) if code in (READ, BURST) else self._serve_path(request, state)
 
-    def _look_up(self, request: _Request, state: _State) -> bytes:
-        """List a folder, open a file, or compute a checksum, by the request's path."""
-        code, path = request.opcode, _path(request.data)
+    def _serve_path(self, request: _Request, state: _ClientState) -> bytes:
+        """Return the answer to a request on a path: list a folder, open a file, or compute a checksum."""
+        code, path = request.opcode, _parse_path(request.data)
         if code == LIST:
-            return self._list(request, path)
+            return self._list_folder(request, path)
         file = None if path is None else self._files(path).get(path)
         if file is None:
             return _nak(request, NOT_FOUND)
@@ -165,14 +169,14 @@ class FileService(Service):
         state.open[request.session] = file
         return _ack(request, struct.pack("<I", file.size))
 
-    def _close(self, request: _Request, state: _State) -> bytes:
+    def _close_file(self, request: _Request, state: _ClientState) -> bytes:
         """Close a file; repeated closing succeeds, as the first answer may have been lost."""
         state.open.pop(request.session, None)
         if state.burst is not None and state.burst.request.session == request.session:
             state.burst = None
         return _ack(request)
 
-    def _read(self, request: _Request, state: _State) -> bytes | None:
+    def _read_file(self, request: _Request, state: _ClientState) -> bytes | None:
         file = state.open.get(request.session)
         if file is None:
             return _nak(request, BAD_SESSION)
@@ -184,8 +188,8 @@ class FileService(Service):
             return None
         return _ack(request, file.read(request.offset, request.size or MAX_DATA_BYTES), request.offset)
 
-    def _list(self, request: _Request, path: str | None) -> bytes:
-        entries = None if path is None else _entries(self._files(path), path)
+    def _list_folder(self, request: _Request, path: str | None) -> bytes:
+        entries = None if path is None else _format_entries(self._files(path), path)
         if entries is None:
             return _nak(request, NOT_FOUND)
         if request.offset >= len(entries):
@@ -198,8 +202,8 @@ class FileService(Service):
         return _ack(request, data, request.offset)
 
 
-def _next_burst_message(state: _State) -> bytes:
-    """Return the next message of a burst; the last one is marked as that."""
+def _next_burst_message(state: _ClientState) -> bytes:
+    """Return the payload of a burst's next message; the last one is marked as last."""
     burst = state.burst
     assert burst is not None
     request, file = burst.request, state.open.get(burst.request.session)
@@ -214,7 +218,7 @@ def _next_burst_message(state: _State) -> bytes:
     last = burst.remaining == 0 or burst.offset >= file.size or not data
     if last:
         state.burst = None
-    return _pack(request, ACK, data, offset, burst.sequence, last)
+    return _pack_payload(request, ACK, data, offset, burst.sequence, last)
 
 
 def _checksum(file: File, part_bytes: int = 1 << 22) -> int:
@@ -224,8 +228,8 @@ def _checksum(file: File, part_bytes: int = 1 << 22) -> int:
     return value
 
 
-def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
-    """Return the entries of a folder in FTP's form, sorted; None: there is no such folder."""
+def _format_entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
+    """Return the entries of a folder in MAVLink FTP's format, sorted; None if there is no such folder."""
     start = f"{folder}/" if folder else ""
     entries = {}
     for path, file in files.items():
@@ -235,8 +239,8 @@ def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:
     return [entries[name].encode() for name in sorted(entries)] if entries or not folder else None
 
 
-def _path(data: bytes) -> str | None:
-    """Return the path that a request names, without slashes at its ends; None for one that is not UTF-8.
+def _parse_path(data: bytes) -> str | None:
+    """Return the normalised path in a request's data, or None if it is not UTF-8.
 
     It is looked up among the files' names and never goes to the disk, so that ``..`` leads nowhere.
     """
@@ -250,7 +254,7 @@ def _path(data: bytes) -> str | None:
     return "/".join(parts)
 
 
-def _parse(payload: list[int]) -> _Request | None:
+def _parse_request(payload: list[int]) -> _Request | None:
     data = bytes(payload)
     if len(data) < _HEAD.size:
         return None
@@ -259,17 +263,17 @@ def _parse(payload: list[int]) -> _Request | None:
 
 
 def _ack(request: _Request, data: bytes = b"", offset: int = 0) -> bytes:
-    return _pack(request, ACK, data, offset, request.sequence + 1)
+    return _pack_payload(request, ACK, data, offset, request.sequence + 1)
 
 
 def _nak(request: _Request, code: int, sequence: int | None = None) -> bytes:
-    return _pack(request, NAK, bytes((code,)), 0, request.sequence + 1 if sequence is None else sequence)
+    return _pack_payload(request, NAK, bytes((code,)), 0, request.sequence + 1 if sequence is None else sequence)
 
 
-def _pack(request: _Request, code: int, data: bytes, offset: int, sequence: int, last: bool = False) -> bytes:
+def _pack_payload(request: _Request, code: int, data: bytes, offset: int, sequence: int, last: bool = False) -> bytes:
     head = _HEAD.pack(sequence & 0xFFFF, request.session, code, len(data), request.opcode, last, offset)
     return (head + data).ljust(_HEAD.size + MAX_DATA_BYTES, b"\0")
 
 
-def _message(client: Client, payload: bytes) -> Message:
+def _make_message(client: Client, payload: bytes) -> Message:
     return wire.MAVLink_file_transfer_protocol_message(0, client.system, client.component, list(payload))

@@ -30,19 +30,19 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 
 MAX_DATA_BYTES = 90  # data in one LOG_DATA
 LOG_FOLDER = "log/"  # folder of logs in FTP paths
-# code of the converting process
-_CONVERT = """
+# Python code of the process that converts a log.
+_CONVERSION_CODE = """
 import os, pathlib
 from cosim.results.export import export_log
 if hasattr(os, "nice"):
-    os.nice(10)  # the flight that is under way comes first
-# Small enough to come down in a tenth of the flight's time.
+    os.nice(10)  # the present flight comes first
+# PX4's rates, so that a download takes a tenth of the flight's time.
 export_log("ulog", *map(pathlib.Path, sys.argv[1:]), rates="px4")
 """
 
 
 class DiskFile:
-    """A file on disk; unreadable parts are empty."""
+    """Readable file on disk; unreadable parts are returned empty."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -60,7 +60,7 @@ class DiskFile:
 
 @dataclass
 class LogEntry:
-    """One log; ``file`` is None before conversion, and empty if that failed."""
+    """Log of one run; ``file`` is None before its conversion, and empty if that failed."""
 
     number: int
     run: Path
@@ -98,7 +98,7 @@ class LogStore:
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
-        self._is_outdated = True  # a run has ended since the search began
+        self._is_outdated = True  # a run ended after the last search
         self._now = 0.0
         self.logs: list[LogEntry] = []
 
@@ -124,8 +124,8 @@ class LogStore:
         """Whether a search for new runs is under way."""
         return self._search is not None
 
-    def _list_found(self, now: float) -> None:
-        """List the runs of a completed search."""
+    def _add_found_runs(self, now: float) -> None:
+        """Add the runs found by a completed search to the list of logs."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._last_search = None, now
@@ -138,9 +138,9 @@ class LogStore:
             self.search(now)
 
     def poll(self, now: float) -> None:
-        """List new runs, store the converted log, and begin the next conversion."""
+        """Add found runs, take over a finished conversion, and begin the next one."""
         self._now = now
-        self._list_found(now)
+        self._add_found_runs(now)
         if self._conversion is not None:
             process, log, started = self._conversion
             code = process.poll()
@@ -149,11 +149,11 @@ class LogStore:
             self._end_conversion()
             log.file = MemoryFile(b"")
             with suppress(OSError):
-                log.file = DiskFile(self._path(log)) if code == 0 else log.file
+                log.file = DiskFile(self._converted_path(log)) if code == 0 else log.file
             self._converted_count += 1
         if self._converted_count < len(self.logs):
             log = self.logs[self._converted_count]
-            command = python_command(_CONVERT, str(log.run), str(self._path(log)))
+            command = python_command(_CONVERSION_CODE, str(log.run), str(self._converted_path(log)))
             quiet = subprocess.DEVNULL
             try:
                 self._conversion = (Host(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
@@ -169,10 +169,10 @@ class LogStore:
     def files(self) -> Mapping[str, File]:
         """Return the converted logs as files by path, and start a search for new runs."""
         self.search(self._now)
-        return {f"{LOG_FOLDER}{_name(log)}": log.file for log in self.logs if log.file is not None and log.file.size}
+        return {f"{LOG_FOLDER}{_file_name(log)}": log.file for log in self.logs if log.file and log.file.size}
 
     def close(self) -> None:
-        """Stop, and remove every converted log."""
+        """End search and conversion, and remove all converted logs."""
         self._converted_count = len(self.logs)
         self._end_conversion()
         if self._search is not None:
@@ -184,7 +184,7 @@ class LogStore:
             self._conversion[0].end()
             self._conversion = None
 
-    def _path(self, log: LogEntry) -> Path:
+    def _converted_path(self, log: LogEntry) -> Path:
         return self._folder / f"{log.number}.ulg"
 
 
@@ -210,21 +210,21 @@ class LogService(Service):
             if message.start <= message.end and (client in self._lists or len(self._lists) < MAX_CLIENTS):
                 self._lists[client] = (message.start, message.end)
         elif kind == "LOG_REQUEST_DATA":
-            return self._begin(message, client)
+            return self._begin_download(message, client)
         elif kind == "LOG_REQUEST_END":
             self._downloads.pop(client, None)
             self._lists.pop(client, None)
         return []
 
     def poll(self, now: float) -> Outgoing:
-        """Return entries of converted logs, and the next part of every download."""
+        """Return entries of converted logs, and the next data of every download."""
         self._store.poll(now)
         out: Outgoing = []
         for client, (first, last) in list(self._lists.items()) if not self._store.is_searching else ():
             if not self._store.logs:
                 out.append((client.peer, wire.MAVLink_log_entry_message(0, 0, 0, 0, 0)))
             last = min(last, len(self._store.logs) - 1)
-            while first <= last and (entry := self._entry(first)) is not None:
+            while first <= last and (entry := self._make_log_entry(first)) is not None:
                 out.append((client.peer, entry))
                 first += 1
             self._lists[client] = (first, last)
@@ -239,7 +239,7 @@ class LogService(Service):
                     break
             if download.at >= download.end:
                 if download.is_past_end:  # an empty part marks the end
-                    out.append((client.peer, _data(download.number, download.at, b"")))
+                    out.append((client.peer, _make_log_data(download.number, download.at, b"")))
                 del self._downloads[client]
         return out
 
@@ -253,8 +253,8 @@ class LogService(Service):
             for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
 
-    def _entry(self, number: int) -> Message | None:
-        """Return a log's entry; None while it is not converted."""
+    def _make_log_entry(self, number: int) -> Message | None:
+        """Return LOG_ENTRY of a log, or None while it is not converted."""
         logs = self._store.logs
         file = logs[number].file
         if file is None:
@@ -262,13 +262,13 @@ class LogService(Service):
         size = min(file.size, 2**32 - 1)
         return wire.MAVLink_log_entry_message(number, len(logs), len(logs) - 1, logs[number].time_utc, size)
 
-    def _begin(self, message: Message, client: Client) -> list[Message]:
+    def _begin_download(self, message: Message, client: Client) -> list[Message]:
         logs = self._store.logs
         file = logs[message.id].file if message.id < len(logs) else None
         if file is None:
             return []
         if message.ofs >= file.size or message.count == 0:
-            return [_data(message.id, message.ofs, b"")]
+            return [_make_log_data(message.id, message.ofs, b"")]
         end = message.ofs + message.count
         old = self._downloads.pop(client, None)
         if len(self._downloads) >= MAX_CLIENTS:
@@ -279,7 +279,7 @@ class LogService(Service):
 
 
 class _Download:
-    """A download of a part of a log."""
+    """Download of a part of a log by one client."""
 
     def __init__(self, number: int, file: File, at: int, end: int, is_past_end: bool, limit: RateLimit) -> None:
         self.number, self.at, self.end, self.is_past_end, self.limit = number, at, end, is_past_end, limit
@@ -287,12 +287,12 @@ class _Download:
         self._buffer, self._buffer_at = b"", at  # read from disk in larger parts
 
     def next(self) -> Message:
-        """Return the next LOG_DATA."""
+        """Return the next LOG_DATA message."""
         start = self.at - self._buffer_at
         if start + MAX_DATA_BYTES > len(self._buffer):
             self._buffer, self._buffer_at, start = self._file.read(self.at, 100 * MAX_DATA_BYTES), self.at, 0
         part = self._buffer[start : start + min(MAX_DATA_BYTES, self.end - self.at)]
-        message = _data(self.number, self.at, part)
+        message = _make_log_data(self.number, self.at, part)
         self.at = self.at + len(part) if part else self.end
         return message
 
@@ -308,7 +308,7 @@ def find_finished_runs(root: Path) -> list[Path]:
 
 
 def _start_time(run: Path) -> int:
-    """Return when a run began [s since 1970]; 0 if unknown."""
+    """Return the start time of a run [s since 1970]; 0 if unknown."""
     try:
         started = read_json(run / "summary.json")["started"]
         moment = datetime.fromisoformat(started)
@@ -318,10 +318,10 @@ def _start_time(run: Path) -> int:
         return 0
 
 
-def _name(log: LogEntry) -> str:
+def _file_name(log: LogEntry) -> str:
     moment = datetime.fromtimestamp(log.time_utc, UTC)
     return f"log_{log.number}_{moment:%Y-%m-%d-%H-%M-%S}.ulg"
 
 
-def _data(number: int, offset: int, part: bytes) -> Message:
+def _make_log_data(number: int, offset: int, part: bytes) -> Message:
     return wire.MAVLink_log_data_message(number, offset, len(part), list(part.ljust(MAX_DATA_BYTES, b"\0")))

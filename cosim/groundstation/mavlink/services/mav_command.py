@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 
 
 class CommandResult(IntEnum):
-    """MAV_RESULT."""
+    """Result of a command, MAV_RESULT."""
 
     ACCEPTED = 0
     TEMPORARILY_REJECTED = 1
@@ -30,11 +30,11 @@ class CommandResult(IntEnum):
 MAV_RESULTS = {result: CommandResult[result.name] for result in Result}  # MAV_RESULT by result of a request
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
-ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)  # height above sea; above home
+ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)  # with z above sea; above home
 
 
 class MavCommand(NamedTuple):
-    """A command from either message, at any repetition; None: missing.  Latitude and longitude in degrees."""
+    """Command of COMMAND_LONG or COMMAND_INT; None for a missing parameter, latitude and longitude in degrees."""
 
     number: int
     params: tuple[float | None, ...]  # param1 to param7
@@ -42,13 +42,13 @@ class MavCommand(NamedTuple):
 
     @property
     def position(self) -> tuple[float, float] | None:
-        """Latitude and longitude; None if missing or both 0, which some stations send for none."""
+        """Latitude and longitude [deg]; None if missing or both 0, which some stations send for none."""
         lat, lon = self.params[4], self.params[5]
         return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
 
 
 class Plan(NamedTuple):
-    """Execution of a command: requests in turn until one is refused, or an immediate result."""
+    """Plan to execute a command: requests in turn until one is refused, or an immediate result."""
 
     requests: tuple[Request, ...] = ()
     result: CommandResult = CommandResult.ACCEPTED
@@ -62,7 +62,7 @@ class Context(NamedTuple):
     vehicle: VehicleConstants
     state: TelemetryState
     peer: Peer
-    # Returns a message by id that is not telemetry; None: there is none.
+    # Function that returns a message outside telemetry by its id, or None.
     find_message: Callable[[int], Sequence[Message] | None]
     shutdown_requests: tuple[Any, ...] = ()  # requests for a reboot and for a shutdown
 

@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.telemetry import parse_version
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
-# Paths as in PX4.
+# Paths of the metadata files, as in PX4.
 GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"
 
 
@@ -37,11 +37,11 @@ class Metadata:
                 "vendorName": "hexjet-cosim",
                 "modelName": name,
                 "firmwareVersion": ".".join(map(str, parse_version(version))),
-                "metadataTypes": [{"type": 1, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
+                "metadataTypes": [{"type": 1, "uri": _make_uri(PARAMETERS), "fileCrc": crc32(inner)}],
             }
         )
         self.files: Mapping[str, bytes] = {GENERAL: general, PARAMETERS: inner}
-        crc, uri = crc32(general), _uri(GENERAL).encode()
+        crc, uri = crc32(general), _make_uri(GENERAL).encode()
 
         self.on_request: Mapping[int, Callable[[int], Message]] = {
             wire.MAVLINK_MSG_ID_COMPONENT_METADATA: (
@@ -54,7 +54,7 @@ class Metadata:
 
 
 def describe_parameter(line: Parameter) -> dict[str, Any]:
-    """Return a parameter by MAVLink's parameter.schema.json."""
+    """Return a parameter in the format of MAVLink's parameter.schema.json."""
     number = int if line.kind == "int" else float
     described: dict[str, Any] = {
         "name": line.name,
@@ -78,10 +78,10 @@ def describe_parameter(line: Parameter) -> dict[str, Any]:
 
 
 def _compress(content: Mapping[str, Any]) -> bytes:
-    """Return JSON in xz, with the checksum that every reader of xz knows (not all know the usual CRC64)."""
+    """Return JSON compressed by xz with CRC32, as not every reader knows the default CRC64."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return lzma.compress(text.encode(), format=lzma.FORMAT_XZ, check=lzma.CHECK_CRC32)
 
 
-def _uri(path: str) -> str:
+def _make_uri(path: str) -> str:
     return f"mftp:///{path}"

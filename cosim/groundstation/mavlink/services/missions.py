@@ -21,9 +21,9 @@ from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.services.items import (
     ACCEPTED,
     CANCELLED,
-    CHECKS,
     DENIED,
     ERROR,
+    ITEM_CHECKS,
     LEFT_OUT,
     NO_POSITION,
     NO_SPACE,
@@ -48,11 +48,11 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL  # MAV_MISSION_TYPE
 FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY  # MAV_MISSION_TYPE
-_KINDS = (MISSION, FENCE, RALLY)  # supported mission types
+_MISSION_TYPES = (MISSION, FENCE, RALLY)  # supported types
 
 
 _NAMES = {MISSION: "mission", FENCE: "fence", RALLY: "rally"}  # names in messages
-_LEGACY_FRAMES = {  # frames of MISSION_ITEM without INT
+_LEGACY_FRAMES = {  # frame of the old MISSION_ITEM
     wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
     wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
 }
@@ -61,10 +61,12 @@ _CLEARING: dict[int, rq.Request] = {MISSION: rq.MissionClear(), FENCE: rq.FenceU
 
 @dataclass
 class _Upload:
+    """Upload of a mission, fence or rally points by one client."""
+
     client: Client
     count: int
-    last_request: float  # when the current item was requested last
-    last_progress: float  # when the last item arrived
+    last_request: float  # time of the last item request
+    last_progress: float  # time of the last item
     mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
     mission: list[rq.MissionItem] = field(default_factory=list)
@@ -107,8 +109,8 @@ class MissionService(Service):
         self._upload: _Upload | None = None
         # The last upload: its client, number of items, type and result.
         self._last_upload: tuple[Client, int, int, int] | None = None
-        self._mission: tuple[rq.MissionItem, ...] = ()  # last upload as the autopilot has it
-        self._sent_items: list[Item] = []  # its items as received
+        self._mission: tuple[rq.MissionItem, ...] = ()  # last upload, as the autopilot's items
+        self._sent_items: list[Item] = []  # last upload, as received
         self._progress_sent: tuple[int, ...] = ()
         self._progress_at = -self.repeat_s
         self._reached = -1
@@ -124,22 +126,22 @@ class MissionService(Service):
         if kind in ("MISSION_WRITE_PARTIAL_LIST", "MISSION_REQUEST_PARTIAL_LIST"):
             return [_ack(client, UNSUPPORTED, message.mission_type)]
         if kind == "MISSION_ACK":
-            self._end_upload(message, client)
+            self._cancel_upload(message, client)
             return []
         mission_type = message.mission_type
         if kind == "MISSION_CLEAR_ALL" and mission_type == ALL:
-            return self._clear(client, ALL)
-        if mission_type not in _KINDS:
+            return self._request_clearing(client, ALL)
+        if mission_type not in _MISSION_TYPES:
             return [_ack(client, UNSUPPORTED, mission_type)]
         if kind == "MISSION_REQUEST_LIST":
-            count = len(self._list(mission_type))
+            count = len(self._list_items(mission_type))
             return [wire.MAVLink_mission_count_message(client.system, client.component, count, mission_type)]
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             return [self._make_item(message.seq, client, kind == "MISSION_REQUEST", mission_type)]
         if kind == "MISSION_COUNT":
             return self._begin_upload(message.count, client, mission_type)
         if kind == "MISSION_CLEAR_ALL":
-            return self._clear(client, mission_type)
+            return self._request_clearing(client, mission_type)
         return self._take_item(message, client, mission_type)
 
     def poll(self, now: float, retry_s: float = 0.25, timeout_s: float = 5.0) -> Outgoing:
@@ -153,8 +155,8 @@ class MissionService(Service):
                 out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.mission_type)))
             elif now - upload.last_request > retry_s:
                 upload.last_request = now
-                out.append((upload.client.peer, self._next_request(upload)))
-        return out + [(None, message) for message in self._progress(now)]
+                out.append((upload.client.peer, self._request_next_item(upload)))
+        return out + [(None, message) for message in self._report_progress(now)]
 
     @property
     def is_busy(self) -> bool:
@@ -165,8 +167,8 @@ class MissionService(Service):
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
-    def _list(self, mission_type: int) -> list[Item]:
-        """Return the present mission, fence or rally points as items."""
+    def _list_items(self, mission_type: int) -> list[Item]:
+        """Return the present mission, fence or rally points as MAVLink items."""
         if mission_type == MISSION:
             return self._list_mission()
         status = self._status()
@@ -177,8 +179,8 @@ class MissionService(Service):
         return from_rally(status.rally, self._geodesy)
 
     def _make_item(self, index: int, client: Client, is_legacy: bool, mission_type: int) -> Message:
-        """Return an item; ``is_legacy``: in degrees as 32-bit floats (half a metre), as such a request expects it."""
-        items = self._list(mission_type)
+        """Return the message of an item; ``is_legacy``: MISSION_ITEM, with positions in 32-bit degrees (0.5 m)."""
+        items = self._list_items(mission_type)
         if not 0 <= index < len(items):
             return _ack(client, SEQUENCE, mission_type)
         item, status = items[index], self._status()
@@ -194,7 +196,7 @@ class MissionService(Service):
         )  # fmt: skip
 
     def _list_mission(self) -> list[Item]:
-        """Return the autopilot's mission as items, the uploaded ones if unchanged."""
+        """Return the autopilot's mission as MAVLink items, the uploaded ones if unchanged."""
         mission = self._items()
         if mission is self._mission or mission == self._mission:
             return self._sent_items
@@ -209,19 +211,19 @@ class MissionService(Service):
             return []
         self._upload = None
         if count == 0:
-            return self._clear(client, mission_type)
+            return self._request_clearing(client, mission_type)
         if count > rq.MAX_MISSION_ITEMS:
-            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {rq.MAX_MISSION_ITEMS} are allowed")
+            lines = _warning(f"{_NAMES[mission_type]} refused: {count} items, {rq.MAX_MISSION_ITEMS} are allowed")
             return [_ack(client, NO_SPACE, mission_type), *lines]
         self._upload = _Upload(client, count, self._now, self._now, mission_type)
-        return [self._next_request(self._upload)]
+        return [self._request_next_item(self._upload)]
 
     def _take_item(self, message: Message, client: Client, mission_type: int) -> list[Message]:
-        """Take an item of an upload; an unexpected one is dropped and the right one requested again."""
+        """Take an item of an upload and request the next one; unexpected items are dropped."""
         upload = self._upload
         if upload is None or upload.client != client or upload.mission_type != mission_type:
             if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
-                # The station repeats its last item, so the acknowledgement was lost.
+                # The station repeats its last item because the acknowledgement was lost.
                 return [_ack(client, self._last_upload[3], mission_type)]
             return [_ack(client, ERROR, mission_type)]
         if upload.waiting or message.seq != len(upload.items):
@@ -231,15 +233,15 @@ class MissionService(Service):
             if mission_type == MISSION:
                 upload.mission.append(to_mission_item(item, self._geodesy, self._home_altitude()))
             else:
-                CHECKS[mission_type](item)
+                ITEM_CHECKS[mission_type](item)
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[mission_type]} item {message.seq} refused: {error}")
         upload.items.append(item)
         upload.last_request = upload.last_progress = self._now
         if len(upload.items) < upload.count:
-            return [self._next_request(upload)]
+            return [self._request_next_item(upload)]
         try:
-            request = self._request(upload)
+            request = self._make_upload_request(upload)
         except InputError as error:  # a jump to a missing item
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
@@ -250,8 +252,8 @@ class MissionService(Service):
             return self._refuse(upload, ERROR, f"{_NAMES[mission_type]} refused: too many requests")
         return []
 
-    def _request(self, upload: _Upload) -> rq.MissionUpload | rq.FenceUpload | rq.RallyUpload:
-        """Return the autopilot's request for an upload that is complete.  Raises InputError, ItemError."""
+    def _make_upload_request(self, upload: _Upload) -> rq.MissionUpload | rq.FenceUpload | rq.RallyUpload:
+        """Return the request to the autopilot for a complete upload.  Raises InputError, ItemError."""
         if upload.mission_type == FENCE:
             return to_fence(upload.items, self._geodesy)
         if upload.mission_type == RALLY:
@@ -264,32 +266,32 @@ class MissionService(Service):
             code = ERROR if answer.result is rq.Result.FAILED else DENIED
             return [(peer, message) for message in self._refuse(upload, code, answer.text)]
         self._upload = None
-        out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
+        out: Outgoing = [(peer, self._finish_with(upload, ACCEPTED))]
         if isinstance(request, rq.MissionUpload):
             self._mission, self._sent_items = request.items, upload.items
-            out += [(peer, message) for message in _warn(_describe_left_out(upload.items))]
+            out += [(peer, message) for message in _warning(_describe_left_out(upload.items))]
         return out
 
     def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
         self._upload = None
-        return [self._end(upload, code), *_warn(text)]
+        return [self._finish_with(upload, code), *_warning(text)]
 
-    def _end(self, upload: _Upload, code: int) -> Message:
+    def _finish_with(self, upload: _Upload, code: int) -> Message:
         self._last_upload = (upload.client, len(upload.items), upload.mission_type, code)
         return _ack(upload.client, code, upload.mission_type)
 
-    def _next_request(self, upload: _Upload) -> Message:
+    def _request_next_item(self, upload: _Upload) -> Message:
         client, at = upload.client, len(upload.items)
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.mission_type)
 
-    def _end_upload(self, message: Message, client: Client) -> None:
-        """End an upload cancelled by its sender; downloads have no state."""
+    def _cancel_upload(self, message: Message, client: Client) -> None:
+        """Drop an upload that its sender cancels."""
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
 
-    def _clear(self, client: Client, mission_type: int) -> list[Message]:
-        """Request to clear one type or all, acknowledged once after all answers."""
+    def _request_clearing(self, client: Client, mission_type: int) -> list[Message]:
+        """Request the clearing of one mission type or of all; acknowledge once after all answers."""
         requests = list(_CLEARING.values()) if mission_type == ALL else [_CLEARING[mission_type]]
         refused: list[str] = []
         remaining = len(requests)
@@ -303,7 +305,7 @@ class MissionService(Service):
 
         for request in requests:
             if not self._answers.request(request, client, reply):
-                # Sent once, because ``remaining`` does not reach 0 again.
+                # Only this acknowledgement is sent, because ``remaining`` does not reach 0 then.
                 return [_ack(client, ERROR, mission_type)]
         return []
 
@@ -312,17 +314,17 @@ class MissionService(Service):
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
-                    self._progress_sent = ()  # the sender waits for an answer
+                    self._progress_sent = ()  # report it again to the sender
                 return []
-            return [(client.peer, message) for message in _warn(answer.text)]
+            return [(client.peer, message) for message in _warning(answer.text)]
 
         try:
             self._answers.request(rq.MissionSetCurrent(index), client, reply)
         except InputError:
-            return _warn(f"mission item {index}: there are {len(self._items())}")
+            return _warning(f"mission item {index}: there are {len(self._items())}")
         return []
 
-    def _progress(self, now: float, repeats: int = 3) -> list[Message]:
+    def _report_progress(self, now: float, repeats: int = 3) -> list[Message]:
         status = self._status()
         if status is None:
             return []
@@ -341,7 +343,7 @@ class MissionService(Service):
         return out
 
     def _home_altitude(self) -> float:
-        """Return home's height [m] now; that of the ground at the start in the second before home is known."""
+        """Return home's height [m] above the origin, 0 before home is known."""
         status = self._status()
         return status.home.altitude if status is not None and status.home is not None else 0.0
 
@@ -350,12 +352,12 @@ def _ack(client: Client, code: int, mission_type: int = MISSION) -> Message:
     return wire.MAVLink_mission_ack_message(client.system, client.component, code, mission_type)
 
 
-def _warn(text: str) -> list[Message]:
+def _warning(text: str) -> list[Message]:
     return make_service_text(text, wire.MAV_SEVERITY_WARNING) if text else []
 
 
 def _describe_left_out(items: list[Item]) -> str:
-    """Describe the items that need a payload no vehicle here has; empty: none."""
+    """Describe the items that are skipped because they need a payload; empty if there are none."""
     names = list(dict.fromkeys(LEFT_OUT[item.command] for item in items if item.command in LEFT_OUT))
     count = sum(item.command in LEFT_OUT for item in items)
     if not count:

@@ -33,24 +33,24 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-# PX4's parameter that is the hash of all others: a station that has cached this set reads no list.
-HASH = "_HASH_CHECK"
+# PX4's parameter with the hash of all others: a station that has cached the same set requests no list.
+HASH_NAME = "_HASH_CHECK"
 
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
-_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # struct format of each MAV_PARAM_TYPE
-# MAV_PARAM_ERROR; the last two are in the MAVLink project's definitions but not in pymavlink.
+_INTEGER_FORMATS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # struct format by type
+# Values of MAV_PARAM_ERROR; pymavlink lacks the last two.
 UNKNOWN, OUT_OF_RANGE, NOT_NOW, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 3, 5, 6, 7
 
 
 class ParameterService(Service):
-    """PARAM_REQUEST_LIST, PARAM_REQUEST_READ, PARAM_SET in; PARAM_VALUE, PARAM_ERROR out."""
+    """Parameter service: PARAM_REQUEST_LIST, PARAM_REQUEST_READ, PARAM_SET in; PARAM_VALUE, PARAM_ERROR out."""
 
     handles = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 
     def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
         self._personality = personality
         self._answers = AnswerQueue(ask)
-        # By client: the next parameter of its list, and the rate limit.
+        # For each client that reads the list: index of the next parameter, and the rate limit.
         self._lists: dict[Client, tuple[int, RateLimit]] = {}
         self.replace(parameters)
 
@@ -68,25 +68,25 @@ class ParameterService(Service):
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
-                first = -1 if self._personality == "px4" else 0  # the hash goes first, as parameter -1
-                # Values per second: 3.7 kB/s, two thirds of what a radio at 57600 baud carries.
+                first = -1 if self._personality == "px4" else 0  # the hash first, as index -1
+                # The limit is 100 values/s: 3.7 kB/s, two thirds of what a radio at 57600 baud carries.
                 pace = self._lists[client][1] if client in self._lists else RateLimit(100.0, 10)
                 self._lists[client] = (first, pace)
             return []
         if kind == "PARAM_REQUEST_READ":
-            return [self._read(message, client)]
-        return self._set(message, client)
+            return [self._read_parameter(message, client)]
+        return self._set_parameter(message, client)
 
     def poll(self, now: float) -> Outgoing:
-        """Return the autopilot's answers, changes that others made, and the next part of every list."""
+        """Return the autopilot's answers, changed values, and the next values of every list."""
         out = self._answers.take_messages()
         values = dict(self._parameters.values)
         if values != self._sent:
-            out += [(None, self._value(self._index[n])) for n, v in values.items() if v != self._sent[n]]
+            out += [(None, self._make_value(self._index[n])) for n, v in values.items() if v != self._sent[n]]
             self._sent = values
         for client, (at, pace) in list(self._lists.items()):
             end = at + pace.take_tokens(now, len(self._lines) - at, client.peer)
-            out += [(client.peer, self._value(i) if i >= 0 else self._hash_value()) for i in range(at, end)]
+            out += [(client.peer, self._make_value(i) if i >= 0 else self._make_hash_value()) for i in range(at, end)]
             if end == len(self._lines):
                 del self._lists[client]
             else:
@@ -111,28 +111,28 @@ class ParameterService(Service):
             state = crc32(struct.pack(layout, number), state)
         return state
 
-    def _read(self, message: Message, client: Client) -> Message:
+    def _read_parameter(self, message: Message, client: Client) -> Message:
         index, name = message.param_index, decode_text(message.param_id)
         if index >= 0:
-            return self._value(index) if index < len(self._lines) else self._error(client, "", index, UNKNOWN)
-        if name == HASH and self._personality == "px4":
-            return self._hash_value()
+            return self._make_value(index) if index < len(self._lines) else self._make_error(client, "", index, UNKNOWN)
+        if name == HASH_NAME and self._personality == "px4":
+            return self._make_hash_value()
         if name not in self._index:
-            return self._error(client, name, -1, UNKNOWN)
-        return self._value(self._index[name])
+            return self._make_error(client, name, -1, UNKNOWN)
+        return self._make_value(self._index[name])
 
-    def _set(self, message: Message, client: Client) -> list[Message]:
+    def _set_parameter(self, message: Message, client: Client) -> list[Message]:
         name = decode_text(message.param_id)
-        if name == HASH and self._personality == "px4":
-            # The station has the same set in its cache and needs no list.
-            if struct.pack("<f", message.param_value) == struct.pack("<f", self._hash_value().param_value):
+        if name == HASH_NAME and self._personality == "px4":
+            # A station that sends the same hash has the set in its cache and needs no list.
+            if struct.pack("<f", message.param_value) == struct.pack("<f", self._make_hash_value().param_value):
                 self._lists.pop(client, None)
             return []
         if name not in self._index:
-            return [self._error(client, name, -1, UNKNOWN)]
+            return [self._make_error(client, name, -1, UNKNOWN)]
         line = self._lines[self._index[name]]
         value = self._decode(message.param_value, message.param_type, line)
-        if isinstance(value, _Refusal):
+        if isinstance(value, _TypeRefusal):
             return self._refuse(client, name, value.code)
         value = self._restore_precision(value, line)
         try:
@@ -149,28 +149,28 @@ class ParameterService(Service):
             code = NOT_NOW if answer.result is Result.TEMPORARILY_REJECTED else OUT_OF_RANGE
             return [(client.peer, message) for message in self._refuse(client, name, code)]
         self._sent[name] = self._parameters[name]
-        return [(None, self._value(self._index[name]))]
+        return [(None, self._make_value(self._index[name]))]
 
     def _refuse(self, client: Client, name: str, code: int) -> list[Message]:
-        """Return the error and, for a ground station that does not know this message, the present value."""
-        return [self._error(client, name, -1, code), self._value(self._index[name])]
+        """Return PARAM_ERROR and, for stations that do not know it, the present value."""
+        return [self._make_error(client, name, -1, code), self._make_value(self._index[name])]
 
-    def _value(self, index: int) -> Message:
+    def _make_value(self, index: int) -> Message:
         line = self._lines[index]
         value, kind = self._encode(self._parameters[line.name], line)
         return wire.MAVLink_param_value_message(line.name.encode(), value, kind, len(self._lines), index)
 
-    def _hash_value(self) -> Message:
+    def _make_hash_value(self) -> Message:
         (value,) = struct.unpack("<f", struct.pack("<I", self.hash()))
-        return wire.MAVLink_param_value_message(HASH.encode(), value, UINT32, len(self._lines), 65535)
+        return wire.MAVLink_param_value_message(HASH_NAME.encode(), value, UINT32, len(self._lines), 65535)
 
-    def _error(self, client: Client, name: str, index: int, code: int) -> Message:
+    def _make_error(self, client: Client, name: str, index: int, code: int) -> Message:
         return wire.MAVLink_param_error_message(
             client.system, client.component, name.encode("ascii", "replace")[:16], index, code
         )
 
     def _encode(self, value: float, line: Parameter) -> tuple[float, int]:
-        """Return a value as PARAM_VALUE carries it, and its MAV_PARAM_TYPE."""
+        """Return a value in the encoding of PARAM_VALUE, and its MAV_PARAM_TYPE."""
         if line.kind == "float" or self._personality == "generic":
             return value, REAL32
         if self._personality == "ardupilot":
@@ -178,23 +178,23 @@ class ParameterService(Service):
         (bits,) = struct.unpack("<f", struct.pack("<i", int(value)))
         return bits, INT32
 
-    def _decode(self, value: float, kind: int, line: Parameter) -> float | _Refusal:
-        """Return the value that PARAM_SET carries, or why its type is refused."""
-        if kind != REAL32 and kind not in _INTEGERS:
-            return _Refusal(UNSUPPORTED_TYPE)
+    def _decode(self, value: float, kind: int, line: Parameter) -> float | _TypeRefusal:
+        """Return the value in PARAM_SET, or the refusal of its type."""
+        if kind != REAL32 and kind not in _INTEGER_FORMATS:
+            return _TypeRefusal(UNSUPPORTED_TYPE)
         if self._personality == "ardupilot":  # ArduPilot clients may state any type
             return value
         expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
-        if kind != expected and not (expected == INT32 and kind in _INTEGERS):
-            return _Refusal(OTHER_TYPE)
+        if kind != expected and not (expected == INT32 and kind in _INTEGER_FORMATS):
+            return _TypeRefusal(OTHER_TYPE)
         if kind == REAL32:
             return value
-        layout = _INTEGERS[kind]
+        layout = _INTEGER_FORMATS[kind]
         (number,) = struct.unpack_from(layout, struct.pack("<f", value))
         return float(number)
 
     def _restore_precision(self, value: float, line: Parameter) -> float:
-        """Return the 64-bit number that was meant by one in 32 bits.
+        """Return the 64-bit number that a 32-bit one stands for.
 
         The present value or the default if it is one of these, else the shortest number that is the same in 32 bits:
         0.1 and not 0.10000000149.  Either way it reads back equal.
@@ -207,6 +207,8 @@ class ParameterService(Service):
         return float(str(np.float32(value)))
 
 
-class _Refusal:
+class _TypeRefusal:
+    """Refusal of a parameter's type; ``code`` is the MAV_PARAM_ERROR."""
+
     def __init__(self, code: int) -> None:
         self.code = code

@@ -16,10 +16,10 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 Outgoing = list[tuple[Peer | None, Message]]
-# Arguments: the request, a callback for the answer (called later, from any thread), the sender's name.
+# Function that queues a request, with a callback for the answer (from any thread) and the sender's name.
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
-# Chosen by us: clients for which a service keeps state, more than are ever connected.
+# Most clients for which a service keeps state; chosen by us, more than are ever connected.
 MAX_CLIENTS = 16
 _text_id = 0
 
@@ -33,14 +33,14 @@ class Client(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Name of the client for people to read."""
+        """Name of the client for messages."""
         return f"{self.peer.name} {self.system}/{self.component}"
 
 
 class Service:
-    """Base class of services, with default methods.
+    """Base class of MAVLink services, with default methods.
 
-    ``handles``: names of the messages that it takes.  ``busy``: it wants to be polled every 10 ms, not every 50.
+    ``handles``: names of the messages that it takes.  ``is_busy``: it must be polled every 10 ms, not every 50.
     """
 
     handles: frozenset[str] = frozenset()
@@ -62,7 +62,7 @@ class Service:
 
 
 class RateLimit:
-    """Limit of outgoing messages: ``rate`` a second, and not more than ``burst`` at once."""
+    """Limit of outgoing messages: ``rate`` per second, at most ``burst`` at once."""
 
     def __init__(self, rate: float, burst: int) -> None:
         self._rate, self._burst = rate, float(burst)
@@ -94,7 +94,7 @@ class AnswerQueue:
         self._open = 0
 
     def request(self, request: Request, client: Client, then: Callable[[Answer], Outgoing]) -> bool:
-        """Ask the pilot; ``then`` makes messages of the answer.  False: too much is open, the client will ask again."""
+        """Send a request to the pilot; ``then`` makes the answer's messages.  Return False if too many are open."""
         if self._open >= self.max_open:
             return False
         self._open += 1
@@ -102,7 +102,7 @@ class AnswerQueue:
         return True
 
     def take_messages(self) -> Outgoing:
-        """Return the messages of every answer that has come."""
+        """Return the messages of all answers received since the last call."""
         messages: Outgoing = []
         while self._ready:
             then, answer = self._ready.popleft()
@@ -112,7 +112,7 @@ class AnswerQueue:
 
 
 def make_service_text(text: str, severity: int, first_id: int = 0x8000) -> list[Message]:
-    """Return STATUSTEXT in as many parts as needed, with ids that the vehicle's texts do not use."""
+    """Return a text as STATUSTEXT messages, with ids that the vehicle's own texts do not use."""
     global _text_id
     _text_id = (_text_id + 1) % first_id
     return statustext(severity, text, first_id + _text_id)

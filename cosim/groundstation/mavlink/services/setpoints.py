@@ -11,17 +11,17 @@ from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message
 
 _OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
-_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # frames with velocities along the heading
-# Bits of POSITION_TARGET_TYPEMASK that ignore these fields.
+_HEADING_FRAMES = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities along the heading
+# Bits of POSITION_TARGET_TYPEMASK that mark fields as ignored.
 _POSITION, _VELOCITY, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 1 << 10, 1 << 11
-# Bits of ATTITUDE_TARGET_TYPEMASK that ignore these fields.
+# Bits of ATTITUDE_TARGET_TYPEMASK that mark fields as ignored.
 _NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
 
 OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
 
 def parse_sticks(message: Message) -> Sticks:
-    """Return MANUAL_CONTROL's sticks: x forward, y right, z thrust 0 to 1000, r right as in PX4 and QGroundControl.
+    """Return the sticks in MANUAL_CONTROL: x forward, y right, z thrust 0 to 1000, r yaw to the right.
 
     Raises InputError for an axis that is not sent or out of range.
     """
@@ -32,7 +32,7 @@ def parse_sticks(message: Message) -> Sticks:
 
 
 def parse_attitude(message: Message) -> OffboardAttitude:
-    """Return SET_ATTITUDE_TARGET's set-point: attitude or all three rates, and thrust.  Raises InputError."""
+    """Return the set-point in SET_ATTITUDE_TARGET: attitude or three rates, and thrust.  Raises InputError."""
     mask, rates = message.type_mask, (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
     if mask & _NO_THRUST:
         raise InputError("attitude set-point: the thrust is missing")
@@ -44,33 +44,33 @@ def parse_attitude(message: Message) -> OffboardAttitude:
 
 
 def parse_local(message: Message, state: TelemetryState) -> OffboardSetpoint:
-    """Return SET_POSITION_TARGET_LOCAL_NED's set-point: a position or else a velocity.  Raises InputError."""
+    """Return the position or velocity set-point in SET_POSITION_TARGET_LOCAL_NED.  Raises InputError."""
     frame = message.coordinate_frame
-    if frame not in (LOCAL_NED, _OFFSET_NED, *_BY_NOSE):
+    if frame not in (LOCAL_NED, _OFFSET_NED, *_HEADING_FRAMES):
         raise InputError(f"set-point: frame {frame} is not known here")
-    heading = state.euler[2] if frame in _BY_NOSE else 0.0
-    yaw = _yaw(message, heading)
+    heading = state.euler[2] if frame in _HEADING_FRAMES else 0.0
+    yaw = _parse_yaw(message, heading)
     position = (message.x, message.y, message.z)
     if _is_complete(message.type_mask, _POSITION, position):
         x, y, z = position
         if frame in (_BODY_OFFSET, _BODY_FRD):
-            x, y = _rotate(x, y, heading)
+            x, y = _rotate_to_north(x, y, heading)
         if frame in (_OFFSET_NED, _BODY_OFFSET, _BODY_FRD):
             position_now = state.status.fix.position
             x, y, z = x + position_now[0], y + position_now[1], z - state.altitude
         return OffboardPosition(x, y, z, yaw)
-    return _velocity(message, heading, yaw)
+    return _parse_velocity(message, heading, yaw)
 
 
 def parse_global(message: Message, state: TelemetryState) -> OffboardSetpoint:
-    """Return SET_POSITION_TARGET_GLOBAL_INT's set-point: a position or else a velocity.  Raises InputError."""
+    """Return the position or velocity set-point in SET_POSITION_TARGET_GLOBAL_INT.  Raises InputError."""
     frame = message.coordinate_frame
     if frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         raise InputError(f"set-point: frame {frame} is not known here")
-    yaw = _yaw(message, 0.0)
+    yaw = _parse_yaw(message, 0.0)
     lat, lon = message.lat_int * 1e-7, message.lon_int * 1e-7
     if not _is_complete(message.type_mask, _POSITION, (lat, lon, message.alt)):
-        return _velocity(message, 0.0, yaw)
+        return _parse_velocity(message, 0.0, yaw)
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"set-point: {lat:g}, {lon:g} is no latitude and longitude")
     geodesy = state.vehicle.geodesy
@@ -79,11 +79,11 @@ def parse_global(message: Message, state: TelemetryState) -> OffboardSetpoint:
     return OffboardPosition(north, east, -altitude, yaw)
 
 
-def _velocity(message: Message, heading: float, yaw: float | None) -> OffboardVelocity:
+def _parse_velocity(message: Message, heading: float, yaw: float | None) -> OffboardVelocity:
     speeds = (message.vx, message.vy, message.vz)
     if not _is_complete(message.type_mask, _VELOCITY, speeds):
         raise InputError("set-point: neither a whole position nor a whole velocity")
-    vx, vy = _rotate(speeds[0], speeds[1], heading)
+    vx, vy = _rotate_to_north(speeds[0], speeds[1], heading)
     yaw_rate = (
         None if message.type_mask & _YAW_RATE or not isfinite(message.yaw_rate) or yaw is not None else message.yaw_rate
     )
@@ -95,13 +95,13 @@ def _is_complete(mask: int, bits: int, values: tuple[float, ...]) -> bool:
     return not mask & bits and all(isfinite(value) for value in values)
 
 
-def _yaw(message: Message, heading: float) -> float | None:
+def _parse_yaw(message: Message, heading: float) -> float | None:
     if message.type_mask & _YAW or not isfinite(message.yaw):
         return None
     return remainder(message.yaw + heading, tau)
 
 
-def _rotate(x: float, y: float, angle: float) -> tuple[float, float]:
+def _rotate_to_north(x: float, y: float, angle: float) -> tuple[float, float]:
     """Rotate components along and across a heading [rad] to north and east."""
     c, s = cos(angle), sin(angle)
     return x * c - y * s, x * s + y * c

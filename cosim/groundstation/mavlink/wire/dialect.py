@@ -17,19 +17,19 @@ except ImportError as error:
 
 mav.MAVLINK_IGNORE_CRC = False  # overrides the variable MAV_IGNORE_CRC
 Message = Any  # an instance of a generated class
-KINDS: dict[int, Any] = mav.mavlink_map  # message classes by id
-BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}  # message classes by name
+KINDS: dict[int, Any] = mav.mavlink_map  # generated classes by message id
+BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}  # generated classes by message name
 COMPONENT_ID = 1  # MAV_COMP_ID_AUTOPILOT1
-CHECKSUM_BYTES = 2  # at the end of each frame
+CHECKSUM_BYTES = 2  # at a frame's end
 _PACKER = mav.MAVLink(None)  # packs messages without a link
 
 
 def prepare_message(message: Message) -> Message:
-    """Return the message, with its payload.  Raises struct.error for a value that does not fit its field."""
+    """Pack a message's payload and return it.  Raises struct.error for a value that does not fit its field."""
     message.pack(_PACKER)
     return message
 
 
 def frame_size(message: Message) -> int:
-    """Return the bytes of a packed message's frame, without a signature."""
+    """Return the number of bytes of a packed message's frame, without a signature."""
     return int(mav.HEADER_LEN_V2) + len(message.get_payload()) + CHECKSUM_BYTES

@@ -17,7 +17,7 @@ SIGNED_FLAG = mav.MAVLINK_IFLAG_SIGNED  # the only supported incompatibility fla
 
 
 class Frame(NamedTuple):
-    """One accepted frame."""
+    """Accepted frame with its decoded message and sender."""
 
     raw: bytes
     system: int
@@ -28,7 +28,7 @@ class Frame(NamedTuple):
 
 
 class Parser:
-    """Parses one sender's bytes into frames.
+    """Parser of one sender's bytes into frames.
 
     ``is_datagram``: what is fed ends with the end of a frame; a rest is refused instead of being kept.
     With ``signing`` every frame has to carry a signature that is right and new.
@@ -42,38 +42,38 @@ class Parser:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Return every frame that ``data`` completes.  Raises nothing, whatever the bytes are."""
+        """Return every frame that ``data`` completes; invalid bytes are skipped and counted."""
         buffer = self._buffer + data
         frames: list[Frame] = []
         at, end = 0, len(buffer)
         while at < end:
-            start = _next_magic(buffer, at)
+            start = _find_next_start(buffer, at)
             if start > at:
                 self._refused["noise"] += 1
                 at = start
                 continue
-            length = _length(buffer, at)
+            length = _frame_length(buffer, at)
             if length is None or at + length > end:
                 if not self._is_datagram:
                     break
                 self._refused["truncated"] += 1
-                at = _next_magic(buffer, at + 1)
+                at = _find_next_start(buffer, at + 1)
                 continue
             raw = buffer[at : at + length]
-            reason, frame = self._read(raw)
+            reason, frame = self._decode(raw)
             if frame is not None:
                 frames.append(frame)
             if reason:
                 self._refused[reason] += 1
-            # This is not a frame. Skip its first byte only, because a frame may begin right after it.
+            # Skip only the first byte of an invalid frame, because a frame may begin right after it.
             if reason in ("crc", "flags"):
-                at = _next_magic(buffer, at + 1)
+                at = _find_next_start(buffer, at + 1)
             else:
                 at += length
         self._buffer = buffer[at:]
         return frames
 
-    def _read(self, raw: bytes) -> tuple[str, Frame | None]:
+    def _decode(self, raw: bytes) -> tuple[str, Frame | None]:
         flags = raw[2] if raw[0] == MAGIC_2 else 0
         if flags & ~SIGNED_FLAG:
             return "flags", None
@@ -93,7 +93,7 @@ class Parser:
 
 
 class FramePacker:
-    """Packs frames for one receiver, with its own sequence and link id."""
+    """Packer of frames for one receiver, with its own sequence numbers and link id."""
 
     def __init__(self, system: int, link: int = 0, signing: Signing | None = None) -> None:
         self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=COMPONENT_ID)
@@ -103,7 +103,7 @@ class FramePacker:
         self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of a signature
 
     def pack_frame(self, message: Message) -> bytes:
-        """Return the next frame."""
+        """Return a message as the next frame."""
         if self._signing is not None:
             self._mav.signing.timestamp = self._signing.make_time_stamp()
         raw: bytes = message.pack(self._mav)
@@ -111,13 +111,13 @@ class FramePacker:
         return raw
 
 
-def _next_magic(buffer: bytes, at: int) -> int:
+def _find_next_start(buffer: bytes, at: int) -> int:
     first, second = buffer.find(MAGIC_1, at), buffer.find(MAGIC_2, at)
     starts = [position for position in (first, second) if position >= 0]
     return min(starts, default=len(buffer))
 
 
-def _length(buffer: bytes, at: int) -> int | None:
+def _frame_length(buffer: bytes, at: int) -> int | None:
     """Return the length of the frame at ``at``; None if it is incomplete."""
     if len(buffer) < at + 3:
         return None

@@ -13,19 +13,19 @@ import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("hexjet.xml")  # definition of our dialect
-TARGET = "_messages.py"  # generated module
-BUNDLED = ("development", "common", "standard", "minimal")  # dialects included by hexjet.xml
-# first lines of the generated module
+DIALECT_FILE = Path(__file__).with_name("hexjet.xml")  # MAVLink dialect of this project
+MODULE_NAME = "_messages.py"  # generated module
+INCLUDED_DIALECTS = ("development", "common", "standard", "minimal")  # dialects included by hexjet.xml
+# First lines of the generated module.
 _HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavlink/wire/generate.py from hexjet.xml\n"
 
 
 class GenerateError(RuntimeError):
-    """Raised when the messages cannot be generated."""
+    """Raised if the message module cannot be generated."""
 
 
 def generate(folder: Path) -> Path:
-    """Write the module into ``folder`` and return its path.  Raises GenerateError."""
+    """Generate the module of MAVLink messages into ``folder`` and return its path.  Raises GenerateError."""
     try:
         import pymavlink
         from pymavlink.generator import mavgen
@@ -35,25 +35,25 @@ def generate(folder: Path) -> Path:
     output = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="hexjet-messages-") as name:
         work = Path(name)
-        for source in (*(bundled / f"{name}.xml" for name in BUNDLED), SOURCE):
+        for source in (*(bundled / f"{name}.xml" for name in INCLUDED_DIALECTS), DIALECT_FILE):
             _strip_descriptions(source, work / source.name)
-        output_file = work / TARGET
+        output_file = work / MODULE_NAME
         options = mavgen.Opts(str(output_file), wire_protocol="2.0", language="Python3", validate=False)
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-                done = mavgen.mavgen(options, [str(work / SOURCE.name)])
+                done = mavgen.mavgen(options, [str(work / DIALECT_FILE.name)])
         except SystemExit as error:  # mavgen calls exit() on errors
             raise GenerateError(f"mavgen ended with {error.code}: {output.getvalue()[-300:]}") from error
         if not done or not output_file.exists():
-            raise GenerateError(f"mavgen refused {SOURCE.name}: {output.getvalue()[-300:]}")
+            raise GenerateError(f"mavgen refused {DIALECT_FILE.name}: {output.getvalue()[-300:]}")
         text = output_file.read_text(encoding="utf-8")
-    target = folder / TARGET
+    target = folder / MODULE_NAME
     target.write_text(_HEAD + text, encoding="utf-8")
     return target
 
 
 def _strip_descriptions(source: Path, target: Path) -> None:
-    """Copy a definition without descriptions, which would be three quarters of module and loading time."""
+    """Copy a definition without descriptions, which take three quarters of module size and loading time."""
     tree = ET.parse(source)
     for element in tree.iter():
         if element.tag in ("description", "param", "field", "deprecated", "superseded"):
@@ -63,6 +63,6 @@ def _strip_descriptions(source: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     module = generate(Path(__file__).parent)
-    # Compiling takes a second, for which the first flight should not wait.
+    # Compile now, because the first flight would otherwise wait a second for it.
     py_compile.compile(str(module), doraise=True)
     print(module)

@@ -19,10 +19,10 @@ from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
-# Chosen by us: s after which the link's thread looks again with nothing due, so that it ends soon when asked to.
-_MAX_SLEEP_S = 0.05  # s, longest sleep of the link's thread
-# Refusals reported at once. Damaged frames are usual on a radio, so they are only counted.
-_REPORTED = {
+# Chosen by us: the link's thread wakes at least this often, so that it ends soon when it is stopped.
+_MAX_SLEEP_S = 0.05  # longest sleep of the link's thread
+# Texts of refusals that are reported. Damaged frames are usual on a radio, so they are only counted.
+_REPORT_TEXTS = {
     "signature": "frames with a wrong signature refused",
     "unsigned": "frames without a signature refused",
     "replay": "frames with the signature of an earlier time refused",
@@ -31,7 +31,7 @@ _REPORTED = {
 
 
 class Link(Hub):
-    """All links of a vehicle, opened at once to detect errors before the flight; silent until ``start``.
+    """All links of a vehicle, opened on creation to detect errors before the flight; silent until ``start``.
 
     ``handler`` is called in the link's thread only.  Raises InputError where a port cannot be opened.
     """
@@ -45,7 +45,7 @@ class Link(Hub):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(system, signing, log, clock)
-        # By reason: the count that was reported last, and when.
+        # By reason: count and time of the last report.
         self._reports: dict[str, tuple[int, float]] = {}
         self._channels: list[Channel] = []
         self._stop = threading.Event()
@@ -56,14 +56,14 @@ class Link(Hub):
         self.watch(self._wake_reader, self._drain_wakeups)
         try:
             for endpoint in endpoints:
-                self._channels.append(_OPEN[endpoint.kind](self, endpoint))
+                self._channels.append(_CHANNEL_CLASSES[endpoint.kind](self, endpoint))
         except BaseException:
             self.close()
             raise
 
     @property
     def peers(self) -> list[Peer]:
-        """Every ground station that is connected now."""
+        """Ground stations that are connected now."""
         return [peer for channel in self._channels for peer in channel.peers]
 
     @property
@@ -73,16 +73,16 @@ class Link(Hub):
 
     def start(self, handler: FrameHandler) -> None:
         self.handler = handler
-        self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
+        self._thread = threading.Thread(target=self._run_loop, name="mavlink", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
-        """Wake the thread; may be called from any thread and never blocks."""
+        """Wake the link's thread; may be called from any thread and never blocks."""
         with contextlib.suppress(OSError):
             self._wake_writer.send(b"!")
 
     def close(self) -> None:
-        """Stop the thread and close everything.  May be called twice."""
+        """Stop the link's thread and close all channels; may be called twice."""
         self._stop.set()
         self.wake()
         if self._thread is not None:
@@ -112,7 +112,7 @@ class Link(Hub):
         if self.log is not None:
             self.log.write_sent(packed)
 
-    def _run(self, flush_s: float = 1.0) -> None:
+    def _run_loop(self, flush_s: float = 1.0) -> None:
         flushed = self.now()
         until = flushed
         while not self._stop.is_set():
@@ -126,7 +126,7 @@ class Link(Hub):
                 flushed = now
 
     def poll(self, now: float) -> float:
-        """Do everything that is due, and return when something is due again [s of the clock]."""
+        """Poll channels and handler; return the time of the next poll [s of the clock]."""
         for channel in self._channels:
             self._run_isolated(channel.poll, now)
         self._report_problems(now)
@@ -144,19 +144,19 @@ class Link(Hub):
             return None
 
     def _report_problems(self, now: float, interval_s: float = 10.0) -> None:
-        counts = {reason: self.refused[reason] for reason in _REPORTED} | dict(self.failures)
+        counts = {reason: self.refused[reason] for reason in _REPORT_TEXTS} | dict(self.failures)
         for reason, count in counts.items():
             reported, when = self._reports.get(reason, (0, -inf))
             if count > reported and now - when >= interval_s:
                 self._reports[reason] = count, now
-                self.report_event(f"{_REPORTED.get(reason, reason)}: {count - reported}")
+                self.report_event(f"{_REPORT_TEXTS.get(reason, reason)}: {count - reported}")
 
     def _drain_wakeups(self, mask: int) -> None:
         with contextlib.suppress(OSError):
             self._wake_reader.recv(4096)
 
 
-_OPEN: dict[str, Callable[[Link, Endpoint], Channel]] = {  # channel class for each kind of endpoint
+_CHANNEL_CLASSES: dict[str, Callable[[Link, Endpoint], Channel]] = {  # by kind of endpoint
     "udpout": UdpClient,
     "udpin": UdpServer,
     "tcp": TcpClient,

@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
 
 class PeerLimits(NamedTuple):
-    """Limits of queues and reading per station, chosen by us for hundreds of times a usual load."""
+    """Limits of queues and reading per station, chosen by us at hundreds of times a usual load."""
 
     max_bytes: int = 512_000  # of queued answers and lists
     pause_bytes: int = 2000  # queue size that pauses lists and files
@@ -36,7 +36,7 @@ class Priority(Enum):
 
 
 class Peer:
-    """A ground station on a link.
+    """Ground station on a link: its parser, send queues and counters.
 
     ``transmit``: hands bytes to the operating system and returns how many it took, without ever waiting.
     ``is_datagram``: a frame is taken whole or not at all.
@@ -58,7 +58,7 @@ class Peer:
         self.created = now = clock()
         self.last_heard = -1.0  # time of the last frame; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message id; 0: not sent
-        self.turn = 0  # counts slots of messages that take turns
+        self.turn = 0  # slot counter of alternating messages
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of the signature in each frame
         self.stuck = False  # True: no room for another answer
@@ -77,7 +77,7 @@ class Peer:
         self._credited = now
 
     def feed(self, data: bytes, now: float) -> list[Frame]:
-        """Return the frames in new bytes; none, and counted, for a station that floods."""
+        """Return the frames in received bytes; frames beyond the rate limit are dropped and counted."""
         if self.update_credit(now) < 1.0:
             self._refused["flood"] += 1
             return []
@@ -89,28 +89,28 @@ class Peer:
         return frames
 
     def update_credit(self, now: float) -> float:
-        """Return how many frames may be read from the station now."""
+        """Return the number of frames that may be read from the station now."""
         self._credit = min(float(LIMITS.burst_frames), self._credit + (now - self._credited) * LIMITS.frames_1_s)
         self._credited = now
         return self._credit
 
     def silent_seconds(self, now: float) -> float:
-        """Return the seconds since it was last heard, or connected."""
+        """Return the seconds since the last frame of the station, or since it connected."""
         return now - max(self.last_heard, self.created)
 
     def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
-        """Queue a message that must arrive; return whether there was room."""
+        """Queue a message that must not be replaced; return whether there was room."""
         if self._waiting > LIMITS.max_bytes:
             self.stuck = True
             self.dropped += 1
             return False
         (self._answers if priority is Priority.ANSWER else self._bulk).append(packed)
-        self._waiting += self._size(packed)
+        self._waiting += self._frame_bytes(packed)
         self.flush()
         return True
 
     def send_telemetry(self, packed: Message, index: int = 0) -> None:
-        """Queue telemetry, replacing an older one; ``index``: among several of the same message."""
+        """Queue telemetry in place of an older message; ``index``: number among several of the same kind."""
         key = (packed.get_msgId(), index)
         if key in self._telemetry:
             self.dropped += 1
@@ -118,10 +118,10 @@ class Peer:
         self.flush()
 
     def flush(self) -> None:
-        """Send as much as the operating system takes."""
+        """Send queued messages until the operating system accepts no more."""
         while self._frame or self._answers or self._bulk or self._telemetry:
             now = self._clock()
-            frame = self._frame = self._frame or self._packer.pack_frame(self._next())
+            frame = self._frame = self._frame or self._packer.pack_frame(self._pop_next())
             count = self._transmit(frame)
             if count <= 0:
                 self._blocked = now if self._blocked is None else self._blocked
@@ -132,38 +132,38 @@ class Peer:
                 return
             self.sent += 1
 
-    def _next(self) -> Message:
-        """Take the next message from its queue."""
+    def _pop_next(self) -> Message:
+        """Remove and return the next message: answers first, then bulk and telemetry in balance."""
         answers, bulk, telemetry = self._answers, self._bulk, self._telemetry
         if answers:
             packed = answers.popleft()
-            self._waiting -= self._size(packed)
+            self._waiting -= self._frame_bytes(packed)
             return packed
         if not (bulk and telemetry):
             self._balance = 0
         if bulk and (not telemetry or self._balance <= 0):
             packed = bulk.popleft()
-            self._waiting -= self._size(packed)
-            self._balance += self._size(packed)
+            self._waiting -= self._frame_bytes(packed)
+            self._balance += self._frame_bytes(packed)
             return packed
         packed = telemetry.pop(next(iter(telemetry)))
-        self._balance -= self._size(packed)
+        self._balance -= self._frame_bytes(packed)
         return packed
 
     @property
     def waiting_bytes(self) -> int:
-        """Number of bytes that wait."""
-        return len(self._frame) + self._waiting + sum(map(self._size, self._telemetry.values()))
+        """Number of queued bytes."""
+        return len(self._frame) + self._waiting + sum(map(self._frame_bytes, self._telemetry.values()))
 
     @property
     def is_behind(self) -> bool:
         """Whether so many answers wait that lists and files should pause."""
         return self._waiting > LIMITS.pause_bytes
 
-    def _size(self, packed: Message) -> int:
+    def _frame_bytes(self, packed: Message) -> int:
         """Return the bytes of a message's frame, with its signature."""
         return frame_size(packed) + self.signature
 
     def blocked_seconds(self, now: float) -> float:
-        """Return the seconds for which the peer took nothing while something waits."""
+        """Return the seconds for which the peer has accepted nothing while bytes were queued."""
         return 0.0 if self._blocked is None else now - self._blocked

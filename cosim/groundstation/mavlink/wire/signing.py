@@ -18,12 +18,12 @@ from cosim.base.storage.files import read_text
 
 EPOCH_S = 1420070400.0  # 2015-01-01 as UNIX time
 _TICKS_PER_S = 100_000  # time stamps per second
-_MAX_LATENESS = 60 * _TICKS_PER_S  # ticks, for a new stream
-_HEX = "hex:"  # prefix of a key in hexadecimal
+_MAX_LATENESS_TICKS = 60 * _TICKS_PER_S  # of a new stream's time stamps
+_HEX = "hex:"  # prefix of a hexadecimal key
 
 
 def read_key(path: Path, min_length: int = 8) -> bytes:
-    """Read a key from a file: a pass phrase, or ``hex:`` and 64 digits.
+    """Return the signing key in a file: a pass phrase, or ``hex:`` and 64 digits.
 
     The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
     """
@@ -42,7 +42,7 @@ def read_key(path: Path, min_length: int = 8) -> bytes:
 
 
 class Signing:
-    """Signing with one key on all links; each link uses its own id.
+    """Signing of frames with one key on all links; each link uses its own id.
 
     A time stamp is used once: the vehicle's rise from frame to frame and never fall behind the clock or behind what
     was accepted from others; another's must rise within its stream (link, system, component), and a new stream may be
@@ -56,16 +56,16 @@ class Signing:
         self._streams: dict[tuple[int, int, int], int] = {}
 
     def enable_signing(self, packer: Any, link: int) -> None:
-        """Make a MAVLink object of pymavlink sign its messages with this link number."""
+        """Let a pymavlink object sign its messages with this link id."""
         packer.signing.secret_key, packer.signing.link_id, packer.signing.sign_outgoing = self._key, link, True
 
     def make_time_stamp(self) -> int:
         """Return the time stamp of the next frame."""
-        self._last = max(self._last + 1, self._now())
+        self._last = max(self._last + 1, self._current_ticks())
         return self._last
 
     def find_refusal(self, frame: bytes, system: int, component: int) -> str:
-        """Return the reason to reject a signed frame (whole, with its signature); empty if it is authentic.
+        """Return the reason to reject a complete signed frame; empty if it is authentic.
 
         The time stamp counts only once the signature has proved right, so nobody without the key moves it.  pymavlink's
         check remembers the time stamp first, so that a forged one would lock out those who have the key.
@@ -75,11 +75,11 @@ class Signing:
         stamp = int.from_bytes(frame[-12:-6], "little")
         stream = (frame[-13], system, component)
         last = self._streams.get(stream)
-        if stamp <= last if last is not None else stamp + _MAX_LATENESS < max(self._last, self._now()):
+        if stamp <= last if last is not None else stamp + _MAX_LATENESS_TICKS < max(self._last, self._current_ticks()):
             return "replay"
         self._streams[stream] = stamp
         self._last = max(self._last, stamp)
         return ""
 
-    def _now(self) -> int:
+    def _current_ticks(self) -> int:
         return int((self._clock() - EPOCH_S) * _TICKS_PER_S)

@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.frames import FramePacker
 
-_STAMP = struct.Struct(">Q")  # time stamp before each frame, us
+_TIME_STAMP = struct.Struct(">Q")  # time stamp before each frame, us
 
 
 class TelemetryLog:
@@ -39,23 +39,23 @@ class TelemetryLog:
             self._write(self._packer.pack_frame(packed))
 
     def write_received(self, raw: bytes) -> None:
-        """Write a frame that was received, byte for byte."""
+        """Write a received frame unchanged."""
         self._write(raw)
 
     def flush(self) -> None:
-        self._apply(lambda file: file.flush())
+        self._run_until_error(lambda file: file.flush())
 
     def close(self) -> None:
-        self._apply(lambda file: file.close())
+        self._run_until_error(lambda file: file.close())
         self._file = None
 
     def _write(self, frame: bytes) -> None:
-        stamp = _STAMP.pack(int(self._clock() * 1e6))
-        self._apply(lambda file: file.write(stamp + frame))
+        stamp = _TIME_STAMP.pack(int(self._clock() * 1e6))
+        self._run_until_error(lambda file: file.write(stamp + frame))
         self.frames += 1
 
-    def _apply(self, action: Callable[[BinaryIO], object]) -> None:
-        """Apply an action to the file; a full disk ends the log and not the link."""
+    def _run_until_error(self, action: Callable[[BinaryIO], object]) -> None:
+        """Apply an action to the file; an error, such as a full disk, ends the log but not the link."""
         if self._file is None:
             return
         try:

@@ -21,7 +21,7 @@ class TransportLimits(NamedTuple):
     """Limits of servers and connections, chosen by us."""
 
     max_stations: int = 16  # stations per server
-    # A station that was silent for this long gives way to a new one; one that has sent nothing yet sooner, because
+    # A new station may replace one that was silent for ``evict_s``, or one that has sent nothing for ``unheard_s``:
     # ground stations send a heartbeat each second.
     evict_s: float = 10.0
     unheard_s: float = 3.0
@@ -29,7 +29,7 @@ class TransportLimits(NamedTuple):
     datagram_bytes: int = 2048  # a frame has at most 280 bytes
     stall_s: float = 10.0  # until a stalled connection is closed
     retry_s: float = 1.0  # between two attempts to connect
-    # Budget in frames at which a station that flooded the link is read again.
+    # Credit in frames at which a station that flooded the link is read again.
     resume_frames: float = 100.0
 
 
@@ -38,7 +38,7 @@ Address = Any
 
 
 class Channel(Protocol):
-    """An open endpoint."""
+    """Open endpoint: socket of a link with its stations."""
 
     @property
     def peers(self) -> list[Peer]: ...
@@ -54,7 +54,7 @@ class FrameHandler(Protocol):
     def receive(self, frame: Frame, peer: Peer, now: float) -> None: ...
 
     def poll(self, now: float) -> float:
-        """Do everything that is due, and return when something is due again [s of the clock]."""
+        """Send what is due; return the time of the next poll [s of the clock]."""
         ...
 
 
@@ -65,7 +65,7 @@ class Hub:
         self, system: int, signing: Signing | None, log: TelemetryLog | None, clock: Callable[[], float]
     ) -> None:
         self.refused: Counter[str] = Counter()  # refused frames and bytes, by reason
-        self.failures: Counter[str] = Counter()  # our own exceptions: these are defects
+        self.failures: Counter[str] = Counter()  # exceptions in this code: defects
         self.taken = 0  # frames that were accepted
         self.events: deque[str] = deque(maxlen=100)  # messages about the links for the user
         self.on_event: Callable[[str], None] = lambda text: None  # called in the link's thread
@@ -77,12 +77,12 @@ class Hub:
         self._selector = selectors.DefaultSelector()
 
     def report_event(self, text: str) -> None:
-        """Report an event to the people on the ground."""
+        """Log an event of the links, and report it to the ground."""
         self.events.append(text)
         self.on_event(f"link: {text}")
 
     def dispatch_frames(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
-        """Log a station's frames and hand them to the handler."""
+        """Log a station's frames and pass them to the handler."""
         self.taken += len(frames)
         for frame in frames:
             if self.log is not None:
@@ -108,16 +108,16 @@ class Hub:
         self._selector.register(item, events, ready)
 
     def unwatch(self, item: Any) -> None:
-        """Watch an item no more."""
+        """Stop watching a socket or descriptor."""
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(item)
 
 
 class ReadGate:
-    """Flow control of a socket: read only while its station has credit, so that a flood stays in the system."""
+    """Flow control of a socket, read only while its station has credit, so that a flood stays in the kernel."""
 
     def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
-        self._link, self._item, self._ready = link, item, ready
+        self._link, self._item, self._on_ready = link, item, ready
         self._open = True
         link.watch(item, ready)
 
@@ -129,14 +129,14 @@ class ReadGate:
             self._link.unwatch(self._item)
 
     def poll(self, peer: Peer, now: float) -> None:
-        """Resume reading once there is budget."""
+        """Resume reading once the station has enough credit."""
         if not self._open and peer.update_credit(now) > LIMITS.resume_frames:
             self._open = True
-            self._link.watch(self._item, self._ready)
+            self._link.watch(self._item, self._on_ready)
 
 
 class Connection:
-    """Station on its own connection.
+    """Ground station on a TCP connection.
 
     ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.
     A connection that has taken nothing for ``LIMITS.stall_s`` is closed; ``why`` then says so.
@@ -153,7 +153,7 @@ class Connection:
         self.stalled = False  # closed because it accepted nothing
         self.why = ""
         self.peer = link.new_peer(name, self._transmit, is_datagram=False)
-        self._gate = ReadGate(link, item, self._ready)
+        self._gate = ReadGate(link, item, self._on_ready)
 
     def _transmit(self, data: bytes) -> int:
         if not self.open:
@@ -166,7 +166,7 @@ class Connection:
             self.close(f"it was lost: {error.strerror or error}")
             return 0
 
-    def _ready(self, mask: int) -> None:
+    def _on_ready(self, mask: int) -> None:
         now = self._link.now()
         if self.peer.update_credit(now) < 1.0:
             self._gate.pause()
@@ -184,7 +184,7 @@ class Connection:
         self._link.dispatch_frames(self.peer.feed(data, now), self.peer, now)
 
     def poll(self, now: float) -> None:
-        """Send what waits; close the connection if it is stuck for too long."""
+        """Send queued bytes; close the connection if the station accepts nothing for too long."""
         peer = self.peer
         peer.flush()
         if not self.open:
@@ -205,7 +205,7 @@ class Connection:
 
 
 def open_socket(endpoint: Endpoint, kind: int, bind: bool) -> socket.socket:
-    """Return a non-blocking socket.  Raises InputError where its port cannot be had."""
+    """Return a non-blocking socket.  Raises InputError if its port is not available."""
     opened = socket.socket(endpoint.family, kind)
     try:
         opened.setblocking(False)
@@ -225,5 +225,5 @@ def name_station(kind: str, address: Address) -> str:
 
 
 def is_replaceable(peer: Peer, now: float) -> bool:
-    """Return whether a new station may replace this one, which was silent for too long."""
+    """Return whether a station was silent for so long that a new one may replace it."""
     return peer.silent_seconds(now) > (LIMITS.evict_s if peer.last_heard >= 0.0 else LIMITS.unheard_s)

@@ -12,11 +12,11 @@ from cosim.base.removed import describe_removed
 SYSTEMS = range(1, 251)  # ids of vehicles, below those of stations
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")  # kinds of endpoints
 LOOPBACK = "127.0.0.1"
-_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"  # how to write endpoints
+_URL_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"  # allowed URLs
 
 
 def default_urls(system: int = 1, single: int = 10) -> tuple[str, str]:
-    """Return the default links of a vehicle by its system id.
+    """Return the URLs of a vehicle's default links by its system id.
 
     QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
     """
@@ -47,7 +47,7 @@ def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     if kind == "serial":
         raise InputError(f"link {url!r}: {describe_removed('serial:')}")
     if not colon or not rest or kind not in NETWORK:
-        raise InputError(f"link {url!r}: must be {_FORMS}")
+        raise InputError(f"link {url!r}: must be {_URL_FORMS}")
     host, _, port = rest.rpartition(":")
     if not (port.isascii() and port.isdigit() and len(port) < 6 and 0 <= int(port) < 65536):
         raise InputError(f"link {url!r}: the port {port!r} must be a number from 0 to 65535")
@@ -57,9 +57,9 @@ def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     host = host.removeprefix("[").removesuffix("]")
     if not host:
         if not serves:
-            raise InputError(f"link {url!r}: the host is missing; must be {_FORMS}")
+            raise InputError(f"link {url!r}: the host is missing; must be {_URL_FORMS}")
         host = LOOPBACK
-    address, family = _resolve(host, url)
+    address, family = _resolve_host(host, url)
     if serves and not public and not ip_address(address.partition("%")[0]).is_loopback:
         raise InputError(
             f"link {url!r}: {host} is open to the network, and whoever reaches it can fly the vehicle; "
@@ -68,7 +68,7 @@ def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     return Endpoint(kind, address, int(port), family)
 
 
-def _resolve(host: str, url: str) -> tuple[str, int]:
+def _resolve_host(host: str, url: str) -> tuple[str, int]:
     try:
         infos = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:

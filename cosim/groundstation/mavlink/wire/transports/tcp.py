@@ -17,11 +17,11 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-# Limits unsent data in the kernel, because old telemetry is of no use to a slow reader.
+# Socket option that limits unsent data in the kernel, because old telemetry is of no use to a slow reader.
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
-def _connection(
+def _make_connection(
     link: Hub, name: str, connection: socket.socket, kernel_bytes: int = 65536, unsent_bytes: int = 4096
 ) -> Connection:
     connection.setblocking(False)
@@ -34,7 +34,7 @@ def _connection(
 
 
 class TcpServer:
-    """A server for several connections."""
+    """TCP server for several ground stations."""
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
@@ -42,25 +42,25 @@ class TcpServer:
         self._socket.listen(LIMITS.max_stations)
         self.port = int(self._socket.getsockname()[1])
         self._streams: list[Connection] = []
-        link.watch(self._socket, self._ready)
+        link.watch(self._socket, self._on_ready)
 
     @property
     def peers(self) -> list[Peer]:
         return [stream.peer for stream in self._streams if stream.open]
 
-    def _ready(self, mask: int) -> None:
+    def _on_ready(self, mask: int) -> None:
         try:
             connection, address = self._socket.accept()
         except OSError:
             return
-        if not self._room():
+        if not self._make_room():
             self._link.refused["too many stations"] += 1
             connection.close()
             return
-        self._streams.append(_connection(self._link, name_station("tcpin", address), connection))
+        self._streams.append(_make_connection(self._link, name_station("tcpin", address), connection))
 
-    def _room(self) -> bool:
-        """Return whether one more station fits, possibly replacing a silent one."""
+    def _make_room(self) -> bool:
+        """Return whether one more station can be accepted, closing a silent one if necessary."""
         streams = self._streams = [stream for stream in self._streams if stream.open]
         if len(streams) < LIMITS.max_stations:
             return True
@@ -68,7 +68,7 @@ class TcpServer:
         idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
         if not idle:
             return False
-        # A station that has sent nothing is closed first.
+        # Close first a station that has sent nothing.
         oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent_seconds(now)))
         oldest.close()
         streams.remove(oldest)
@@ -89,7 +89,7 @@ class TcpServer:
 
 
 class TcpClient:
-    """Connection to a server, reopened when lost."""
+    """TCP connection to a server, reopened when lost."""
 
     port = 0
 
@@ -104,7 +104,7 @@ class TcpClient:
     def peers(self) -> list[Peer]:
         return [self._stream.peer] if self._stream is not None and self._stream.open else []
 
-    def _ready(self, mask: int) -> None:
+    def _on_ready(self, mask: int) -> None:
         attempt, self._attempt = self._attempt, None
         if attempt is None:
             return
@@ -112,7 +112,7 @@ class TcpClient:
         if attempt.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             attempt.close()
             return
-        self._stream = _connection(self._link, self._endpoint.url, attempt)
+        self._stream = _make_connection(self._link, self._endpoint.url, attempt)
 
     def poll(self, now: float) -> None:
         if self._stream is not None:
@@ -135,7 +135,7 @@ class TcpClient:
             attempt.close()
             return
         self._attempt = attempt
-        self._link.watch(attempt, self._ready, selectors.EVENT_WRITE)
+        self._link.watch(attempt, self._on_ready, selectors.EVENT_WRITE)
 
     def close(self) -> None:
         if self._attempt is not None:

@@ -18,8 +18,8 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 
-def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
-    """Return a ``send`` that takes nothing instead of blocking, and counts undeliverable datagrams as sent."""
+def _nonblocking(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
+    """Return a ``send`` that returns 0 instead of blocking, and counts undeliverable datagrams as sent."""
 
     def transmit(data: bytes) -> int:
         try:
@@ -32,8 +32,8 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
     return transmit
 
 
-def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """Yield datagrams and senders, up to the limit of one turn."""
+def _read_datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
+    """Yield received datagrams with their senders, up to the limit of one turn."""
     for _ in range(LIMITS.reads):
         try:
             yield source.recvfrom(LIMITS.datagram_bytes)
@@ -44,7 +44,7 @@ def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
 
 
 class UdpClient:
-    """Client that exchanges datagrams with one address only."""
+    """UDP client that exchanges datagrams with one address only."""
 
     port = 0
 
@@ -52,16 +52,16 @@ class UdpClient:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
-        transmit = _without_waiting(lambda data: self._socket.sendto(data, self._target))
+        transmit = _nonblocking(lambda data: self._socket.sendto(data, self._target))
         self._peer = link.new_peer(endpoint.url, transmit, is_datagram=True)
-        link.watch(self._socket, self._ready)
+        link.watch(self._socket, self._on_ready)
 
     @property
     def peers(self) -> list[Peer]:
         return [self._peer]
 
-    def _ready(self, mask: int) -> None:
-        for data, address in _datagrams(self._socket):
+    def _on_ready(self, mask: int) -> None:
+        for data, address in _read_datagrams(self._socket):
             if address[:2] != self._target:
                 self._link.refused["stranger"] += 1
                 continue
@@ -77,7 +77,7 @@ class UdpClient:
 
 
 class ConnectedStation:
-    """Station of a UDP server with a socket of its own at the server's port, so that only it fills the buffer.
+    """Station of a UDP server with a separate socket at the server's port, and thus a separate buffer.
 
     What another sent while the socket was being made is handed to ``stray``.  Raises OSError where the system has no
     such sockets.
@@ -102,10 +102,10 @@ class ConnectedStation:
             raise
         finally:
             server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        self.peer = link.new_peer(name_station("udpin", address), _without_waiting(self._socket.send), is_datagram=True)
-        self._gate = ReadGate(link, self._socket, self._ready)
+        self.peer = link.new_peer(name_station("udpin", address), _nonblocking(self._socket.send), is_datagram=True)
+        self._gate = ReadGate(link, self._socket, self._on_ready)
 
-    def _ready(self, mask: int) -> None:
+    def _on_ready(self, mask: int) -> None:
         link = self._link
         for _ in range(LIMITS.reads):
             now = link.now()
@@ -133,10 +133,10 @@ class ConnectedStation:
 
 
 class SharedSocketStation:
-    """Station of a UDP server on systems that allow no socket of its own."""
+    """Station of a UDP server that shares the server's socket, on systems without separate ones."""
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
-        transmit = _without_waiting(lambda data: server.sendto(data, address))
+        transmit = _nonblocking(lambda data: server.sendto(data, address))
         self.peer = link.new_peer(name_station("udpin", address), transmit, is_datagram=True)
 
     def poll(self, now: float) -> None:
@@ -159,17 +159,17 @@ class UdpServer:
         self.port = int(self._socket.getsockname()[1])
         self._stations: dict[Address, ConnectedStation | SharedSocketStation] = {}
         self._first_parser = link.new_parser(is_datagram=True)  # for addresses without a station yet
-        link.watch(self._socket, self._ready)
+        link.watch(self._socket, self._on_ready)
 
     @property
     def peers(self) -> list[Peer]:
         return [station.peer for station in self._stations.values()]
 
-    def _ready(self, mask: int) -> None:
-        for data, address in _datagrams(self._socket):
-            self._datagram(data, address)
+    def _on_ready(self, mask: int) -> None:
+        for data, address in _read_datagrams(self._socket):
+            self._receive_datagram(data, address)
 
-    def _datagram(self, data: bytes, address: Address) -> None:
+    def _receive_datagram(self, data: bytes, address: Address) -> None:
         link = self._link
         now = link.now()
         station = self._stations.get(address)
@@ -177,17 +177,17 @@ class UdpServer:
             link.dispatch_frames(station.peer.feed(data, now), station.peer, now)
             return
         frames = self._first_parser.feed(data)
-        if not frames or not self._room(now):
+        if not frames or not self._make_room(now):
             return
         try:
-            station = ConnectedStation(link, self._socket, address, self._datagram)
+            station = ConnectedStation(link, self._socket, address, self._receive_datagram)
         except OSError:
             station = SharedSocketStation(link, self._socket, address)
         station.peer.last_heard, station.peer.received = now, len(frames)
         self._stations[address] = station
         link.dispatch_frames(frames, station.peer, now)
 
-    def _room(self, now: float) -> bool:
+    def _make_room(self, now: float) -> bool:
         if len(self._stations) < LIMITS.max_stations:
             return True
         oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent_seconds(now))
