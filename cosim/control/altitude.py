@@ -13,7 +13,7 @@ from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-# Cosine of the lean up to which thrust is raised to hold height: 60 degrees.
+# Least cosine of the lean for which thrust is raised to hold height: 60 degrees.
 MIN_UPRIGHT: Final = 0.5
 
 
@@ -35,12 +35,12 @@ class AltitudeController:
         self._step = step
         self._lead = lead
         self._factors = (1.0, 1.0, 1.0)
-        self._set(gains)
+        self._set_gains(gains)
         self._mass = mass
         self._throttle_for = throttle_for
         self.reset()
 
-    def _set(self, gains: AltitudeGains) -> None:
+    def _set_gains(self, gains: AltitudeGains) -> None:
         self._gains = gains
         position, velocity, integral = self._factors
         self._position = position * gains.position_1_s
@@ -50,9 +50,9 @@ class AltitudeController:
         self._i = integral * (gains.integral_1_s2 * self._step)
 
     def scale_gains(self, position: float, velocity: float, integral: float, lead: EngineLead | None) -> None:
-        """Multiply the nominal gains by these from the next step on, with this lead: :mod:`cosim.control.schedule`."""
+        """Scale the nominal gains from the next step on, and set the lead: see :mod:`cosim.control.schedule`."""
         self._factors = (position, velocity, integral)
-        self._set(self._gains)
+        self._set_gains(self._gains)
         if lead is not None and self._lead is not None:
             self._lead.set_poles(lead)
 
@@ -64,14 +64,14 @@ class AltitudeController:
         self._fade: Fade | None = None
 
     def retune(self, gains: AltitudeGains) -> None:
-        """Change the gains at the next update without a jump: the difference in acceleration fades."""
+        """Change the gains at the next update without a jump: the difference in commanded acceleration fades."""
         if self._old_gains is None:
             self._old_gains = self._gains
-        self._set(gains)
+        self._set_gains(gains)
         self._fade = self._fade or Fade(self._step)
 
     def update(self, command: Command, measured: Measured, unallocated: Unallocated, burnt: float = 0.0) -> float:
-        """Return the collective, the mean throttle.  ``burnt``: fuel [kg] that the engines' own reports add up to."""
+        """Return the collective, the mean throttle.  ``burnt``: fuel [kg], the integral of the reported flows."""
         if command.collective is not None:
             self._started = False
             return command.collective

@@ -28,7 +28,7 @@ class AttitudeController:
         self.reset()
 
     def reset(self) -> None:
-        """End the fading of a gain change; the only other state is the set-point's quaternion."""
+        """End the fading of a gain change, and discard the cached quaternion of the set-point."""
         self._old_law: tuple[Vector3, Vector3] | None = None
         self._fades: tuple[Fade, ...] = ()
 
@@ -41,7 +41,7 @@ class AttitudeController:
         self._fades = self._fades or (Fade(step), Fade(step), Fade(step))
 
     def scale_gains(self, roll: float) -> None:
-        """Multiply the gain of roll by this from the next update on; see :mod:`cosim.control.schedule`."""
+        """Scale the gain of roll from the next update on; see :mod:`cosim.control.schedule`."""
         self._roll_factor = roll
         x, y, z = self._nominal
         self._gain = (roll * x, y, z)
@@ -55,7 +55,7 @@ class AttitudeController:
     def update_tilt_first(
         self, command: Command, measured: Measured, lean: tuple[float, float], max_lean: float = 0.25
     ) -> Vector3:
-        """Return the body rates [rad/s] of a vehicle that holds no heading: zero about the body's z axis.
+        """Return the body rate set-point [rad/s] of a vehicle that holds no heading: zero about the body's z axis.
 
         The lean that is asked for is kept within ``max_lean`` [rad]: without an engine a vehicle has little thrust to
         spare, and one that leans more as it touches tips over.  ``lean`` [rad], roll and pitch, is added to it.
@@ -82,7 +82,7 @@ class AttitudeController:
         return self._rates_for((ex + lean[0], ey + lean[1], 0.0))
 
     def _rates_for(self, error: Vector3) -> Vector3:
-        """Return the body rates [rad/s] that an attitude error [rad] asks for."""
+        """Return the body rate set-point [rad/s] for an attitude error [rad]."""
         ex, ey, ez = error
         kx, ky, kz = self._gain
         lx, ly, lz = self._limit
@@ -116,7 +116,7 @@ class AttitudeController:
         return (ex, ey, ez)
 
     def _fade(self, error: Vector3, new: Vector3) -> Vector3:
-        """Return the rates of the new gains plus the fading difference to the old ones."""
+        """Return the rate set-point of the new gains plus the fading difference from the old ones."""
         x, y, z = (fade.update() for fade in self._fades)
         if self._old_law is None:
             return (new[0] + x, new[1] + y, new[2] + z)

@@ -57,13 +57,13 @@ class Belief:
 
     @property
     def model(self) -> RateModel | None:
-        """The model of :attr:`axis`."""
+        """The identified model of :attr:`axis`, or None."""
         return self.models.get(self.axis)
 
     def predictors(self, name: str) -> list[Predictor]:
-        """Return the built-in predictors of a name for roll, pitch, yaw.  Raises InputError as a flight with them."""
+        """Return the built-in predictors of a name, for roll, pitch and yaw.  Raises InputError as a flight does."""
         return self.built_in(name)
 
     def of(self, axis: str) -> Belief:
-        """Return this belief for the predictor of an axis."""
+        """Return a copy of the belief for the predictor of an axis."""
         return replace(self, axis=axis)

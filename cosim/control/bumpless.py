@@ -16,11 +16,11 @@ class Fade:
         self._value = 0.0
 
     def begin(self, difference: float) -> None:
-        """Start a fade at the step of the change, instead of :meth:`update`."""
+        """Start a fade at the step of the change, in place of an :meth:`update`."""
         self._value = difference
 
     def update(self) -> float:
-        """Return the rest of the difference, one step later."""
+        """Return what is left of the difference after one more step."""
         value = self._value * self._keep
         self._value = value if value > self._negligible or value < -self._negligible else 0.0
         return self._value

@@ -66,7 +66,7 @@ class Cascade:
             tuple[str, Predictor, tuple[Column, ...]]
         ] = []  # names of the predictors' log columns
         self._shown_blocks = self._find_shown_blocks()
-        self._clear(0.0)
+        self._clear_state(0.0)
 
     @property
     def attitude(self) -> AttitudeController:
@@ -92,7 +92,7 @@ class Cascade:
         """The allocator from torque and collective to throttles and angles."""
         return self.loops.allocator
 
-    def _clear(self, burnt: float) -> None:
+    def _clear_state(self, burnt: float) -> None:
         self._demand.burnt, self._demand.unallocated = burnt, FULLY_ALLOCATED
         self.selector.reset()
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
@@ -104,7 +104,7 @@ class Cascade:
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """Start a flight at rest and return its first throttles.  See :class:`cosim.base.protocols.Controller`."""
-        self._clear(burnt)
+        self._clear_state(burnt)
         loops = self.loops
         columns = [
             (axis, predictor, columns_of(predictor))
@@ -160,7 +160,7 @@ class Cascade:
         return self._actuate(Actuation((low,) * self._jets, loops.allocator.rest, demand.unallocated, NO_JETS), low)
 
     def _actuate(self, actuation: Actuation, fraction: float) -> Actuation:
-        """Return thrust fractions as throttles; the gains of the next step follow ``fraction``, their mean."""
+        """Return thrust fractions converted to throttles, and schedule the next gains by their mean ``fraction``."""
         if self.schedule is not None:
             scheduled = self.schedule.update(fraction)
             if scheduled is not None:
@@ -181,7 +181,7 @@ class Cascade:
         return health
 
     def _update_monitor(self, monitor: EngineMonitor, engines: EngineOutput, longest_start_s: float = 10.0) -> PerJet:
-        """Return the part of its thrust that each engine gives; a start is longer than a jet's up to idle."""
+        """Update the monitor, and return each engine's fraction of its thrust; starts take 10 s at most."""
         if self._engines_off or self._is_cold:
             # Engines that are off on purpose, or have yet to start, cannot be monitored.
             self._starting = longest_start_s
@@ -196,13 +196,13 @@ class Cascade:
                 if shut:
                     self._off, self._shut_by_law = self._off | shut, shut
             self.loops.allocator.replan(monitor.health)
-            self.lost = self._find_lost(monitor)
+            self.lost = self._find_failed_jets(monitor)
         for law in self.selector.laws:
             law.observe(monitor)
         return monitor.gains
 
     def forgive(self) -> None:
-        """Trust all engines again, as soon as they are back at idle."""
+        """Count all engines as healthy again, as soon as they are back at idle."""
         self._clears_losses = True
 
     def _clear_losses(self, engines: EngineOutput) -> None:
@@ -214,7 +214,7 @@ class Cascade:
             self.lost = ()
             self.loops.allocator.reset()
 
-    def _find_lost(self, monitor: EngineMonitor) -> tuple[int, ...]:
+    def _find_failed_jets(self, monitor: EngineMonitor) -> tuple[int, ...]:
         gains = enumerate(monitor.gains, 1)
         return tuple([jet for jet, gain in gains if gain < 1.0 and jet - 1 not in self._shut_by_law])
 
@@ -225,7 +225,7 @@ class Cascade:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of predictors, their axis first, then of user's loops and laws: see :class:`Shows`."""
+        """Log columns of predictors, with their axis, then of user's loops and flight laws: see :class:`Shows`."""
         others = [column for block in self._shown_blocks for column in columns_of(block)]
         return tuple(
             [
@@ -238,7 +238,7 @@ class Cascade:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """The numbers for :attr:`columns`; NaN of a predictor that was replaced in flight."""
+        """The values for :attr:`columns`; NaN for a predictor that was replaced in flight."""
         values: list[float] = []
         for axis, predictor, columns in self._predictor_columns:
             is_active = self.loops.rate.predictors[AXES.index(axis)] is predictor

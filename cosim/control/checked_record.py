@@ -31,12 +31,12 @@ class CheckedRecord:
 
     def __post_init__(self) -> None:
         kind: Any = type(self)
-        for name, hint in _hints(kind).items():
-            object.__setattr__(self, name, _check(getattr(self, name), hint, f"{kind.__name__}.{name}"))
+        for name, hint in _field_types(kind).items():
+            object.__setattr__(self, name, _convert(getattr(self, name), hint, f"{kind.__name__}.{name}"))
 
 
-def make(kind: type[Any], values: Any, where: str) -> Any:
-    """Return a record of this kind from a table.  Raises InputError for a key that is unknown or absent."""
+def make_record(kind: type[Any], values: Any, where: str) -> Any:
+    """Return a record of type ``kind`` from a table.  Raises InputError for a key that is unknown or absent."""
     if not isinstance(values, Mapping):
         raise InputError(f"{where} = {values!r}: must be a table")
     names = [field.name for field in fields(kind)]
@@ -50,7 +50,7 @@ def make(kind: type[Any], values: Any, where: str) -> Any:
         raise InputError(f"{where}: not complete; absent: {', '.join(absent)}") from error
 
 
-def plain(record: Any) -> dict[str, Any]:
+def to_plain(record: Any) -> dict[str, Any]:
     """Return a record as plain JSON values, without the fields that are at their default."""
     values: dict[str, Any] = {}
     for field in fields(record):
@@ -65,39 +65,39 @@ def _plain_value(value: Any) -> Any:
         return [_plain_value(item) for item in value]
     if isinstance(value, Enum):
         return value.value
-    return plain(value) if isinstance(value, CheckedRecord) else value
+    return to_plain(value) if isinstance(value, CheckedRecord) else value
 
 
 @cache
-def _hints(kind: type[Any]) -> dict[str, Any]:
+def _field_types(kind: type[Any]) -> dict[str, Any]:
     return get_type_hints(kind, include_extras=True)
 
 
-def _check(value: Any, hint: Any, where: str) -> Any:
+def _convert(value: Any, hint: Any, where: str) -> Any:
     """Return ``value`` converted to the annotated type.  Raises InputError."""
     origin, args = get_origin(hint), get_args(hint)
     if origin in (UnionType, Union):
         if value is None:
             return None
         (inner,) = (arg for arg in args if arg is not NoneType)
-        return _check(value, inner, where)
+        return _convert(value, inner, where)
     if origin is Annotated:
-        number, (lower, upper) = _number(value, args[0], where), args[1]
+        number, (lower, upper) = _convert_to_number(value, args[0], where), args[1]
         if not lower <= number <= upper:
             raise InputError(f"{where} = {number!r}: must be from {lower:g} to {upper:g}")
         return number
     if origin is tuple:
-        return _items(value, args, where)
+        return _convert_items(value, args, where)
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return _member(value, hint, where)
+        return _convert_to_enum(value, hint, where)
     if isinstance(hint, type) and issubclass(hint, CheckedRecord):
-        return value if isinstance(value, hint) else make(hint, value, where)
+        return value if isinstance(value, hint) else make_record(hint, value, where)
     if not isinstance(value, hint):
         raise InputError(f"{where} = {value!r}: must be {'true or false' if hint is bool else 'a text'}")
     return value
 
 
-def _items(value: Any, kinds: tuple[Any, ...], where: str) -> tuple[Any, ...]:
+def _convert_items(value: Any, kinds: tuple[Any, ...], where: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
         raise InputError(f"{where} = {value!r}: must be a list")
     if kinds[-1] is Ellipsis:
@@ -105,10 +105,10 @@ def _items(value: Any, kinds: tuple[Any, ...], where: str) -> tuple[Any, ...]:
     if len(kinds) != len(value):
         raise InputError(f"{where}: {len(value)} values, {len(kinds)} are needed")
     pairs = enumerate(zip(value, kinds, strict=True))
-    return tuple(_check(item, kind, f"{where}[{i}]") for i, (item, kind) in pairs)
+    return tuple(_convert(item, kind, f"{where}[{i}]") for i, (item, kind) in pairs)
 
 
-def _member(value: Any, kind: type[Enum], where: str) -> Enum:
+def _convert_to_enum(value: Any, kind: type[Enum], where: str) -> Enum:
     if isinstance(value, kind):
         return value
     allowed = {str(member.value): member for member in kind}
@@ -117,7 +117,7 @@ def _member(value: Any, kind: type[Enum], where: str) -> Enum:
     return allowed[value]
 
 
-def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
+def _convert_to_number(value: Any, kind: type[float] | type[int], where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{where} = {value!r}: must be a number")
     if kind is int:

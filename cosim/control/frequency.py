@@ -22,7 +22,7 @@ from cosim.spec.vehicle import RateGains, RateModel
 
 
 def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
-    """Return points of the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
+    """Return points z on the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
     angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
     return np.asarray(np.exp(1j * angles))
 
@@ -33,13 +33,13 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
     Those of a state predictor do, being finite sums over past commands and a fast observer; so the transform is exact.
     Raises InputError for one whose response does not end.
     """
-    of_rate = _impulse(predictor(), model, (1.0, 0.0))
-    of_command = _impulse(predictor(), model, (0.0, 1.0))
+    of_rate = _record_impulse_response(predictor(), model, (1.0, 0.0))
+    of_command = _record_impulse_response(predictor(), model, (0.0, 1.0))
     # The predictor gets the command of the previous step, so its first answer to it belongs to u / z.
-    return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
+    return lambda z: (_evaluate_z_transform(of_rate, z), _evaluate_z_transform(of_command, z) / z)
 
 
-def _impulse(
+def _record_impulse_response(
     predictor: Predictor,
     model: RateModel,
     unit: tuple[float, float],
@@ -57,8 +57,8 @@ def _impulse(
     return np.array(values)
 
 
-def _transform(taps: Array, z: Complex) -> Complex:
-    """Compute ``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
+def _evaluate_z_transform(taps: Array, z: Complex) -> Complex:
+    """Return ``sum_k h_k z^-k`` at points z: by powers for a few points, by Horner's rule for many."""
     inverse = 1.0 / z
     if z.size < 8:
         return np.asarray(inverse[:, None] ** np.arange(len(taps)) @ taps)
@@ -77,7 +77,7 @@ def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
 
 
 def zeros_outside(values: Complex) -> int:
-    """Count a function's zeros outside the unit circle, where it is analytic and constant at infinity.
+    """Return the number of a function's zeros outside the unit circle, where it is analytic and constant at infinity.
 
     ``values`` along the upper half circle, closely spaced: the function's turns about 0 count its zeros.
 

@@ -27,13 +27,13 @@ def lead_polynomials(lead: EngineLead, step: float) -> tuple[list[float], list[f
         roots = [-zeta * w + spread, -zeta * w - spread]
     numerator, denominator = [complex(1.0)], [complex(1.0)]
     for root in roots:
-        numerator = _times(numerator, exp(root * step))
-        denominator = _times(denominator, exp(complex(-lead.pole_rad_s * step)))
-    gain = _at_one(denominator) / _at_one(numerator)
+        numerator = _multiply_by_root(numerator, exp(root * step))
+        denominator = _multiply_by_root(denominator, exp(complex(-lead.pole_rad_s * step)))
+    gain = _evaluate_at_one(denominator) / _evaluate_at_one(numerator)
     return [gain * x.real for x in numerator], [x.real for x in denominator]
 
 
-def _at_one(polynomial: list[complex]) -> float:
+def _evaluate_at_one(polynomial: list[complex]) -> float:
     """Return the real part at ``z = 1``, added up in order: ``sum`` adds in another way from Python to Python."""
     total = complex(0.0)
     for x in polynomial:
@@ -41,7 +41,7 @@ def _at_one(polynomial: list[complex]) -> float:
     return total.real
 
 
-def _times(polynomial: list[complex], root: complex) -> list[complex]:
+def _multiply_by_root(polynomial: list[complex], root: complex) -> list[complex]:
     """Return ``polynomial * (z - root)``."""
     return [x - root * y for x, y in zip([*polynomial, 0.0], [0.0, *polynomial], strict=True)]
 
@@ -59,7 +59,7 @@ class Lead:
         self.settle(0.0)
 
     def set_poles(self, lead: EngineLead) -> None:
-        """Change the lead, of the same form, at the next update; its static gain stays 1."""
+        """Change the poles at the next update to those of a lead of the same form; the static gain stays 1."""
         numerator, denominator = lead_polynomials(lead, self._step)
         # C = c_0 + c_1 L + c_2 L^2 with the low-pass L = (1 - p) / (z - p): the states are as large as the input for
         # any lead. With past outputs as states, a change of the lead would be a step in the sum of two lags.
@@ -74,7 +74,7 @@ class Lead:
 
     @property
     def constants(self) -> tuple[float, float, float, float, float]:
-        """The constants ``C(inf)``, the low-pass's ``p`` and ``1 - p``, and the weights of the two low-passed."""
+        """The constants ``C(inf)``, ``p`` and ``1 - p`` of the low-pass, and the weights of its two outputs."""
         return (self._instant_gain, self._p, self._q, self._c1, self._c2)
 
     def settle(self, value: float) -> None:
@@ -82,7 +82,7 @@ class Lead:
         self._once = self._twice = value  # input after one and after two low-passes
 
     def update(self, value: float, unallocated: float) -> float:
-        """Return the led command; ``unallocated``: the allocation residual of the one before."""
+        """Return the compensated command; ``unallocated``: the allocation residual of the previous command."""
         p, q, once = self._p, self._q, self._once
         if unallocated:
             once -= q * unallocated / self._instant_gain

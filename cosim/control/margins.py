@@ -15,7 +15,7 @@ from cosim.control.predictors.linear import companion
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """Margins of a stable loop broken at the plant's input: the change of one kind that puts a pole on the limit.
+    """Margins of a stable loop broken at the plant's input: the smallest change of each kind that makes it unstable.
 
     None where there is no such thing in the frequencies that were looked at.
     """
@@ -31,7 +31,7 @@ class LoopMargins:
 
 
 def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: float | None = None) -> LoopMargins:
-    """Return the margins of a loop from its response, straight lines between its points.
+    """Return the margins of a loop from its frequency response, interpolated linearly between its points.
 
     A factor ``k`` puts a pole on the limit where ``L = -1 / k``: at every crossing of the negative real axis, and at
     half the sampling rate, where the loop is real.  A turn by ``phi`` does where ``|L| = 1`` and the angle from L down
@@ -59,41 +59,41 @@ def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: fl
     lead = 2.0 * pi - angles
     less = lead[lead < pi] / at[lead < pi] if transport_s is None else lead / at
     return LoopMargins(
-        gain_db=_least(20.0 * np.log10(up)),
+        gain_db=_minimum_or_none(20.0 * np.log10(up)),
         gain_down_db=None if not len(down) else float(20.0 * np.log10(down.max())),
-        phase_deg=_least(np.degrees(angles[angles <= pi])),
-        phase_lead_deg=_least(np.degrees(lead[lead < pi])),
-        delay_s=_least(angles / at),
-        delay_less_s=_least(less[less <= (inf if transport_s is None else transport_s)]),
+        phase_deg=_minimum_or_none(np.degrees(angles[angles <= pi])),
+        phase_lead_deg=_minimum_or_none(np.degrees(lead[lead < pi])),
+        delay_s=_minimum_or_none(angles / at),
+        delay_less_s=_minimum_or_none(less[less <= (inf if transport_s is None else transport_s)]),
         peak_sensitivity=float(np.max(1.0 / np.abs(1.0 + loop))),
         crossover_hz=float(at.max() / (2.0 * pi)) if len(at) else None,
     )
 
 
-def _least(values: Array) -> float | None:
+def _minimum_or_none(values: Array) -> float | None:
     return float(values.min()) if len(values) else None
 
 
 def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Array, Array, Array]:
-    """Find where a loop's response meets the negative real axis and the unit circle, by lines between its points.
+    """Return where a loop's response crosses the negative real axis and the unit circle, interpolated linearly.
 
     The factors that put it on -1 and ``omega`` there; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1,
     and ``omega`` there.  A last point at half the sampling rate, ``omega step = pi``, is on the real axis itself.
     """
     sampled = bool(step) and len(omega) > 0 and omega[-1] * step >= pi * (1.0 - 1e-9)
-    at, part = _passing(loop.imag[:-1] if sampled else loop.imag)
+    at, part = _sign_changes(loop.imag[:-1] if sampled else loop.imag)
     real, of_axis = (values[at] + part * np.diff(values)[at] for values in (loop.real, omega))
     if sampled:
         real, of_axis = np.append(real, loop.real[-1]), np.append(of_axis, omega[-1])
     size = np.log(np.maximum(np.abs(loop), np.finfo(float).tiny))
     phase = np.unwrap(np.angle(loop))
-    at, part = _passing(size)
+    at, part = _sign_changes(size)
     angle = phase[at] + part * np.diff(phase)[at] + pi
     return -1.0 / real[real < 0.0], of_axis[real < 0.0], angle % (2.0 * pi), omega[at] + part * np.diff(omega)[at]
 
 
-def _passing(value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Find where ``value`` changes its sign: the point before, and the fraction of the way to the next."""
+def _sign_changes(value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return where ``value`` changes its sign: the point before, and the fraction of the interval after it."""
     below = value < 0.0
     at = np.flatnonzero(below[:-1] != below[1:])
     return at, value[at] / (value[at] - value[at + 1])
@@ -138,21 +138,21 @@ def delayed_margins(
         For a closed loop that is not stable, a fraction that is not proper, and coefficients whose digits do not tell
         the loop at its crossover: of z, with poles that are slow against ``dt``.
     """
-    n, d = _fraction(numerator, denominator, dt, delay)
+    n, d = _check_fraction(numerator, denominator, dt, delay)
     if dt and abs(delay / dt - round(delay / dt)) > 1e-9:
         raise InputError(f"delay: {delay:g} s is not whole steps of {dt:g} s; sample_delayed has the exact loop")
 
-    def look(omega: Array) -> tuple[Complex, Complex, Complex, Array]:
-        """Return the variable, numerator and denominator there, and the rounding of the denominator."""
+    def evaluate(omega: Array) -> tuple[Complex, Complex, Complex, Array]:
+        """Return s or z, numerator and denominator at ``omega``, and the rounding error of the denominator."""
         variable: Complex = np.asarray(np.exp(1j * omega * dt) if dt else 1j * omega)
         rounding: Array = np.finfo(float).eps * np.polyval(np.abs(d), np.abs(variable))
         below: Complex = np.asarray(np.polyval(d, variable), np.complex128)
         above: Complex = np.asarray(np.polyval(n, variable) * np.exp(-1j * omega * delay), np.complex128)
         return variable, above, np.where(below == 0.0, rounding, below), rounding
 
-    omega = _frequencies(n, d, dt, delay)
+    omega = _choose_frequencies(n, d, dt, delay)
     for _ in range(rounds):
-        _, above, below, _ = look(omega)
+        _, above, below, _ = evaluate(omega)
         loop = above / below
         size = np.abs(loop)
         change = np.diff(loop.imag < 0.0) & (loop.real[1:] < 0.0) & (size[1:] < 1.0 / negligible)
@@ -163,12 +163,12 @@ def delayed_margins(
         if len(at) > 100_000:
             raise InputError("the closed loop is at the limit along a range of frequencies, it has no margins")
         omega = np.union1d(omega, omega[at, None] + np.diff(omega)[at, None] * np.linspace(0.0, 1.0, 9)[1:-1])
-    variable, above, below, rounding = look(omega)
-    # Where the gain may be between a tenth and ten, the margins rest on the loop.
+    variable, above, below, rounding = evaluate(omega)
+    # Margins depend on the loop where its gain may be between a tenth and ten.
     matters = (np.abs(above) < 10.0 * (np.abs(below) + rounding)) & (np.abs(above) > 0.1 * (np.abs(below) - rounding))
     if np.any(rounding[matters] > 1e-4 * np.abs(below[matters])):
         raise InputError("denominator: its digits do not tell the loop at its crossover; take a larger dt, or s")
-    # With a delay, what does not fall goes round a circle at ever higher frequencies.
+    # With a delay, a loop whose gain does not fall goes round a circle at ever higher frequencies.
     radius = float(abs(n[0] / d[0])) if len(n) == len(d) and delay and not dt else 0.0
     # There D + N e^(-s delay) turns with 1 + N / D e^(-s delay), which has no zero to the right.
     closed = (above + below) / (1.0 + n[0] / d[0] * np.exp(-1j * omega * delay) if radius else 1.0)
@@ -186,8 +186,8 @@ def delayed_margins(
     return replace(found, gain_db=gain, peak_sensitivity=max(found.peak_sensitivity or 1.0, 1.0 / (1.0 - radius)))
 
 
-def _fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: float) -> tuple[Array, Array]:
-    """Return the coefficients without leading zeros.  Raises InputError for what is no proper fraction."""
+def _check_fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: float) -> tuple[Array, Array]:
+    """Return the coefficients without leading zeros.  Raises InputError for a fraction that is not proper."""
     for name, value in (("dt", dt), ("delay", delay)):
         if not (isfinite(value) and value >= 0.0):
             raise InputError(f"{name}: {value:g} s; at least 0")
@@ -203,8 +203,8 @@ def _fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: fl
     return n, d
 
 
-def _frequencies(n: Array, d: Array, dt: float, delay: float) -> Array:
-    """Return frequencies, rad/s, that follow every turn: by decades, about each pole and zero, and along the delay."""
+def _choose_frequencies(n: Array, d: Array, dt: float, delay: float) -> Array:
+    """Return frequencies [rad/s] that resolve the response: by decades, near each pole and zero, along the delay."""
     roots = np.concatenate([np.roots(n), np.roots(d)]).astype(complex)
     roots = roots[roots != 0.0]
     corners, resonances = np.abs(roots), np.abs(roots.imag)
@@ -265,7 +265,7 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
     """
     from scipy.linalg import expm
 
-    n, d = _fraction(numerator, denominator, dt, delay)
+    n, d = _check_fraction(numerator, denominator, dt, delay)
     if not dt:
         raise InputError("dt: 0 s; above 0")
     order = len(d) - 1

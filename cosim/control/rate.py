@@ -15,11 +15,11 @@ from cosim.control.lead import Lead
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.spec.vehicle import EngineLead, RateGains
 
-_NOTHING: Diagnostics = (nan, nan, nan)  # diagnostics of no predictor
+_NO_DIAGNOSTICS: Diagnostics = (nan, nan, nan)  # diagnostics of no predictor
 
 
-class _Law(NamedTuple):
-    """Gains (per step) and predictor before a change in flight."""
+class _OldLaw(NamedTuple):
+    """Gains (per step) and predictor in use before a change in flight."""
 
     p: float
     i: float
@@ -63,7 +63,7 @@ class RateAxis:
         self._command = 0.0
         self._started = False
         self._fade: Fade | None = None
-        self._old_law: _Law | None = None
+        self._old_law: _OldLaw | None = None
         if self._lead is not None:
             self._lead.settle(0.0)
         if self._history is not None:
@@ -93,7 +93,7 @@ class RateAxis:
         return self._command
 
     def scale_gains(self, p: float, i: float, d: float, lead: EngineLead | None) -> None:
-        """Multiply the nominal gains by these from the next update on, with this lead: :mod:`cosim.control.schedule`.
+        """Scale the nominal gains from the next update on, and set the lead: see :mod:`cosim.control.schedule`.
 
         The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
         """
@@ -104,7 +104,7 @@ class RateAxis:
             self._lead.set_poles(lead)
 
     def keep_history(self, samples: int) -> None:
-        """Keep this many past steps, to initialise a predictor that is selected in flight."""
+        """Store this many past steps, to initialise a predictor that is selected in flight."""
         self._history = deque(maxlen=samples)
 
     def retune(self, gains: RateGains, predictor: Predictor | None = None) -> None:
@@ -113,7 +113,7 @@ class RateAxis:
         The next command is still the old law's; the difference to the new law's fades from then on.
         """
         if self._old_law is None:
-            self._old_law = _Law(self._p, self._i, self._d, self._limit, self._filter_gain, self._predictor)
+            self._old_law = _OldLaw(self._p, self._i, self._d, self._limit, self._filter_gain, self._predictor)
         step = self._step
         p, i, d = self._factors
         self.gains = gains
@@ -135,8 +135,8 @@ class RateAxis:
         self._predictor: SmithPredictor | Predictor = predictor
         self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back
 
-    def _update_at_change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
-        """Return the command at a change of gains: that of the old gains, from which the difference fades."""
+    def _update_at_change(self, old: _OldLaw, setpoint: float, measured: float, unallocated: float) -> float:
+        """Return the command in the step of a gain change: that of the old gains, from which the difference fades."""
         self._old_law = None
         applied = self._command - unallocated
         # The new predictor was initialised with the commands before this step.
@@ -162,18 +162,18 @@ class RateAxis:
         return self._command
 
     def add_to_command(self, added: float) -> None:
-        """Add to the command that the predictor is told, if ``added`` enters before its tap."""
+        """Add an injected signal to the command that the predictor receives."""
         self._command += added
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Diagnostics of the predictor, or NaN."""
-        diagnostics: Diagnostics = getattr(self._predictor, "diagnostics", _NOTHING)
+        """Diagnostics of the predictor; NaN if it has none."""
+        diagnostics: Diagnostics = getattr(self._predictor, "diagnostics", _NO_DIAGNOSTICS)
         return diagnostics
 
 
 class RateController:
-    """Three axes: rate set-point and measured rate (rad/s, body) to torque commands."""
+    """Rate controller of three axes: torque commands from rate set-point and measured rate [rad/s, body]."""
 
     def __init__(
         self,
@@ -205,7 +205,7 @@ class RateController:
         self._roll.scale_gains(p, i, d, lead)
 
     def keep_history(self, samples: int) -> None:
-        """Keep the history of all axes; see :meth:`RateAxis.keep_history`."""
+        """Store the past steps of all axes; see :meth:`RateAxis.keep_history`."""
         for axis in (self._roll, self._pitch, self._yaw):
             axis.keep_history(samples)
 
@@ -216,7 +216,7 @@ class RateController:
             axis.retune(gain, predictor)
 
     def add_to_command(self, added: Vector3) -> None:
-        """Add to the commands that the predictors are told, if ``added`` enters before their taps."""
+        """Add injected signals to the commands that the predictors receive."""
         for axis, value in zip((self._roll, self._pitch, self._yaw), added, strict=True):
             axis.add_to_command(value)
 
@@ -232,5 +232,5 @@ class RateController:
 
     @property
     def predicted(self) -> Vector3:
-        """The rates that the last update was fed with, rad/s."""
+        """The measured or predicted rates [rad/s] of the last update."""
         return (self._roll.predicted, self._pitch.predicted, self._yaw.predicted)

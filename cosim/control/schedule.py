@@ -17,12 +17,12 @@ from typing import NamedTuple
 from cosim.base.limits import clip
 from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains
 
-# Gains change when thrust has moved by this fraction of the schedule's range.
+# Least change of thrust, as a fraction of the schedule's range, at which gains change.
 SCHEDULE_RESOLUTION = 1e-3
 
 
 class Factors(NamedTuple):
-    """Factors on the gains of one command, and its lead or None."""
+    """Factors on the gains of one command, and its lead if it has one."""
 
     angle: float
     p: float
@@ -32,7 +32,7 @@ class Factors(NamedTuple):
 
 
 class Scheduled(NamedTuple):
-    """Gains and leads at a thrust level."""
+    """Gain factors and leads of roll and height at a thrust level."""
 
     thrust_fraction: float
     roll: Factors
@@ -40,7 +40,7 @@ class Scheduled(NamedTuple):
 
 
 class GainSchedule:
-    """The schedule of a vehicle."""
+    """Gain schedule of a vehicle by its thrust level."""
 
     def __init__(self, schedule: Schedule, leads: Leads | None, step: float) -> None:
         self._levels = [level.share for level in schedule.level]
@@ -51,25 +51,25 @@ class GainSchedule:
         self.reset(self._levels[-1])
 
     def reset(self, thrust_fraction: float) -> Scheduled:
-        """Start as if this had always been the collective; return its gains."""
-        self._level = self._last_level = self._bound(thrust_fraction)
+        """Start as if the collective had always been ``thrust_fraction``; return its gains."""
+        self._level = self._last_level = self._clip_to_levels(thrust_fraction)
         return self.at(self._level)
 
     def update(self, collective: float) -> Scheduled | None:
-        """Return the gains from now on, None if unchanged; ``collective``: the mean thrust fraction allocated."""
-        level = self._level + self._filter_gain * (self._bound(collective) - self._level)
+        """Return the gains from now on, or None if unchanged; ``collective``: the mean allocated thrust fraction."""
+        level = self._level + self._filter_gain * (self._clip_to_levels(collective) - self._level)
         self._level = level
         if abs(level - self._last_level) < self._resolution:
             return None
         self._last_level = level
         return self.at(level)
 
-    def _bound(self, thrust_fraction: float) -> float:
+    def _clip_to_levels(self, thrust_fraction: float) -> float:
         return clip(thrust_fraction, self._levels[0], self._levels[-1])
 
     def at(self, thrust_fraction: float) -> Scheduled:
-        """Return the gains and leads at a thrust level."""
-        thrust_fraction = self._bound(thrust_fraction)
+        """Return the interpolated gain factors and leads at a thrust level."""
+        thrust_fraction = self._clip_to_levels(thrust_fraction)
         levels = self._levels
         k = 1
         while k < len(levels) - 1 and thrust_fraction > levels[k]:

@@ -36,7 +36,7 @@ class TiltAllocator:
     ``hover`` is the throttle at which the vehicle hovers: tilt commands are stated at hover thrust and are enlarged
     or reduced in inverse proportion to the collective, so that their moment stays the same.  ``idle`` is the thrust of
     a jet without throttle, over what full throttle adds to it.  ``lift``: how far a jet's throttle may go up in one
-    allocation for collective beyond the plan's own, see :meth:`_beyond`.
+    allocation for collective beyond the plan's own, see :meth:`_remaining_collective`.
     Raises InputError where the banks leave no lever for roll or pitch.
     """
 
@@ -155,7 +155,7 @@ class TiltAllocator:
         above = clip(up, least, most)
         throttles = [at_roll[i] + above * ups[i] for i in jets]
         missing = up - above if up > most else 0.0
-        extra = self._extra = self._beyond(plan, throttles, missing)
+        extra = self._extra = self._remaining_collective(plan, throttles, missing)
         if extra > 0.0:
             throttles = [throttles[i] + extra * plan.boost[i] for i in jets]
         # Where everything fits the residual must be exactly 0.
@@ -182,7 +182,7 @@ class TiltAllocator:
             NO_JETS,
         )
 
-    def _beyond(self, plan: Plan, throttles: list[float], missing: float) -> float:
+    def _remaining_collective(self, plan: Plan, throttles: list[float], missing: float) -> float:
         """Return the part of the collective ``missing`` beyond the plan's that engines at ``throttles`` can still give.
 
         It grows no faster than ``lift`` allows: engines that are all on their way up as fast as they go have none left

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Objective(NamedTuple):
-    """Maximise ``goal . (force, moment)`` with ``rows . (force, moment) = values``."""
+    """Linear program: maximise ``goal . (force, moment)`` subject to ``rows . (force, moment) = values``."""
 
     goal: Array
     rows: Array
@@ -32,7 +32,7 @@ class Objective(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """The maximum over a hull [minus infinity: infeasible], and the mean and the spread of its corners."""
+    """Maximum over a hull (minus infinity: infeasible), with thrusts, hinge angles and the angles' spread there."""
 
     upper: float
     thrust: Array
@@ -41,7 +41,7 @@ class Bound(NamedTuple):
 
 
 class Hull:
-    """The hull of a layout with thrusts [N] and hinges [rad] within these ends."""
+    """Convex hull of the forces and moments of a layout with thrusts [N] and hinge angles [rad] within limits."""
 
     def __init__(self, columns: Array, sets: Array, thrusts: Array, angles: Array) -> None:
         self.columns = columns  # force and moment of corners: 6 rows
@@ -54,15 +54,15 @@ class Hull:
         import numpy as np
 
         columns, sets, thrusts, angles = [], [], [], []
-        for number, (jets, hinges) in enumerate(_sets(layout)):
-            effects = [_effect(layout, hinge, jets) for hinge in hinges]
+        for number, (jets, hinges) in enumerate(_group_jets_by_hinges(layout)):
+            effects = [_thrust_turn_factor(layout, hinge, jets) for hinge in hinges]
             if None in effects or any(_deflects_outside_carrier(layout, jet) for jet in jets):
                 return None
             spans = [abs(effect or 0.0) * (high[h] - low[h]) for h, effect in zip(hinges, effects, strict=True)]
-            cells = _cells(spans, 2 ** sum(bool(min_thrust[jet] < max_thrust[jet]) for jet in jets))
+            cells = _cell_count(spans, 2 ** sum(bool(min_thrust[jet] < max_thrust[jet]) for jet in jets))
             if not cells:
                 return None
-            arcs = [_arc(low[h], high[h], cells, effect or 0.0) for h, effect in zip(hinges, effects, strict=True)]
+            arcs = [_corners(low[h], high[h], cells, effect or 0.0) for h, effect in zip(hinges, effects, strict=True)]
             corners = np.array(list(product(*(range(2 * cells + 1) for _ in hinges))), int)
             turned = {hinge: arcs[n][1][corners[:, n]] for n, hinge in enumerate(hinges)}
             wrench = {jet: _wrenches(layout, jet, turned, len(corners)) for jet in jets}
@@ -81,7 +81,7 @@ class Hull:
         return cls(np.vstack(columns).T, rows, np.vstack(thrusts), np.vstack(angles))
 
     def bound(self, objective: Objective, scale: float) -> Bound:
-        """Return the upper bound; ``scale``: the force [N], or moment [N m], that forces and moments are divided by."""
+        """Return the maximum over the hull; ``scale`` [N or N m]: what forces and moments are divided by."""
         import numpy as np
         from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -103,8 +103,8 @@ class Hull:
         return Bound(float(-result.fun) * scale, thrust, angles, spread)
 
 
-def _sets(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
-    """Yield sets of jets that share hinges, and these hinges."""
+def _group_jets_by_hinges(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
+    """Yield groups of jets that share hinges, each with the numbers of these hinges."""
     hinges_of = [{number for number, _ in chain} for chain in layout.chains]
     remaining = set(range(len(hinges_of)))
     while remaining:
@@ -116,8 +116,8 @@ def _sets(layout: Layout) -> Iterator[tuple[list[int], list[int]]]:
         yield sorted(jets), sorted(hinges)
 
 
-def _effect(layout: Layout, hinge: int, jets: list[int]) -> float | None:
-    """Return the factor from a hinge's angle to the turn of thrusts; None: not the same for all."""
+def _thrust_turn_factor(layout: Layout, hinge: int, jets: list[int]) -> float | None:
+    """Return by how much thrusts turn per angle of a hinge; None: not equal for all jets."""
     effects = {effect for jet in jets for number, effect in layout.chains[jet] if number == hinge}
     return effects.pop() if len(effects) == 1 else None
 
@@ -135,8 +135,8 @@ def _deflects_outside_carrier(layout: Layout, jet: int) -> bool:
     return False
 
 
-def _cells(spans: list[float], ends: int, corners: int = 400, max_corners: int = 6000, widest: float = 1.0) -> int:
-    """Return the number of pieces of each range; 0: more than allowed.
+def _cell_count(spans: list[float], ends: int, corners: int = 400, max_corners: int = 6000, widest: float = 1.0) -> int:
+    """Return into how many pieces to cut each hinge's range; 0: it would take more corners than allowed.
 
     A piece of the ``widest`` [rad] has a triangle that is out by 14 %.  With so many ``corners`` of one set of engines
     on common hinges a program takes milliseconds; with more than ``max_corners`` no bound is computed.
@@ -148,8 +148,8 @@ def _cells(spans: list[float], ends: int, corners: int = 400, max_corners: int =
     return enough[-1] if enough and ends * (2 * enough[-1] + 1) ** len(spans) <= max_corners else 0
 
 
-def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Array]:
-    """Return the corners of a range's triangles: hinge angles [rad], and cosine and sine of the thrust's turn."""
+def _corners(low: float, high: float, cells: int, effect: float) -> tuple[Array, Array]:
+    """Return the corners of triangles round a hinge's arc: angles [rad], cosine and sine of the thrust's turn."""
     import numpy as np
 
     ends = np.linspace(low, high, cells + 1)
@@ -178,7 +178,7 @@ def _wrenches(layout: Layout, jet: int, turned: dict[int, Array], count: int) ->
 
 
 def _rotate(axis: Any, at: Array, vectors: Array) -> Array:
-    """Rotate vectors by Rodrigues' formula, with a cosine and a sine for each."""
+    """Return vectors rotated by Rodrigues' formula, each by the cosine and sine in its row of ``at``."""
     import numpy as np
 
     unit = np.array(axis)

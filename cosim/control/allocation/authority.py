@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # row of body z in forces and moments
-# Fraction of a range for a second start, because the linear programs may fail from the first.
+# Fraction of its range by which each start is moved for a second attempt, because the first may fail.
 SHIFT: Final = 0.1
 
 
 class Range(NamedTuple):
-    """A lower bound that is attained (minus infinity: none) and an upper bound (infinity: unknown)."""
+    """Bounds of a maximum: a lower one that is attained (minus infinity: none) and an upper one (infinity: unknown)."""
 
     lower: float
     upper: float
@@ -51,7 +51,7 @@ class Range(NamedTuple):
 
 
 class Authority(NamedTuple):
-    """Largest moments [N m, the smaller of both directions] with these jets out.
+    """Largest lift and moments [N m, the smaller of both directions] of a vehicle with some jets out.
 
     ``lift``: most thrust in balance over the weight; ``moment``: what is attained, None where no balance was found.
     ``lift_bound``, ``moment_bound``: what is not exceeded, infinity where that is not known; None where there is no
@@ -76,7 +76,7 @@ class Authority(NamedTuple):
 
 
 class Reach:
-    """A layout with the thrust ranges [N] of its engines and the angle ranges [rad] of its hinges."""
+    """Forces and moments that a layout attains, with thrust ranges [N] of engines and angle ranges [rad] of hinges."""
 
     def __init__(
         self,
@@ -109,15 +109,15 @@ class Reach:
         return Reach(self._layout, least.tolist(), most.tolist(), hinges, self._rest.tolist(), self._weight)
 
     def section(self, directions: Sequence[Any]) -> list[Range]:
-        """Return :meth:`moment` along some directions, without bringing its bounds together."""
-        return [self._largest(self._about_axis(direction), 0) for direction in directions]
+        """Return bounds of the largest moment [N m] along each direction, without tightening them."""
+        return [self._bounds(self._moment_objective(direction), 0) for direction in directions]
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
-        """Return the lift, and the moment about each axis with the other two at zero."""
+        """Return the largest lift, and the largest moment about each axis with the other two at zero."""
         import numpy as np
 
         remaining = self.without(lost)
-        lift = remaining._largest(Objective(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)))
+        lift = remaining._bounds(Objective(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)))
         lines = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
         ends = [remaining.moment(line) for line in lines]
 
@@ -139,9 +139,9 @@ class Reach:
         """Return the largest moment [N m] along a unit direction in body axes, with none across it at hover's lift.
 
         Minus infinity where the weight cannot be carried so."""
-        return self._largest(self._about_axis(direction))
+        return self._bounds(self._moment_objective(direction))
 
-    def _about_axis(self, direction: Any) -> Objective:
+    def _moment_objective(self, direction: Any) -> Objective:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
@@ -149,10 +149,10 @@ class Reach:
         across = [np.concatenate([np.zeros(3), row]) for row in basis[1:]]
         return Objective(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
 
-    def _largest(self, objective: Objective, cuts: int = 12) -> Range:
-        """Return both bounds, with up to so many cuts (a few are usual) to bring them together."""
+    def _bounds(self, objective: Objective, cuts: int = 12) -> Range:
+        """Return bounds of the maximum, tightened by at most ``cuts`` cuts of hinge ranges (a few are usual)."""
         if self._hull is None:
-            return Range(self._search(objective), inf)
+            return Range(self._search_maximum(objective), inf)
         root = self._hull.bound(objective, self._weight)
         if not len(self._rest):
             return Range(root.upper, root.upper)  # without hinges the bound is exact
@@ -164,7 +164,7 @@ class Reach:
             if Range(least, most).is_exact or most - least <= 1e-6 * self._weight or most == -inf:
                 break
             _, _, low, high, bound = heappop(queue)
-            least = max(least, self._climb(objective, bound.thrust, bound.angles))
+            least = max(least, self._maximise(objective, bound.thrust, bound.angles))
             widest = int(bound.spread.argmax())
             if cuts <= 0 or not bound.spread[widest]:
                 closed = max(closed, bound.upper)  # this box cannot be bounded more closely
@@ -181,18 +181,18 @@ class Reach:
         most = max([closed, *(-part[0] for part in queue)])
         return Range(least, max(least, most))
 
-    def _search(self, objective: Objective, starts: int = 8) -> float:
-        """Return the best of climbs from rest and from points of a Halton sequence, which fills the ranges evenly."""
+    def _search_maximum(self, objective: Objective, starts: int = 8) -> float:
+        """Return the largest value found by optimising from rest and from the points of a Halton sequence."""
         from scipy.stats import qmc
 
         even = 0.5 * (self._least + self._most)
         points = qmc.Halton(len(self._rest), scramble=False).random(starts)
         return max(
-            self._climb(objective, even, start) for start in (self._rest, *qmc.scale(points, self._low, self._high))
+            self._maximise(objective, even, start) for start in (self._rest, *qmc.scale(points, self._low, self._high))
         )
 
-    def _climb(self, objective: Objective, thrust: Array, at: Array) -> float:
-        """Return what a climb from these thrusts and angles attains; if it fails, from a point nearby."""
+    def _maximise(self, objective: Objective, thrust: Array, at: Array) -> float:
+        """Return the value optimised from these thrusts and angles; if that fails, from a point nearby."""
         import numpy as np
 
         scale = self._weight / len(thrust)
@@ -203,7 +203,7 @@ class Reach:
         return best if best > -inf else self._optimise(objective, np.clip(offset, low, high), low, high)
 
     def _optimise(self, objective: Objective, start: Array, low: Array, high: Array, tolerance: float = 1e-7) -> float:
-        """Return what a program of quadratic programs ends at, with constraints to this fraction of the weight."""
+        """Return the value optimised by quadratic programs in turn; constraints hold to ``tolerance`` of the weight."""
         import numpy as np
         from scipy.optimize import minimize
 
@@ -216,7 +216,7 @@ class Reach:
         scale = self._weight / jets
 
         def wrench_of(x: Array) -> tuple[Array, Array]:
-            effects, turns = self._linear(x[:jets] * scale, x[jets:])
+            effects, turns = self._linearise_wrench(x[:jets] * scale, x[jets:])
             return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
 
         # Rows that nothing changes would make the program infeasible, so they are checked here directly.
@@ -247,7 +247,7 @@ class Reach:
         residual = np.max(np.abs(rows @ wrench - values))
         return float(objective.goal @ wrench) if residual <= tolerance else -inf
 
-    def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
+    def _linearise_wrench(self, thrust: Array, at: Any) -> tuple[Array, Array]:
         """Return force and moment of each jet per thrust, hinges ``at`` [rad], and their change per rad of each hinge.
 
         Shapes (6, jets) and (6, hinges).
@@ -259,12 +259,12 @@ class Reach:
         columns, turns = [], np.zeros((6, len(angles)))
         for jet, group in enumerate(layout.groups):
             axis, twist = axes[group], layout.stations[jet].twist
-            columns.append([*axis, *_moment(positions[jet], axis, twist)])
+            columns.append([*axis, *_moment_of_force(positions[jet], axis, twist)])
             for hinge in layout.hinge_axes(angles, jet):
                 # The thrust turns with the hinge, and so does the station if the hinge carries it.
                 fx, fy, fz = cross(hinge.axis, axis)
                 force = (hinge.effect * fx, hinge.effect * fy, hinge.effect * fz)
-                change = np.array([*force, *_moment(positions[jet], force, twist)])
+                change = np.array([*force, *_moment_of_force(positions[jet], force, twist)])
                 if hinge.carries:
                     (x, y, z), (px, py, pz) = positions[jet], hinge.point
                     change[3:] += cross(cross(hinge.station_axis, (x - px, y - py, z - pz)), axis)
@@ -278,7 +278,7 @@ def compute_reach(vehicle: Vehicle, min_thrust: Sequence[float], max_thrust: Seq
     return Reach(vehicle.layout(), min_thrust, max_thrust, turns, vehicle.rest[: len(turns)], vehicle.mass_kg * GRAVITY)
 
 
-def _moment(position: Vector3, force: Vector3, twist: float) -> Vector3:
+def _moment_of_force(position: Vector3, force: Vector3, twist: float) -> Vector3:
     x, y, z = cross(position, force)
     fx, fy, fz = force
     return (x + twist * fx, y + twist * fy, z + twist * fz)

@@ -35,15 +35,15 @@ LIFT: Final = 2
 YAW: Final = 3
 FORWARD: Final = 4
 RIGHT: Final = 5
-LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))  # rows, most important first
+PRIORITIES: Final = ((ROLL, PITCH), (LIFT,), (YAW,))  # rows, highest priority first
 HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of lowest priority
 AHEAD: Final = ((FORWARD,),)  # row added in forward flight
-# rad between a tilt and the force demanded. Chosen by us: beyond it there are solutions with front and rear turned
+# Largest angle between a tilt and the demanded force. Chosen by us: beyond it are solutions with front and rear turned
 # against each other, from which no small step leads out.
-MAX_SWING: Final = 0.6
+MAX_SWING_RAD: Final = 0.6
 # Residuals below this fraction of weight, or of weight times radius of gyration, are rounding.
 TINY: Final = 1e-10
-# Newton iterations in a step (two are usual), and without a previous solution.
+# Limits of Newton iterations in a step (two are usual), and in the first one, without a previous solution.
 MAX_ITERATIONS: Final = 6
 MAX_FIRST: Final = 60
 
@@ -86,7 +86,7 @@ SurfaceOf = tuple[tuple[float, ...], float, float, float, float]
 
 
 class Constants(NamedTuple):
-    """Numbers that allocation uses while all engines run, for another implementation.
+    """Effectiveness, weights and limits of the allocation, for another implementation.
 
     ``stations``, ``hinges``, ``surfaces``, ``scales``, ``norms`` and ``weight`` as
     :class:`._effectiveness.Solver` takes them.  ``preferred`` are the thrusts [N], and ``neutral`` the positions of
@@ -137,8 +137,8 @@ class EffectivenessAllocator:
         self._hinges = len(layout.turns)
         self._effectors = list(effectors)
         self._limits = list(shares)
-        self._levels = [*LEVELS, *(HORIZONTAL if horizontal else ())]
-        self._levels_ahead = [*LEVELS, *AHEAD]
+        self._levels = [*PRIORITIES, *(HORIZONTAL if horizontal else ())]
+        self._levels_ahead = [*PRIORITIES, *AHEAD]
         self._weight = mass * GRAVITY
         self.hover = (self._weight / self._jets - low) / span
         gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
@@ -161,19 +161,19 @@ class EffectivenessAllocator:
         self.reset()
         if not self.is_balanced:
             raise InputError(
-                f"{name}: jets, hinges: in hover they leave {_describe(self._missing, self._norms)} "
+                f"{name}: jets, hinges: in hover they leave {_describe_largest_missing(self._missing, self._norms)} "
                 "that nothing balances; hexjet aircraft check says what the engines can do"
             )
 
     def reset(self) -> None:
         """Start with all engines healthy and hinges at rest."""
-        self._use([JetHealth()] * self._jets)
-        self._settle()
+        self._set_thrust_limits([JetHealth()] * self._jets)
+        self._compute_hover()
         # The first commands are where the servos are.
         self._last = [*self._preferred, *(effector.rest for effector in self._effectors)]
 
-    def _use(self, health: Sequence[JetHealth]) -> None:
-        """Set the model of each jet's thrust to ``span (gain (idle + share) + fixed)``."""
+    def _set_thrust_limits(self, health: Sequence[JetHealth]) -> None:
+        """Set the thrust limits [N] for engines of this health: ``span (gain (idle + share) + fixed)``."""
         idle = self._low / self._span
         self._health = list(health)
         self._thrust_limits: list[tuple[float, float]] = []
@@ -185,8 +185,8 @@ class EffectivenessAllocator:
                 )
             )
 
-    def _settle(self) -> None:
-        """Compute the hover: thrusts that balance the weight, used as start and as neutral position.
+    def _compute_hover(self) -> None:
+        """Compute the thrusts and angles that balance the weight in hover, used as start and as neutral position.
 
         Where there is a choice they push nowhere: else dear thrusts stayed even and a tilted hinge balanced them.
         """
@@ -194,7 +194,7 @@ class EffectivenessAllocator:
         self._preferred = [even] * self._jets
         self._last = [even] * self._jets + [effector.rest for effector in self._effectors]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
-        usual, self._levels = self._levels, [*LEVELS, *HORIZONTAL]
+        usual, self._levels = self._levels, [*PRIORITIES, *HORIZONTAL]
         found, missing = self._solve(wanted, self._weight, MAX_FIRST, False)
         self._levels = usual
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
@@ -203,10 +203,10 @@ class EffectivenessAllocator:
         self._hovers = self._last = found
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """Allocate for engines of this health from the next step on; always possible, however little is left."""
+        """Allocate for engines of this health from the next step on; return True: any health can be allocated for."""
         before = self._last
-        self._use(health)
-        self._settle()
+        self._set_thrust_limits(health)
+        self._compute_hover()
         self._last = before  # continue from the previous solution
         return True
 
@@ -214,7 +214,7 @@ class EffectivenessAllocator:
         """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
         found, _ = self._solve(wanted, wanted[LIFT], MAX_FIRST, False)
-        return self._shares(found)
+        return self._thrust_fractions(found)
 
     @property
     def constants(self) -> Constants:
@@ -243,11 +243,11 @@ class EffectivenessAllocator:
         """Return thrusts [N] and servos [rad] for angular accelerations [rad/s^2] in hover, however fast servos are.
 
         Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
-        found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, MAX_FIRST, False)
+        found, missing = self._solve(self._wrench(self._weight, torque, ZERO3), self._weight, MAX_FIRST, False)
         return found, [0.0 if -TINY <= m * norm <= TINY else m for m, norm in zip(missing, self._norms, strict=True)]
 
     def unit_changes(self, axis: int) -> tuple[list[float], list[float]]:
-        """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
+        """Return effector changes per rad/s^2 about an axis in hover, and the acceleration per effector's change.
 
         Effectors are the thrusts [N], hinges and surfaces [rad], in this order."""
         small = 1e-3
@@ -267,20 +267,20 @@ class EffectivenessAllocator:
         return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
 
     def acceleration_limit(self, axis: int) -> float:
-        """Return the largest angular acceleration [rad/s^2] about an axis that hover leaves, either way."""
+        """Return the largest angular acceleration [rad/s^2] about an axis that hover attains in both directions."""
         most = inf
         for sign in (1.0, -1.0):
             low, high = 0.0, 1.0
-            while high < 1e4 and self._gives(axis, sign * high):
+            while high < 1e4 and self._attains_acceleration(axis, sign * high):
                 low, high = high, 2.0 * high
             for _ in range(20):
                 middle = 0.5 * (low + high)
-                low, high = (middle, high) if self._gives(axis, sign * middle) else (low, middle)
+                low, high = (middle, high) if self._attains_acceleration(axis, sign * middle) else (low, middle)
             most = min(most, low)
         return most
 
-    def _gives(self, axis: int, size: float, missed: float = 1e-4) -> bool:
-        """Return whether hover gives an angular acceleration, but for this fraction of weight and moment."""
+    def _attains_acceleration(self, axis: int, size: float, missed: float = 1e-4) -> bool:
+        """Return whether hover attains an angular acceleration, but for a fraction ``missed`` of weight and moment."""
         _, missing = self.solve_hover((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
         return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROLL, PITCH, LIFT, YAW))
 
@@ -291,11 +291,11 @@ class EffectivenessAllocator:
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
         """
         lift = self.total_thrust(collective)
-        found, missing = self._solve(self._wanted(lift, torque, added), lift, MAX_ITERATIONS, True)
-        return self._actuation(found, missing)
+        found, missing = self._solve(self._wrench(lift, torque, added), lift, MAX_ITERATIONS, True)
+        return self._make_actuation(found, missing)
 
-    def _wanted(self, lift: float, torque: Vector3, added: Vector3) -> list[float]:
-        """Return a lift [N] and the moments [N m] of angular accelerations [rad/s^2], in the order of the rows."""
+    def _wrench(self, lift: float, torque: Vector3, added: Vector3) -> list[float]:
+        """Return the wrench of a lift [N] and angular accelerations [rad/s^2], in the order of the rows: N and N m."""
         x, y, z = torque
         if added != ZERO3:
             x, y, z = x + added[0], y + added[1], z + added[2]
@@ -303,7 +303,7 @@ class EffectivenessAllocator:
         return [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
 
     def total_thrust(self, collective: float) -> float:
-        """Return the thrust [N] of all engines at this thrust fraction each."""
+        """Return the sum of thrusts [N] with every engine at a thrust fraction."""
         return self._jets * (self._low + self._span * collective)
 
     def allocate_forward(
@@ -328,7 +328,7 @@ class EffectivenessAllocator:
         without = force
         if asked < least:  # even idle thrust points forward
             force = max(force, sqrt(least * least - asked * asked))
-        wanted = self._wanted(asked, torque, ZERO3)
+        wanted = self._wrench(asked, torque, ZERO3)
         wanted[PITCH] += pitch
         wanted[FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
@@ -337,17 +337,17 @@ class EffectivenessAllocator:
         for tilt in tilts:
             low, high = servo_limits[tilt]
             middle = self._neutral[tilt] = min(max(along, low), high)
-            self._servo_limits[tilt] = (max(low, middle - MAX_SWING), min(high, middle + MAX_SWING))
-        self._preferred = self._shared(cos(along) * cos(along))
+            self._servo_limits[tilt] = (max(low, middle - MAX_SWING_RAD), min(high, middle + MAX_SWING_RAD))
+        self._preferred = self._share_weight(cos(along) * cos(along))
         self._levels = self._levels_ahead
         found, missing = self._solve(wanted, whole, MAX_ITERATIONS, True)
         self._neutral, self._preferred, self._servo_limits, self._levels = neutral, preferred, servo_limits, levels
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
-        return self._actuation(found, missing), missing[FORWARD]
+        return self._make_actuation(found, missing), missing[FORWARD]
 
-    def _shared(self, balanced: float) -> list[float]:
-        """Return each jet's part of the weight [N] as hinges stand: an equal part with the least change that balances.
+    def _share_weight(self, balanced: float) -> list[float]:
+        """Return each jet's part of the weight [N] at neutral angles: equal, with the least change that balances pitch.
 
         ``is_balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
@@ -361,8 +361,8 @@ class EffectivenessAllocator:
         per_arm = balanced * mean / spread if spread else 0.0
         return [self._weight * (1.0 / jets - per_arm * (arm - mean)) for arm in arms]
 
-    def _actuation(self, found: list[float], missing: list[float]) -> Actuation:
-        """Return the actuation of a solution, from which the next step begins, with ``missing`` per axis."""
+    def _make_actuation(self, found: list[float], missing: list[float]) -> Actuation:
+        """Store a solution as the start of the next step, and return its actuation with the residual ``missing``."""
         self._last = found
         for row in range(6):
             if -TINY <= missing[row] * self._norms[row] <= TINY:
@@ -373,13 +373,13 @@ class EffectivenessAllocator:
             x, y, z = missing[ROLL], missing[PITCH], missing[YAW]
             roll, pitch, yaw = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
         return Actuation(
-            self._shares(found),
+            self._thrust_fractions(found),
             tuple(found[self._jets :]) or self.rest,
             Unallocated(roll, pitch, yaw, missing[LIFT] / (self._jets * self._span)),
             NO_JETS,
         )
 
-    def _shares(self, found: Sequence[float]) -> PerJet:
+    def _thrust_fractions(self, found: Sequence[float]) -> PerJet:
         idle = self._low / self._span
         answer: list[float] = []
         for jet, health in enumerate(self._health):
@@ -394,7 +394,7 @@ class EffectivenessAllocator:
     def _solve(
         self, wanted: list[float], lift: float, passes: int, rated: bool, options: SolverOptions | None = None
     ) -> tuple[list[float], list[float]]:
-        """Return thrusts [N] and angles for a wrench, and its residual; ``rated``: within the servos' rates.
+        """Return thrusts [N] and angles [rad] for a wrench, and its residual; ``rated``: within the servos' rates.
 
         With ``options`` also with the servos' lead.  Raises FlightError for what is not finite.
         """
@@ -412,7 +412,7 @@ class EffectivenessAllocator:
 
 
 def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[HingeOf], list[SurfaceOf]]:
-    """Return jets, hinges and surfaces as :class:`._effectiveness.Solver` takes them."""
+    """Return the arguments of :class:`._effectiveness.Solver` that describe jets, hinges and surfaces."""
     layout, effectors = model.layout, model.effectors
     stations: list[StationOf] = []
     for jet, (station, chain) in enumerate(zip(layout.stations, layout.chains, strict=True)):
@@ -429,7 +429,7 @@ def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[H
     return stations, hinges, surfaces
 
 
-def _describe(missing: Sequence[float], norms: Sequence[float]) -> str:
+def _describe_largest_missing(missing: Sequence[float], norms: Sequence[float]) -> str:
     """Describe the largest of the missing moments and lift, with its unit."""
     names = {ROLL: ("roll", "N m"), PITCH: ("pitch", "N m"), LIFT: ("lift", "N")}
     row = max(names, key=lambda each: abs(missing[each]))

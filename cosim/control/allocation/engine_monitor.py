@@ -155,7 +155,7 @@ class EngineMonitor:
         return any(changes)
 
     def _reported_thrusts(self, output: EngineOutput) -> PerJet:
-        """Return the thrusts [N] that the reports stand for, as :meth:`EngineReference.reported_to_thrust`."""
+        """Return the thrusts [N] computed from the reports, by :meth:`EngineReference.reported_to_thrust`."""
         thrusts = []
         for i, curve in enumerate(self._thrust_by_speed):
             speed = output.spool_speed[i]
@@ -202,7 +202,7 @@ class EngineMonitor:
         )
 
     def _assess(self, i: int, x: float, lost_below: float = 0.2, follows_above: float = 0.3) -> bool:
-        """Update the health of an engine that was outside for long enough; return whether it changed.
+        """Update the health of an engine outside its healthy range for long enough; return whether it changed.
 
         It counts as lost below this fraction of the commanded thrust, and follows above this one of the change.
         """
@@ -256,7 +256,7 @@ class _Engine:
         self.agreed = self.agreed_reference = thrust  # thrusts at the last agreement with model
 
     def follow(self, least: float, most: float) -> tuple[float, float]:
-        """Return upper and lower bound after a step whose command corresponds to ``least`` to ``most`` N."""
+        """Return the bounds of a healthy thrust [N] after a step whose command gives ``least`` to ``most`` at rest."""
         high, low = self.high, self.low
         high += (self.fast if most > high else self.slow) * (most - high)
         low += (self.fast if least < low else self.slow) * (least - low)
@@ -265,7 +265,7 @@ class _Engine:
 
 
 class _Curve:
-    """:func:`_interpolate` through fixed points, which first tries the segment used last."""
+    """Straight lines between fixed points; a look-up first tries the segment that was used last."""
 
     def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
         self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]

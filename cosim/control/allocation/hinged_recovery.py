@@ -15,7 +15,7 @@ pushing nowhere.
 Hinges that carry engines turn lift away, and that has more than one solution: the engine across turned level, or the
 two beside it.  No small step leads from one to the other, and the second gives less lift.  While the reported
 thrusts cannot hold the weight in balance, the angles that come nearest to it are followed from step to step, searched
-for at first with each of those hinges at either end, and no such hinge goes further from them than ``MAX_SWING``.
+for at first with each of those hinges at either end, and no such hinge goes further from them than ``MAX_SWING_RAD``.
 
 Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
 (:meth:`cosim.control.attitude.AttitudeController.update_tilt_first`): to turn back costs lift.
@@ -36,12 +36,12 @@ from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
     FORWARD,
     HORIZONTAL,
-    LEVELS,
     LIFT,
     MAX_FIRST,
     MAX_ITERATIONS,
-    MAX_SWING,
+    MAX_SWING_RAD,
     PITCH,
+    PRIORITIES,
     RIGHT,
     ROLL,
     TINY,
@@ -51,23 +51,22 @@ from cosim.control.allocation.effectiveness import (
     SolverOptions,
 )
 
-# Lift deficit over weight from which hinges stay close to the largest lift. Chosen by us: the altitude loop corrects 1
-# %.
+# Lift deficit over weight from which hinges stay near the largest lift. Chosen by us: the altitude loop corrects 1 %.
 MAX_LIFT_DEFICIT: Final = 0.01
-# Rows that hinges serve at reported thrusts: where they carry engines, and where they only deflect thrust.
-TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
-DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
+# Rows of force and moment that hinges serve, highest priority first: hinges that carry engines, or deflect thrust.
+ENGINE_HINGE_PRIORITIES: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
+DEFLECTOR_PRIORITIES: Final = ((ROLL, PITCH), (YAW,))
 
 
 class EngineLag(NamedTuple):
-    """Delay of the engines, and the control step."""
+    """Delay of the engines and the control step, for the prediction of thrusts."""
 
     delay: float  # s from a throttle command to its effect
     step: float  # s, control step
 
 
 class HingedRecovery(EffectivenessAllocator):
-    """Like :class:`EffectivenessAllocator` while all engines run; with one out see the module's text.
+    """Allocator that after an engine loss turns the vehicle by hinges; while all engines run an EffectivenessAllocator.
 
     ``lag``: of the engines.
     """
@@ -75,7 +74,7 @@ class HingedRecovery(EffectivenessAllocator):
     def __init__(self, model: AllocationModel, lag: EngineLag) -> None:
         self._lag = lag
         self._carriers = [number for number, turn in enumerate(model.layout.turns) if turn.carries]
-        self._turns: list[tuple[int, ...]] = [*(TURNING if self._carriers else DEFLECTING)]
+        self._turns: list[tuple[int, ...]] = [*(ENGINE_HINGE_PRIORITIES if self._carriers else DEFLECTOR_PRIORITIES)]
         super().__init__(model)
 
     def reset(self) -> None:
@@ -91,11 +90,11 @@ class HingedRecovery(EffectivenessAllocator):
 
     @property
     def is_leaning(self) -> bool:
-        """Whether it leans against the force of its hinges: with an engine out whose hinge carries engines."""
+        """Whether the vehicle leans against its hinges' side force: an engine is out, and hinges carry engines."""
         return bool(self._reported) and bool(self._carriers)
 
     def observe(self, thrust: PerJet) -> None:
-        """Take the ``thrust`` [N] reported by the engines at the end of a step."""
+        """Store the ``thrust`` [N] that the engines report at the end of a step, and its slope."""
         if all(jet.gain > 0.0 for jet in self._health):
             return
         # A rotor that turns without fire reports a speed as if it had thrust.
@@ -113,7 +112,7 @@ class HingedRecovery(EffectivenessAllocator):
         self._reported = given
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Allocate as :meth:`EffectivenessAllocator.allocate`; without an engine see the module's text.
+        """Return throttles and servo angles; after an engine loss moments come from hinges, at the reported thrusts.
 
         What is told as missing of the lift is then what the balanced thrusts at rest miss of all that is asked of
         them, so that the height loop's integral waits until the engines have followed.
@@ -123,23 +122,23 @@ class HingedRecovery(EffectivenessAllocator):
         # Dynamic pressure from ground speed is wrong in wind, and useless where no heading is held.
         self.pressure = 0.0
         lift = self.total_thrust(collective)
-        wanted = self._wanted(lift, torque, added)
+        wanted = self._wrench(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]
-        self._carrying, short = self._carried(lift)
+        self._carrying, short = self._balance_lift(lift)
         reach, stand = self._servo_limits, self._hovers[jets:]
         if self._short and self._carriers:
-            self._short = self._lifts(servos)
+            self._short = self._lacks_lift(servos)
             if self._short:
-                reach, stand = self._near(self._lifting), self._lifting
-        turning, missing = self._beside(wanted, servos, reach, stand, MAX_ITERATIONS, True)
-        self._turning_on = self._turns_on(wanted, missing, turning)
+                reach, stand = self._ranges_near(self._lifting), self._lifting
+        turning, missing = self._solve_servos(wanted, servos, reach, stand, MAX_ITERATIONS, True)
+        self._turning_on = self._turns_against_demand(wanted, missing, turning)
         if self._carriers:
             given, enough = lift - missing[LIFT], (1.0 - MAX_LIFT_DEFICIT) * self._weight
             if not self._short and given < min(lift, enough):
                 self._short, self._lifting = True, turning
-            self._lean(missing, given)
+            self._update_lean(missing, given)
         missing[LIFT] = short[LIFT]
-        return self._actuation([*self._carrying[:jets], *turning], missing)
+        return self._make_actuation([*self._carrying[:jets], *turning], missing)
 
     def allocate_forward(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
@@ -148,8 +147,8 @@ class HingedRecovery(EffectivenessAllocator):
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().allocate_forward(force, lift, pitch, torque, tilts)
 
-    def _carried(self, lift: float, trimmed: float = 0.7) -> tuple[list[float], list[float]]:
-        """Return thrusts [N] and servos for the lift in balance, and the residual; see the module's text.
+    def _balance_lift(self, lift: float, trimmed: float = 0.7) -> tuple[list[float], list[float]]:
+        """Return thrusts [N] and servo angles that give a lift [N] in balance, and the residual.
 
         The lift that reported thrusts lack is added to the demand, which halves the engines' lag.  ``trimmed``: the
         fraction of the hinges' ranges to balance thrusts with; the rest turns the vehicle.
@@ -164,11 +163,11 @@ class HingedRecovery(EffectivenessAllocator):
             for effector, (low, high) in zip(self._effectors, self._servo_limits, strict=True)
         ]
         wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
-        options = SolverOptions(self._carrying, self._thrust_limits, [*LEVELS, *HORIZONTAL], reach, stand)
+        options = SolverOptions(self._carrying, self._thrust_limits, [*PRIORITIES, *HORIZONTAL], reach, stand)
         return self._solve(wanted, lift, MAX_ITERATIONS, False, options)
 
-    def _lifts(self, servos: list[float], unbalanced: float = 100.0) -> bool:
-        """Return whether the reported thrusts cannot hold the weight in balance; then hinges follow the most lift.
+    def _lacks_lift(self, servos: list[float], unbalanced: float = 100.0) -> bool:
+        """Return whether the reported thrusts cannot balance the weight, and store the servo angles with the most lift.
 
         ``unbalanced``: the cost of missing roll and pitch against missing lift, where that is searched for.
         """
@@ -178,7 +177,7 @@ class HingedRecovery(EffectivenessAllocator):
             starts, passes = [rest, servos], MAX_FIRST
             for number in self._carriers:
                 starts += [[*rest[:number], end, *rest[number + 1 :]] for end in self._servo_limits[number]]
-        found = [self._beside(weight, start, self._servo_limits, rest, passes, False) for start in starts]
+        found = [self._solve_servos(weight, start, self._servo_limits, rest, passes, False) for start in starts]
         norms, costs = self._norms, []
         for _, missing in found:
             turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
@@ -186,18 +185,18 @@ class HingedRecovery(EffectivenessAllocator):
         self._lifting, missing = found[costs.index(min(costs))]
         return missing[LIFT] * norms[LIFT] > MAX_LIFT_DEFICIT
 
-    def _near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
-        """Return the servos' ranges [rad], for hinges that carry engines within ``MAX_SWING`` of these angles."""
+    def _ranges_near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
+        """Return the servos' ranges [rad], for hinges that carry engines within ``MAX_SWING_RAD`` of these angles."""
         near = list(self._servo_limits)
         for number in self._carriers:
             low, high = near[number]
             near[number] = (
-                max(low, angles[number] - MAX_SWING),
-                min(high, angles[number] + MAX_SWING),
+                max(low, angles[number] - MAX_SWING_RAD),
+                min(high, angles[number] + MAX_SWING_RAD),
             )
         return near
 
-    def _beside(
+    def _solve_servos(
         self,
         wanted: list[float],
         servos: Sequence[float],
@@ -206,13 +205,13 @@ class HingedRecovery(EffectivenessAllocator):
         passes: int,
         rated: bool,
     ) -> tuple[list[float], list[float]]:
-        """Return servos for the reported thrusts, searched from ``servos``, and the residual of ``wanted``."""
+        """Return the servo angles that give the wrench ``wanted`` at the reported thrusts, and its residual."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
         options = SolverOptions(last, ends, self._turns, servo_limits, neutral)
         found, missing = self._solve(wanted, wanted[LIFT], passes, rated, options)
         return found[self._jets :], missing
 
-    def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
+    def _turns_against_demand(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
         if all(-TINY <= missing[row] * self._norms[row] <= TINY for row in (ROLL, PITCH)):
             return False
@@ -221,10 +220,10 @@ class HingedRecovery(EffectivenessAllocator):
         moments, _ = self._solver.linear([*coming, *servos], self.pressure)
         return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
 
-    def _lean(
+    def _update_lean(
         self, missing: Sequence[float], lift: float, lean_s: float = 0.1, max_rad: float = 0.2, held_rad: float = 0.1
     ) -> None:
-        """Update :attr:`lean` for the horizontal force that is missing or excessive, and a lift [N].
+        """Update :attr:`lean`, the roll and pitch [rad] that turn the thrust against the hinges' horizontal force.
 
         ``lean_s``: its time constant; hinges move as fast, and it is not to follow each.  ``max_rad``: at most while
         the reported thrusts cannot hold the weight; ``held_rad``: from then on, to touch down level.

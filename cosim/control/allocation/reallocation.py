@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-# Chosen by us: fraction of hover thrust kept either way for height while roll is used, 1.5 m/s^2 of climb; then
+# Chosen by us: fraction of hover thrust kept either way for height control during roll, 1.5 m/s^2 of climb; then
 # fractions of that reserve, tried in turn, because a runaway engine leaves little room downwards.
 _RESERVE, _RESERVE_FALLBACKS = 0.15, (1.0, 0.5, 0.25, 0.1)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Commands of all jets as an affine function of collective and roll; see the module's text.
+    """Throttles of all jets as an affine function of collective and roll, after an engine loss.
 
     ``boost`` is what each jet adds for collective beyond the largest that ``up`` reaches.  ``pitch`` is the pitch
     moment that the throttles leave, in share m: constant, per collective, per roll, per collective of ``boost``.
@@ -47,7 +47,7 @@ class Plan:
     trim: tuple[float, ...]
     up: tuple[float, ...]
     roll: tuple[float, ...]
-    roll_range: tuple[float, float]  # beyond it no collective remains
+    roll_range: tuple[float, float]  # roll with any collective left
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
 
@@ -55,14 +55,14 @@ class Plan:
 def plan(
     jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, health: Sequence[JetHealth]
 ) -> Plan | None:
-    """Return commands for collective and roll without parasitic pitch; None if the engines left cannot be balanced.
+    """Return throttles for collective and roll without parasitic pitch; None if the remaining engines cannot balance.
 
     ``hover`` is the share asked of every jet in hover.
     """
     import numpy as np
 
     low, high = limits.throttle_min, limits.throttle_max
-    rows, side = _rows(jets), np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
+    rows, side = _effect_rows(jets), np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
     gain = np.array([engine.gain for engine in health])
     fixed = np.array([engine.fixed for engine in health])
     free = np.flatnonzero(gain > 0.0)
@@ -71,7 +71,7 @@ def plan(
     given = rows[:, free] * gain[free]
     stands = rows @ fixed + given.sum(axis=1) * idle  # force and moments with zero commands
     per_collective, per_roll = rows.sum(axis=1), rows @ side
-    at_zero = per_collective * idle - stands  # what commands must add at collective 0
+    at_zero = per_collective * idle - stands  # load that commands add at collective 0
     top = _most_collective(given, at_zero, per_collective, low, high)
     if top is None:
         return None
@@ -80,7 +80,7 @@ def plan(
     planned = None
     for part in _RESERVE_FALLBACKS:
         reserve = part * kept
-        planned = _weights(
+        planned = _optimise_commands(
             given,
             at_zero + per_collective * centre,
             per_collective * reserve,
@@ -95,14 +95,14 @@ def plan(
     trim, up, roll, reach = planned
     up, roll = up / reserve, roll / reach
     trim, up, roll = (
-        _exact(given, value, wanted)
+        _correct_residual(given, value, wanted)
         for value, wanted in (
             (trim, at_zero + per_collective * centre),
             (up, per_collective),
             (roll, per_roll),
         )
     )
-    boost = _boost(trim, up, centre, top, high, low)
+    boost = _boost_commands(trim, up, centre, top, high, low)
     left = [
         float(residual[2])
         for residual in (
@@ -129,8 +129,8 @@ def plan(
     )
 
 
-def _rows(jets: Sequence[Jet]) -> Array:
-    """Return force, and lever about x and y, of each jet: shape (3, jets)."""
+def _effect_rows(jets: Sequence[Jet]) -> Array:
+    """Return lift, and roll and pitch moment, of each jet per unit of thrust: shape (3, jets)."""
     import numpy as np
 
     return np.array([[1.0, jet.position_m[1], jet.position_m[0]] for jet in jets]).T
@@ -176,7 +176,7 @@ def _linprog(cost: Any, ub: Any = None, eq: Any = None, bounds: Any = None) -> A
 def _most_collective(
     given: Array, at_zero: Array, per_collective: Array, low: float, high: float
 ) -> tuple[float, Array] | None:
-    """Return the largest balanced collective of the free jets and their commands; None if there is none above 0."""
+    """Return the largest balanced collective of the free jets, and its commands; None if there is none above 0."""
     import numpy as np
 
     count = given.shape[1]
@@ -189,8 +189,8 @@ def _most_collective(
     return None if solution is None or solution.x[-1] <= 1e-6 else (float(solution.x[-1]), solution.x[:count])
 
 
-def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
-    """Return commands per collective along the line from the maximum without roll to ``top``.
+def _boost_commands(trim: Array, up: Array, centre: float, top: tuple[float, Array], high: float, low: float) -> Array:
+    """Return each jet's command per collective beyond the largest that the plan reaches without roll, up to ``top``.
 
     Both ends give their collective in balance, and so does everything between them.
     """
@@ -212,10 +212,10 @@ def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high
     return boost
 
 
-def _weights(
+def _optimise_commands(
     given: Array, trim: Array, up: Array, roll: Array, side: Array, limits: tuple[float, float, float, float]
 ) -> tuple[Array, Array, Array, float] | None:
-    """Return trim, commands for ``up`` and for ``reach`` of roll, and the largest ``reach`` for which all fit.
+    """Return the commands of trim, of ``up`` and of ``reach`` of roll, and the largest ``reach`` for which all fit.
 
     Every corner ``trim +- up +- roll`` is within the limits, which are low, high, centre and what is kept for ``up``.
     Pitch may be left over on ``up`` and ``roll``, at a cost; so may, at a small one, what the jets do beyond what
@@ -259,8 +259,8 @@ def _weights(
     return solution.x[:n], solution.x[n : 2 * n], solution.x[2 * n : 3 * n], float(solution.x[3 * n])
 
 
-def _exact(given: Array, value: Array, wanted: Array) -> Array:
-    """Return ``value`` with the smallest change that gives ``wanted`` exactly, if the jets can."""
+def _correct_residual(given: Array, value: Array, wanted: Array) -> Array:
+    """Return commands with the smallest change for which lift and moments equal ``wanted`` exactly, if possible."""
     import numpy as np
 
     moved: Array = value + np.linalg.lstsq(given, wanted - given @ value, rcond=None)[0]
@@ -268,7 +268,7 @@ def _exact(given: Array, value: Array, wanted: Array) -> Array:
 
 
 def _roll_range(trim: Array, up: Array, roll: Array, low: float, high: float) -> tuple[float, float]:
-    """Return the range of rolls that have a collective; unknowns are that collective, from the centre, and roll."""
+    """Return the range of the roll command in which a collective keeps all jets within their limits."""
     import numpy as np
 
     both = np.column_stack([up, roll])

@@ -19,7 +19,7 @@ class StaticCurve(NamedTuple):
 
     engine: str
     throttle: Sequence[float]
-    thrust: Sequence[float]  # N
+    thrust: Sequence[float]  # N, at each throttle
 
     @property
     def span(self) -> float:

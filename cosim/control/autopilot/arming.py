@@ -13,11 +13,11 @@ from cosim.control.autopilot.parameters import NOTHING
 
 
 class Arming:
-    """Arming, the engines' state, and the reasons against either.
+    """Arming and the commanded state of the engines, with the reasons why arming is refused.
 
     ``since`` is the step of arming, of the start of a take-off, or of standing again; ``flew``: since arming."""
 
-    # rad/s: a vehicle that turns faster is being carried by hand.
+    # Largest body rate [rad/s] to arm at: a vehicle that turns faster is being carried by hand.
     max_rate = 0.2
 
     def __init__(self, course: Course, remote: RemoteControl, watch: FailsafeMonitor, step: float) -> None:
@@ -28,7 +28,7 @@ class Arming:
         self.reset(EngineState.IDLE)
 
     def reset(self, engines: EngineState) -> None:
-        """Start disarmed with these engines, or in the air and armed if they run."""
+        """Start disarmed, or armed and in the air if ``engines`` is FLY."""
         self.armed = self.flew = engines is EngineState.FLY
         self.engines = engines
         self.since = 0
@@ -52,10 +52,10 @@ class Arming:
 
     def disarm(self) -> None:
         """Disarm the standing vehicle: the engines are off."""
-        self.shut_off()
+        self.kill_engines()
         self.flew = False
 
-    def shut_off(self) -> None:
+    def kill_engines(self) -> None:
         """Disarm and switch all engines off at once, in the air too."""
         self.armed = False
         self.engines = EngineState.OFF

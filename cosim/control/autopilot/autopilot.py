@@ -9,9 +9,9 @@ from __future__ import annotations
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.failsafes import OUTSIDE
+from cosim.control.autopilot.failsafes import OUTSIDE_FENCE
 from cosim.control.autopilot.flight_state import FlightState
-from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, Mode, Severity
+from cosim.control.autopilot.modes import DIRECT, STICK_MODES, Home, LandedState, Mode, Severity
 from cosim.control.autopilot.parameters import LAND
 from cosim.control.autopilot.request_handler import HANDLERS, refuse
 from cosim.control.autopilot.requests import Answer, Request, Result
@@ -21,7 +21,7 @@ from cosim.control.autopilot.status import Status
 class Autopilot(FlightState):
     """Flight modes of one vehicle, which turn requests of ground stations into commands."""
 
-    # m/s: legs that sink faster do not stand on the ground.
+    # Highest sink rate [m/s] of a vehicle that stands on its legs.
     max_settle_sink = 1.0
 
     @property
@@ -117,25 +117,25 @@ class Autopilot(FlightState):
             self.arming.restart_wait(k)
 
     def _check_failsafes(self, k: int) -> None:
-        """Check everything that may end the present mode."""
+        """Check all conditions that may end the present mode."""
         if not self.armed:
             return
         estimates, report = self.estimates, self.report
         if self.watch.detect_tipping(estimates.now):
             if self.landed in (LandedState.ON_GROUND, LandedState.TAKING_OFF):
                 self.say(Severity.CRITICAL, "tipped over", k)
-                self.shut_off(k)
+                self.kill_engines(k)
             elif not self.failsafe.startswith("leans"):
                 self.say(Severity.CRITICAL, "leans as if control were lost", k)
                 self.failsafe = "leans as if control were lost"
             return
         if self.is_flying():
-            acting = self.failsafe.startswith(OUTSIDE)
+            acting = self.failsafe.startswith(OUTSIDE_FENCE)
             self.watch.update(k, estimates.now, estimates.fix, self.home, report, self.mode, acting)
             self.watch.check_sensors(estimates.failures)
             if not estimates.has_position and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
                 self.activate_failsafe(LAND, "position lost")
-        if self.mode in BY_STICK and self.is_flying() and not self.remote.sticks_fresh(k):
+        if self.mode in STICK_MODES and self.is_flying() and not self.remote.sticks_fresh(k):
             self.say(Severity.WARNING, "sticks lost, holding", k)
             self.enter(Mode.HOLD, k)
         if self.mode is Mode.OFFBOARD and not self.remote.setpoint_fresh(k):
@@ -179,20 +179,20 @@ class Autopilot(FlightState):
         """Return the command of the armed, standing vehicle; disarm it after some time."""
         arming = self.arming
         if self.mode is Mode.MISSION and arming.flew:
-            self._go_on_with_mission(k)
-        if self._wants_up(k) and not self.report.starting:
+            self._continue_mission(k)
+        if self._needs_take_off(k) and not self.report.starting:
             self.landed = LandedState.TAKING_OFF
             arming.leave_ground(k)
             self.mission_flight.leave_ground(self.mode is Mode.MISSION)
             self.landing.touchdown.reset()
-            self.take_off.leave(k)
+            self.take_off.begin(k)
             return self._command_take_off(k)
         if arming.idle_too_long(k):
             self.stand_down(k, "landed, disarmed" if arming.flew else "not taken off, disarmed")
         return self._idle_command()
 
-    def _go_on_with_mission(self, k: int) -> None:
-        """In a mission, keep a landed vehicle waiting as the item states, and disarm it if the mission ends."""
+    def _continue_mission(self, k: int) -> None:
+        """Keep a vehicle that landed in a mission waiting as its item states, and disarm it if the mission ends."""
         mission = self.mission_flight
         if mission.waits_on_ground:
             mission.stay_on_ground(k)
@@ -203,7 +203,7 @@ class Autopilot(FlightState):
             if why or (short and item == self.mission.current):
                 self.stand_down(k, f"mission item {self.mission.current} refused: {why or short}, disarmed")
 
-    def _wants_up(self, k: int) -> bool:
+    def _needs_take_off(self, k: int) -> bool:
         """Return whether the mode or the request needs the vehicle to leave the ground."""
         if self.mode is Mode.TAKEOFF:
             return not self.arming.flew
@@ -219,7 +219,7 @@ class Autopilot(FlightState):
             self.arming.flew = True
             self.landing.lift_off()
             return self._command_in_air(k)
-        if not self._wants_up(k):
+        if not self._needs_take_off(k):
             return self._end_take_off(k, "")
         if self._commands_collective():
             return self._command_mode(k)
@@ -278,7 +278,7 @@ class Autopilot(FlightState):
     def _command_mode(self, k: int) -> Command:
         """Return the command of the present mode; enter Hold when its manoeuvre is complete."""
         mode = self.mode
-        if mode in BY_STICK or mode is Mode.OFFBOARD:
+        if mode in STICK_MODES or mode is Mode.OFFBOARD:
             return self.remote.fly(mode)
         if mode is Mode.MISSION:
             command = self.mission_flight.fly(k) or self._end_mission(k)

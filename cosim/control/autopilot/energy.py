@@ -22,11 +22,11 @@ class Energy:
 
     ``hover``: the collective at which the vehicle hovers."""
 
-    # s to average the fuel flow, longer than climbs and gusts; s in the air before the mean is used.
+    # Averaging time of the fuel flow [s], longer than climbs and gusts, and time in the air before the mean is used.
     mean_s, settling_s = 10.0, 5.0
-    # 1/s: a fuel gauge that falls faster was reset, as no tank is emptied within 20 s.
+    # Largest burn rate [1/s]: a fuel gauge that falls faster was reset, as no tank is emptied within 20 s.
     max_burn = 0.05
-    # s from touchdown until the vehicle stands, or from spooling up until it climbs.
+    # Time [s] from touchdown until the vehicle stands, or from spooling up until it climbs.
     end_s = 3.0
 
     def __init__(self, course: Course, ground_speed: GroundSpeed, hover: float, step: float) -> None:
@@ -87,7 +87,7 @@ class Energy:
         return limits.response_time + steady + slowing + max(0.0, min(height, slow)) / end + self.end_s
 
     def travel_time(self, distance: float, climb: float, speed: float | None = None) -> float:
-        """Return how long the way to a position at this distance and height difference [m] takes, both together.
+        """Return the duration [s] of a flight over a distance and a height difference [m], flown at the same time.
 
         ``speed``: horizontal, m/s; None: that of automatic flight.
         """
@@ -107,34 +107,34 @@ class Energy:
         )
 
     def return_time(self, position: Pair, altitude: float) -> float:
-        """Return how long the return from rest at a position and an altitude takes, down to the ground."""
+        """Return the duration [s] of the return from rest at a position and an altitude, down to the ground."""
         target, height, near = self._course.plan_return(position, altitude)
         if near:
-            return self.descent_time(altitude - self._ground)
+            return self.descent_time(altitude - self._lowest_ground)
         away = hypot(target[0] - position[0], target[1] - position[1])
         climb = self.travel_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.response_time
         level = self.travel_time(away, 0.0, self._parameters["MPC_XY_VEL_MAX"])
-        return climb + level + self.descent_time(max(height, altitude) - self._ground)
+        return climb + level + self.descent_time(max(height, altitude) - self._lowest_ground)
 
     @property
-    def _ground(self) -> float:
-        """The lowest that the ground may be, m."""
+    def _lowest_ground(self) -> float:
+        """The lowest possible height of the ground, m."""
         landmarks = self._landmarks
         return min(landmarks.home_altitude, landmarks.ground)
 
     def needed_fractions(self) -> tuple[float, float]:
-        """Return the fractions needed for the return and for a landing here, without margins.
+        """Return the fractions of a full tank needed for the return and for a landing here, without margins.
 
         The way home begins where the vehicle comes to rest.
         """
         altitude, burn = self._estimates.altitude, self.burn
-        descent = self.descent_time(altitude - self._ground)
+        descent = self.descent_time(altitude - self._lowest_ground)
         if self._landmarks.home is None:
             return burn * descent, burn * descent
-        position, seconds = self._stop()
+        position, seconds = self._stopping_point()
         return burn * (seconds + self.return_time(position, altitude)), burn * descent
 
-    def _stop(self) -> tuple[Pair, float]:
+    def _stopping_point(self) -> tuple[Pair, float]:
         """Return where and after how long [s] the vehicle comes to rest if it stops now."""
         p, fix = self._parameters, self._estimates.fix
         (north, east), (vn, ve), speed = fix.position, fix.velocity, hypot(*fix.velocity)
@@ -146,12 +146,12 @@ class Energy:
 
     @property
     def margin(self) -> float:
-        """Margin of the return, as a fraction of its need."""
+        """Energy margin of the return, as a fraction of what it needs."""
         return self._parameters["HJ_FUEL_MARGIN"] / 100.0
 
     @property
     def floor(self) -> float:
-        """Fraction at which it returns in any case."""
+        """Remaining fraction of a full tank at which the vehicle returns in any case."""
         return self._parameters["HJ_FUEL_LOW"] / 100.0
 
     def describe_shortage(self, seconds: float, position: Pair, altitude: float) -> str:
@@ -171,7 +171,7 @@ class Energy:
         return self.describe_shortage(seconds, self._estimates.fix.position, altitude)
 
     def describe_way_shortage(self, position: Pair, altitude: float) -> str:
-        """Return why energy does not suffice for flying from here to a position [m]; empty: it does."""
+        """Return why energy does not suffice for a flight from here to a position; empty: it does."""
         n, e = self._estimates.fix.position
         seconds = self.travel_time(hypot(position[0] - n, position[1] - e), altitude - self._estimates.altitude)
         return self.describe_shortage(seconds, position, altitude)

@@ -17,8 +17,8 @@ from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
 
 Act = Callable[[int, str], None]  # called with an action and its reason
-OUTSIDE = "outside the fence"  # begins the reason of the fence
-# Estimates without these sensors get worse with time.
+OUTSIDE_FENCE = "outside the fence"  # beginning of the fence's reason
+# Failures after which the vehicle lands at once, because estimates without these sensors get worse with time.
 _LAND_AT_ONCE_ON = ("attitude lost", "gyro lost")
 _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3  # levels of the fuel failsafe
 
@@ -26,12 +26,11 @@ _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3  # levels of the fuel failsafe
 class FailsafeMonitor:
     """Checks fence, link, fuel, engines and sensors each step; calls ``act`` with action and reason of a new event."""
 
-    # s for which a lean must last to count as lost control, and a wind to be reported: longer than a gust or a
-    # manoeuvre.
+    # Times [s] that a lean must last to count as lost control, and a wind to be reported: longer than gusts.
     lost_control_s, wind_s = 0.5, 2.0
-    # Fraction of the allowed lean: if wind takes more, little is left for steering.
+    # Largest fraction of the allowed lean that wind may take: beyond it little is left for steering.
     max_wind = 0.7
-    # After a pilot took over outside the fence it acts again so many m further out, or after so many s outside.
+    # After a pilot took over outside the fence, the fence acts again this far further out, or after this time outside.
     further_m, patience_s = 2.0, 10.0
 
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
@@ -49,7 +48,7 @@ class FailsafeMonitor:
         self._link_has_acted = False
         self.energy.reset()
         self._tank.reset()
-        self._excess: float | None = None  # m outside when it last acted; or None
+        self._excess: float | None = None  # m outside when the fence last acted
         self._fence_has_acted = False  # the fence's action is being flown
         self._waited_s = 0.0  # s outside since the pilot took over
         self._lost_engines: tuple[int, ...] = ()
@@ -117,7 +116,7 @@ class FailsafeMonitor:
             self._act(int(self._parameters["HJ_ENG_ACT"]), f"engine {', '.join(new)} failed{dry}")
 
     def check_sensors(self, failed: tuple[str, ...]) -> None:
-        """Act on newly failed sensors; without attitude or rates the vehicle must land."""
+        """Act on sensors that have just failed; without attitude or rates the vehicle must land."""
         new = [text for text in failed if text not in self._failed_sensors]
         self._failed_sensors = failed
         for text in new:
@@ -149,7 +148,7 @@ class FailsafeMonitor:
         self._waited_s += self._step
         if self._excess is None or excess > self._excess + self.further_m or self._waited_s > self.patience_s:
             self._excess, self._waited_s = excess, 0.0
-            self._act(int(self._parameters["HJ_FENCE_ACT"]), f"{OUTSIDE}: {why}")
+            self._act(int(self._parameters["HJ_FENCE_ACT"]), f"{OUTSIDE_FENCE}: {why}")
 
 
 class FuelFailsafe:
@@ -159,13 +158,13 @@ class FuelFailsafe:
     parameters in per cent are the least.
     """
 
-    # s between checks, a thousandth of a small tank; s between warnings when nothing can be done.
+    # Times [s] between checks, a thousandth of a small tank, and between warnings when nothing can be done.
     interval_s, patience_s = 0.1, 10.0
     # Fraction of the return's margin that a landing in place needs: a descent alone can go wrong in fewer ways.
     down_fraction = 0.5
     # A landing that a pilot stopped begins again at these fractions of the margin and of the landing reserve.
     last_fraction, last_floor = 0.3, 0.5
-    # It may act again with this many times the threshold left, after a pilot stopped the descent.
+    # After a pilot stopped the descent the failsafe may act again with this many times the threshold left.
     rearm_factor = 1.1
 
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
@@ -174,7 +173,7 @@ class FuelFailsafe:
         self.reset()
 
     def reset(self) -> None:
-        """Start a flight."""
+        """Start a flight without any event."""
         self._level = 0
         self._dry = False
         self._warned_at: int | None = None  # step of the warning; None: it lands
@@ -196,16 +195,16 @@ class FuelFailsafe:
             self._level = 0 if percent > self.rearm_factor * low else min(self._level, _RETURNS)
         if percent <= critical and self._level < _LANDS:
             self._level = _LANDS
-            self._act(LAND, self._describe("down", down, critical > p["HJ_FUEL_CRIT"], "critical"))
+            self._act(LAND, self._describe_level("down", down, critical > p["HJ_FUEL_CRIT"], "critical"))
         elif percent <= low and self._level < _RETURNS:
             self._level = _RETURNS
             way = "down" if home == down else "home"
-            self._act(int(p["HJ_FUEL_ACT"]), self._describe(way, home, low > p["HJ_FUEL_LOW"], "low"))
+            self._act(int(p["HJ_FUEL_ACT"]), self._describe_level(way, home, low > p["HJ_FUEL_LOW"], "low"))
         elif self._level >= _LANDS:
             self._watch_landing(k, mode, percent, down)
 
-    def _describe(self, way: str, need: float, is_estimated: bool, word: str) -> str:
-        """Describe why a level is reached: the need of the way, or the minimum."""
+    def _describe_level(self, way: str, need: float, is_estimated: bool, word: str) -> str:
+        """Return why a level is reached: the energy that the way needs, or the minimum."""
         percent = 100.0 * (self._energy.remaining or 0.0)
         if not is_estimated:
             return f"energy {word} ({percent:.0f} %)"
@@ -218,7 +217,7 @@ class FuelFailsafe:
             return
         last = 100.0 * (1.0 + self.last_fraction * self._energy.margin) * down
         last = max(self.last_floor * self._parameters["HJ_FUEL_CRIT"], last)
-        why = self._describe("down", down, True, "")
+        why = self._describe_level("down", down, True, "")
         if self._level == _LANDS and percent <= last:
             self._level, self._warned_at = _LANDS_AGAIN, None
             self._act(LAND, f"last {why}")

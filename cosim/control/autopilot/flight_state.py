@@ -32,8 +32,8 @@ from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
-# Modes of failsafes, more cautious ones later.
-_ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
+# Flight modes that failsafes enter, with the message's verb; the more cautious ones come later.
+_FAILSAFE_MODES = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 
 
 class Thrust(NamedTuple):
@@ -52,15 +52,15 @@ class FaultCommands(NamedTuple):
 
 
 class FlightState:
-    """Mode, landed state, acting failsafe and messages, of step ``k`` with its ``report``; and the parts that fly.
+    """State of a flight at step ``k``: mode, landed state, active failsafe, messages; and the components that fly.
 
     ``engines``: at the start; where they fly, it begins in the air, armed, holding.  ``noisy``: the sensors have their
     noise, which distinguishes a receiver that has stopped from one that stands still.
     """
 
-    # s after an engine loss in which sideways acceleration is ignored: it comes from hinges, not wind.
+    # Time [s] after an engine loss in which sideways acceleration is ignored: it comes from hinges, not wind.
     pushed_s = 3.0
-    # s of GNSS fixes before the position may become home.
+    # Time [s] of GNSS fixes before the position may become home.
     home_delay_s = 1.0
 
     def __init__(
@@ -74,7 +74,7 @@ class FlightState:
         noisy: bool = True,
     ) -> None:
         hover, idle, answer = thrust
-        gains, settings, slowest = _settings(vehicle)
+        gains, settings, slowest = _find_settings(vehicle)
         limits = vehicle.control.allocation
         least_throttle = limits.throttle_min
         self.parameters = parameters = Parameters(
@@ -108,7 +108,7 @@ class FlightState:
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._is_pushed_by_hinges = catch and vehicle.layout().moves
         self._push_steps = round(self.pushed_s / step)
-        # Whether it cannot hold its heading with one engine out.
+        # Whether the vehicle cannot hold its heading with one engine out.
         self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
         self._home_delay = round(self.home_delay_s / step)
         self.reset()
@@ -159,7 +159,7 @@ class FlightState:
         """Enter a mode, or restart the present one."""
         if mode is not self.mode:
             self.say(Severity.INFO, f"mode {mode.value}", k)
-            if self.mode is Mode.MISSION and self.armed and (rest := self.mission_flight.mission.describe_rest()):
+            if self.mode is Mode.MISSION and self.armed and (rest := self.mission_flight.mission.describe_remaining()):
                 self.say(Severity.WARNING, rest, k)
         self.mode = mode
         # No mode can fly without any engine.
@@ -180,7 +180,7 @@ class FlightState:
         self.course.aim(position, height, None)
 
     def stand(self, k: int) -> None:
-        """Note that the vehicle stands, armed."""
+        """Record that the armed vehicle stands on the ground, and let the engines idle."""
         self.landed = LandedState.ON_GROUND
         self.arming.stand(k)
         self.landing.collective = None
@@ -200,26 +200,26 @@ class FlightState:
         self.failsafe = ""
         self.say(Severity.INFO, text, k)
 
-    def shut_off(self, k: int) -> None:
+    def kill_engines(self, k: int) -> None:
         """Switch all engines off at once, in the air too."""
-        self.arming.shut_off()
+        self.arming.kill_engines()
         self.landing.collective = None
         self.say(Severity.CRITICAL, "engines shut off", k)
 
     def activate_failsafe(self, action: int, reason: str) -> None:
-        """Take a failsafe action unless the present mode is at least as cautious."""
+        """Enter the mode of a failsafe's action unless the present mode is at least as cautious."""
         self.failsafe = reason
         if action == RETURN and self.landmarks.home is None:
             action = LAND
         mode = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}.get(action)
-        by_caution = list(_ACTIONS)
+        by_caution = list(_FAILSAFE_MODES)
         rank = by_caution.index(self.mode) if self.mode in by_caution else -1
         if mode is None or rank >= by_caution.index(mode):
             self.say(Severity.WARNING, reason, self.k)
             return
         self.enter(mode, self.k)
         self.failsafe = reason
-        self.say(Severity.CRITICAL, f"{reason}: {_ACTIONS[mode]}", self.k)
+        self.say(Severity.CRITICAL, f"{reason}: {_FAILSAFE_MODES[mode]}", self.k)
 
     def set_home_here(self) -> None:
         """Set home and ground to the present position."""
@@ -231,19 +231,19 @@ class FlightState:
         return self.landed is not LandedState.ON_GROUND
 
     def is_standing(self) -> bool:
-        """Return whether the vehicle is on the ground, not by the switch alone and whatever the engines do."""
+        """Return whether the vehicle is on the ground, by leg switch and weight, with engines running or not."""
         taking_off = self.landed is LandedState.TAKING_OFF
         return not self.is_flying() or (
             self.landing.is_still_grounded if taking_off else self.landing.has_weight_on_legs
         )
 
     def say(self, severity: Severity, text: str, k: int) -> None:
-        """Send a line to the people on the ground."""
+        """Append a message to those that ground stations receive."""
         self._message_count += 1
         self.messages.append(Message(self._message_count, k, severity, text))
 
 
-def _settings(vehicle: Vehicle, min_ratio: float = 2.5) -> tuple[PositionGains, PilotSettings, float]:
+def _find_settings(vehicle: Vehicle, min_ratio: float = 2.5) -> tuple[PositionGains, PilotSettings, float]:
     """Return a vehicle's position gains and pilot settings, and the smaller attitude gain of roll and pitch, 1/s.
 
     Raises InputError where it has none, or an attitude gain below ``min_ratio`` times that of the velocity.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Mode(Enum):
-    """The flight modes.  MANUAL and STABILIZED are the same here: stick commands lean and collective."""
+    """Flight modes.  MANUAL and STABILIZED are the same here: sticks command lean and collective."""
 
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
@@ -22,12 +22,12 @@ class Mode(Enum):
     ORBIT = "ORBIT"  # circles around the requested centre
 
 
-BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})  # modes flown by sticks
+STICK_MODES = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})  # modes flown by sticks
 DIRECT = frozenset({Mode.MANUAL, Mode.STABILIZED})  # stick modes without height hold
 
 
 class LandedState(Enum):
-    """State between standing and flying."""
+    """Landed state of the vehicle, from standing to flying."""
 
     ON_GROUND = "on_ground"
     TAKING_OFF = "taking_off"
@@ -36,7 +36,7 @@ class LandedState(Enum):
 
 
 class Severity(IntEnum):
-    """As in syslog and MAVLink."""
+    """Severity of a message, numbered as in syslog and MAVLink."""
 
     CRITICAL = 2
     ERROR = 3

@@ -17,7 +17,7 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
 
-# Chosen by us: largest gain over its default, because no loop here is stable beyond it.
+# Largest gain over its default, chosen by us because no loop here is stable beyond it.
 _MAX_GAIN_RATIO = 10.0
 
 
@@ -30,7 +30,7 @@ class EnumValue(NamedTuple):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter; ``least`` and ``most`` bound its value, in ``unit``."""
+    """Parameter of the autopilot; ``least`` and ``most`` bound its value, in ``unit``."""
 
     name: str
     kind: Literal["float", "int"]
@@ -55,11 +55,11 @@ class Caution(NamedTuple):
 
 
 NOTHING, HOLD, RETURN, LAND = range(4)  # actions of failsafes
-_ACTIONS = (EnumValue(0, "message only"), EnumValue(1, "hold"), EnumValue(2, "return"), EnumValue(3, "land"))
+_FAILSAFE_ACTIONS = (EnumValue(0, "message only"), EnumValue(1, "hold"), EnumValue(2, "return"), EnumValue(3, "land"))
 
 
 class Parameters:
-    """The table and its present values."""
+    """Table of the autopilot's parameters, and their present values."""
 
     def __init__(self, table: Sequence[Parameter]) -> None:
         self.table = {line.name: line for line in table}
@@ -77,7 +77,7 @@ class Parameters:
         return self._values
 
     def changed(self) -> dict[str, float]:
-        """Return the values that are not at their default, which is enough to restore them all."""
+        """Return the values by name that are not at their default, which is enough to restore them all."""
         return {name: value for name, value in self._values.items() if value != self.table[name].default}
 
     def check(self, name: str, value: float) -> float:
@@ -107,13 +107,13 @@ class Parameters:
 
 # Parameters that a custom controller replaces, by its level: changing them would have no effect.
 _PREDICTORS, _ANGLES = ("HJ_PRED_",), ("HJ_ATT_", "HJ_RLIM_")
-_RATES = tuple(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")  # gains of the rate loops
-_HEIGHT = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN")  # parameters of the height loop
-_REPLACED: Mapping[str, tuple[str, ...]] = {  # parameters without effect, by level
+_RATE_GAINS = tuple(f"HJ_{axis.upper()}_{term}" for axis in AXES for term in "PID")  # gains of the rate loops
+_HEIGHT_LOOP = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN")  # parameters of the height loop
+_INEFFECTIVE: Mapping[str, tuple[str, ...]] = {  # parameters without effect, by level
     "predictor": _PREDICTORS,
-    "rate": _PREDICTORS + _RATES,
+    "rate": _PREDICTORS + _RATE_GAINS,
     "attitude": _ANGLES,
-    "controller": _PREDICTORS + _RATES + _ANGLES + _HEIGHT,
+    "controller": _PREDICTORS + _RATE_GAINS + _ANGLES + _HEIGHT_LOOP,
 }
 
 
@@ -134,77 +134,77 @@ def table(
     if control.position is None:
         raise InputError("vehicle.control.position is missing: this vehicle cannot be flown by the autopilot")
     parameters = [
-        *_loops(control),
-        *_position(control.position),
-        *_flight(pilot),
-        *_predictor(control.predictor, controller, delay),
-        *_failsafes(pilot),
-        *_of_px4(),
-        *_geometry(jets),
+        *_loop_parameters(control),
+        *_position_parameters(control.position),
+        *_flight_parameters(pilot),
+        *_predictor_parameters(control.predictor, controller, delay),
+        *_failsafe_parameters(pilot),
+        *_px4_parameters(),
+        *_geometry_parameters(jets),
     ]
-    mute = _REPLACED.get(level, ())
+    mute = _INEFFECTIVE.get(level, ())
     return [
         replace(parameter, read_only=True) if parameter.name.startswith(mute) else parameter for parameter in parameters
     ]
 
 
-def _gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:
+def _make_gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:
     return Parameter(name, "float", default, 0.0, most or _MAX_GAIN_RATIO * default, unit, group, text, decimals=5)
 
 
-def _loops(control: Control) -> Iterator[Parameter]:
+def _loop_parameters(control: Control) -> Iterator[Parameter]:
     rate = (control.rate.roll, control.rate.pitch, control.rate.yaw)
     # Commands are throttle on roll, rad of tilt on pitch and yaw.
     units = (("s/rad", "1/rad", "s^2/rad"), ("s", "1", "s^2"), ("s", "1", "s^2"))
     for axis, law, (of_p, of_i, of_d) in zip(AXES, rate, units, strict=True):
         name = f"HJ_{axis.upper()}"
-        yield _gain(f"{name}_P", law.p, of_p, "Rate loop", f"{axis} rate, proportional gain")
+        yield _make_gain(f"{name}_P", law.p, of_p, "Rate loop", f"{axis} rate, proportional gain")
         most = _MAX_GAIN_RATIO * max(law.i, law.p)
-        yield _gain(f"{name}_I", law.i, of_i, "Rate loop", f"{axis} rate, integral gain", most)
-        most = max(_MAX_GAIN_RATIO * law.d, law.p)  # a derivative time of 1 s
-        yield _gain(f"{name}_D", law.d, of_d, "Rate loop", f"{axis} rate, derivative gain", most)
+        yield _make_gain(f"{name}_I", law.i, of_i, "Rate loop", f"{axis} rate, integral gain", most)
+        most = max(_MAX_GAIN_RATIO * law.d, law.p)  # allows a derivative time of 1 s
+        yield _make_gain(f"{name}_D", law.d, of_d, "Rate loop", f"{axis} rate, derivative gain", most)
     attitude = control.attitude
     for axis, gain, limit in zip(AXES, attitude.gain_1_s, attitude.rate_limit_rad_s, strict=True):
-        yield _gain(f"HJ_ATT_{axis.upper()}", gain, "1/s", "Attitude loop", f"{axis}: commanded rate per error")
+        yield _make_gain(f"HJ_ATT_{axis.upper()}", gain, "1/s", "Attitude loop", f"{axis}: commanded rate per error")
         text = f"{axis}: largest rate commanded by the attitude loop"
         yield Parameter(
             f"HJ_RLIM_{axis.upper()}", "float", degrees(limit), 5.0, 720.0, "deg/s", "Attitude loop", text, decimals=1
         )
     height = control.altitude
-    yield _gain("HJ_ALT_P", height.position_1_s, "1/s", "Height", "commanded climb rate per height error")
-    yield _gain("HJ_CLIMB_P", height.velocity_1_s, "1/s", "Height", "commanded acceleration per climb rate error")
-    yield _gain("HJ_CLIMB_I", height.integral_1_s2, "1/s^2", "Height", "its integral")
+    yield _make_gain("HJ_ALT_P", height.position_1_s, "1/s", "Height", "commanded climb rate per height error")
+    yield _make_gain("HJ_CLIMB_P", height.velocity_1_s, "1/s", "Height", "commanded acceleration per climb rate error")
+    yield _make_gain("HJ_CLIMB_I", height.integral_1_s2, "1/s^2", "Height", "its integral")
     yield Parameter("HJ_SPEED_UP", "float", height.climb_limit_m_s, 0.1, 20.0, "m/s", "Height", "most climb rate")
     yield Parameter("HJ_SPEED_DN", "float", height.descent_limit_m_s, 0.1, 20.0, "m/s", "Height", "most descent rate")
 
 
-def _position(gains: PositionGains) -> Iterator[Parameter]:
-    yield _gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "commanded speed per position error")
-    yield _gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "commanded acceleration per velocity error")
+def _position_parameters(gains: PositionGains) -> Iterator[Parameter]:
+    yield _make_gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "commanded speed per position error")
+    yield _make_gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "commanded acceleration per velocity error")
     text = "largest lean in automatic flight"
     yield Parameter("HJ_LEAN_MAX", "float", degrees(gains.lean_rad), 2.0, 45.0, "deg", "Position", text, decimals=1)
 
 
-def _flight(pilot: PilotSettings) -> Iterator[Parameter]:
-    def line(name: str, default: float, least: float, most: float, unit: str, text: str) -> Parameter:
+def _flight_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
+    def entry(name: str, default: float, least: float, most: float, unit: str, text: str) -> Parameter:
         return Parameter(name, "float", default, least, most, unit, "Automatic flight", text)
 
-    yield line("MPC_XY_VEL_MAX", pilot.speed_m_s, 0.2, 50.0, "m/s", "horizontal speed of automatic flight")
-    yield line("HJ_ACC_HOR", pilot.acceleration_m_s2, 0.1, 10.0, "m/s^2", "horizontal acceleration of set-points")
-    yield line("HJ_JERK_HOR", pilot.jerk_m_s3, 0.1, 100.0, "m/s^3", "horizontal jerk of set-points, from rest on")
-    yield line("HJ_CLIMB_AUTO", pilot.climb_m_s, 0.1, 20.0, "m/s", "climb rate of automatic flight")
-    yield line("HJ_DESC_AUTO", pilot.descent_m_s, 0.1, 20.0, "m/s", "descent rate of automatic flight")
-    yield line("MPC_LAND_SPEED", pilot.land_m_s, 0.1, 2.0, "m/s", "descent rate of the last metres of a landing")
-    yield line("HJ_LAND_SLOW_H", 3.0, 0.5, 50.0, "m", "height above the ground, or home, below which it sinks slowly")
-    yield line("MIS_TAKEOFF_ALT", pilot.takeoff_height_m, 1.0, 500.0, "m", "height of a take-off that names none")
-    yield line("RTL_RETURN_ALT", pilot.return_height_m, 2.0, 1000.0, "m", "least height above home of the way back")
-    yield line("HJ_YAW_RATE", degrees(pilot.yaw_rate_rad_s), 1.0, 180.0, "deg/s", "turn rate of set-points")
-    yield line("HJ_STICK_LEAN", degrees(pilot.stick_lean_rad), 2.0, 45.0, "deg", "lean at full stick")
-    yield line("HJ_ACC_RADIUS", 1.5, 0.2, 50.0, "m", "a waypoint is reached within this distance")
-    yield line("HJ_SPOOL_TIME", pilot.spool_s, 0.2, 60.0, "s", "from idle to hover thrust before take-off")
+    yield entry("MPC_XY_VEL_MAX", pilot.speed_m_s, 0.2, 50.0, "m/s", "horizontal speed of automatic flight")
+    yield entry("HJ_ACC_HOR", pilot.acceleration_m_s2, 0.1, 10.0, "m/s^2", "horizontal acceleration of set-points")
+    yield entry("HJ_JERK_HOR", pilot.jerk_m_s3, 0.1, 100.0, "m/s^3", "horizontal jerk of set-points, from rest on")
+    yield entry("HJ_CLIMB_AUTO", pilot.climb_m_s, 0.1, 20.0, "m/s", "climb rate of automatic flight")
+    yield entry("HJ_DESC_AUTO", pilot.descent_m_s, 0.1, 20.0, "m/s", "descent rate of automatic flight")
+    yield entry("MPC_LAND_SPEED", pilot.land_m_s, 0.1, 2.0, "m/s", "descent rate of the last metres of a landing")
+    yield entry("HJ_LAND_SLOW_H", 3.0, 0.5, 50.0, "m", "height above the ground, or home, below which it sinks slowly")
+    yield entry("MIS_TAKEOFF_ALT", pilot.takeoff_height_m, 1.0, 500.0, "m", "height of a take-off that names none")
+    yield entry("RTL_RETURN_ALT", pilot.return_height_m, 2.0, 1000.0, "m", "least height above home of the way back")
+    yield entry("HJ_YAW_RATE", degrees(pilot.yaw_rate_rad_s), 1.0, 180.0, "deg/s", "turn rate of set-points")
+    yield entry("HJ_STICK_LEAN", degrees(pilot.stick_lean_rad), 2.0, 45.0, "deg", "lean at full stick")
+    yield entry("HJ_ACC_RADIUS", 1.5, 0.2, 50.0, "m", "a waypoint is reached within this distance")
+    yield entry("HJ_SPOOL_TIME", pilot.spool_s, 0.2, 60.0, "s", "from idle to hover thrust before take-off")
 
 
-def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
+def _predictor_parameters(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
     values = tuple(EnumValue(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
@@ -226,38 +226,38 @@ def _predictor(tuning: PredictorTuning, controller: str, delay: float | None) ->
                 )  # fmt: skip
 
 
-def _failsafes(pilot: PilotSettings) -> Iterator[Parameter]:
-    def line(name: str, default: float, most: float, unit: str, text: str, least: float = 0.0) -> Parameter:
+def _failsafe_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
+    def entry(name: str, default: float, most: float, unit: str, text: str, least: float = 0.0) -> Parameter:
         return Parameter(name, "float", default, least, most, unit, "Failsafe", text)
 
-    def action(name: str, default: int, text: str) -> Parameter:
-        return Parameter(name, "int", default, 0, 3, "", "Failsafe", text, _ACTIONS)
+    def make_action(name: str, default: int, text: str) -> Parameter:
+        return Parameter(name, "int", default, 0, 3, "", "Failsafe", text, _FAILSAFE_ACTIONS)
 
-    yield action("HJ_LINK_ACT", RETURN, "when no ground station is heard any more")
-    yield line("HJ_LINK_DELAY", 1.0, 300.0, "s", "after the loss has been noticed")
-    yield line("HJ_STICK_TIME", 0.5, 5.0, "s", "sticks older than this are let go", 0.1)
-    yield line("HJ_OFFB_TIME", 0.5, 5.0, "s", "set-points older than this end OFFBOARD", 0.1)
-    yield line("HJ_FENCE_RAD", 0.0, 1e4, "m", "fence: most distance from home, 0 is none")
-    yield line("HJ_FENCE_ALT", 0.0, 1e4, "m", "fence: most height above home, 0 is none")
-    yield action("HJ_FENCE_ACT", RETURN, "when the fence is passed")
-    yield line("HJ_FUEL_LOW", 20.0, 100.0, "%", "fuel or battery: low, whatever the way home takes")
-    yield line("HJ_FUEL_CRIT", 8.0, 100.0, "%", "fuel or battery: the vehicle lands, whatever the way down takes")
-    yield action("HJ_FUEL_ACT", RETURN, "when fuel or battery are low, or just do for the way home")
+    yield make_action("HJ_LINK_ACT", RETURN, "when no ground station is heard any more")
+    yield entry("HJ_LINK_DELAY", 1.0, 300.0, "s", "after the loss has been noticed")
+    yield entry("HJ_STICK_TIME", 0.5, 5.0, "s", "sticks older than this are let go", 0.1)
+    yield entry("HJ_OFFB_TIME", 0.5, 5.0, "s", "set-points older than this end OFFBOARD", 0.1)
+    yield entry("HJ_FENCE_RAD", 0.0, 1e4, "m", "fence: most distance from home, 0 is none")
+    yield entry("HJ_FENCE_ALT", 0.0, 1e4, "m", "fence: most height above home, 0 is none")
+    yield make_action("HJ_FENCE_ACT", RETURN, "when the fence is passed")
+    yield entry("HJ_FUEL_LOW", 20.0, 100.0, "%", "fuel or battery: low, whatever the way home takes")
+    yield entry("HJ_FUEL_CRIT", 8.0, 100.0, "%", "fuel or battery: the vehicle lands, whatever the way down takes")
+    yield make_action("HJ_FUEL_ACT", RETURN, "when fuel or battery are low, or just do for the way home")
     text = "fuel or battery beyond what the way home takes as reckoned, half of it beyond the way down"
-    yield line("HJ_FUEL_MARGIN", 30.0, 200.0, "%", text, 5.0)
-    yield line("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
-    yield action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
+    yield entry("HJ_FUEL_MARGIN", 30.0, 200.0, "%", text, 5.0)
+    yield entry("HJ_ENDURANCE", pilot.endurance_s, 1e5, "s", "hover on a full battery, 0: not estimated")
+    yield make_action("HJ_ENG_ACT", LAND, "when an engine fails in the air")
     off_on = (EnumValue(0, "refused"), EnumValue(1, "taken"))
     text = "parameters set in the air that make a loop unstable"
     yield Parameter("HJ_FORCE", "int", 0, 0, 1, "", "Failsafe", text, off_on)
-    yield action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
-    yield line("HJ_ARM_LEAN", 10.0, 30.0, "deg", "most lean that may be armed at", 1.0)
-    yield line("HJ_TIP_LEAN", 60.0, 90.0, "deg", "a lean for half a second that counts as lost control", 20.0)
-    yield line("HJ_DISARM_LAND", 2.0, 60.0, "s", "from landing to disarming")
-    yield line("HJ_DISARM_IDLE", 10.0, 600.0, "s", "armed without taking off, 0: stays armed")
+    yield make_action("HJ_SENS_ACT", RETURN, "when the barometer fails or the gyro is biased")
+    yield entry("HJ_ARM_LEAN", 10.0, 30.0, "deg", "most lean that may be armed at", 1.0)
+    yield entry("HJ_TIP_LEAN", 60.0, 90.0, "deg", "a lean for half a second that counts as lost control", 20.0)
+    yield entry("HJ_DISARM_LAND", 2.0, 60.0, "s", "from landing to disarming")
+    yield entry("HJ_DISARM_IDLE", 10.0, 600.0, "s", "armed without taking off, 0: stays armed")
 
 
-def _of_px4() -> Iterator[Parameter]:
+def _px4_parameters() -> Iterator[Parameter]:
     """Yield parameters that tell ground stations that a PX4 vehicle is already set up."""
     for name, value, text in (
         ("SYS_AUTOSTART", 22000, "an airframe is chosen (PX4 keeps 22000 to 22999 for others' own)"),
@@ -272,25 +272,25 @@ def _of_px4() -> Iterator[Parameter]:
     yield Parameter("SYS_FAILURE_EN", "int", 0, 0, 1, "", "System", "failures on request", off_on)
 
 
-def _geometry(jets: Sequence[Jet], max_jets: int = 12) -> Iterator[Parameter]:
+def _geometry_parameters(jets: Sequence[Jet], max_jets: int = 12) -> Iterator[Parameter]:
     """Yield engine positions in PX4's form: FRD from the centre of gravity; at most twelve.
 
     The direction of a thrust is told where it is not straight up, which is what PX4 takes it to be.
     """
 
-    def line(name: str, kind: Literal["float", "int"], value: float, unit: str, text: str) -> Parameter:
+    def entry(name: str, kind: Literal["float", "int"], value: float, unit: str, text: str) -> Parameter:
         return Parameter(name, kind, value, value, value, unit, "Geometry", text, read_only=True, decimals=4)
 
     if jets:
-        yield line("CA_ROTOR_COUNT", "int", len(jets), "", "engines")
+        yield entry("CA_ROTOR_COUNT", "int", len(jets), "", "engines")
     for number, jet in enumerate(jets[:max_jets]):
         name = f"CA_ROTOR{number}"
         for letter, place in zip("XYZ", jet.position_m, strict=True):
-            yield line(f"{name}_P{letter}", "float", place, "m", f"engine {number + 1}: place along {letter.lower()}")
+            yield entry(f"{name}_P{letter}", "float", place, "m", f"engine {number + 1}: place along {letter.lower()}")
         if jet.axis is not None and jet.axis != UP:
             for letter, part in zip("XYZ", jet.axis, strict=True):
-                yield line(
+                yield entry(
                     f"{name}_A{letter}", "float", part, "", f"engine {number + 1}: thrust along {letter.lower()}"
                 )
         text = f"engine {number + 1}: yaw moment per thrust, positive turns the nose right"
-        yield line(f"{name}_KM", "float", jet.reaction_m, "m", text)
+        yield entry(f"{name}_KM", "float", jet.reaction_m, "m", text)

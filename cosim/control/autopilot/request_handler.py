@@ -10,7 +10,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.flight_state import FlightState
 from cosim.control.autopilot.guidance.course import MIN_HEIGHT_M
 from cosim.control.autopilot.manoeuvres.remote import Setpoint
-from cosim.control.autopilot.modes import BY_STICK, Home, Mode, Severity
+from cosim.control.autopilot.modes import STICK_MODES, Home, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Request, Result
 
 _MODE_REQUESTS: dict[Mode, Request] = {  # request that enters each mode
@@ -62,7 +62,7 @@ def _disarm(pilot: FlightState, request: rq.Disarm, k: int) -> Answer:
         pilot.stand_down(k, "disarmed")
         return accept()
     if request.force:
-        pilot.shut_off(k)
+        pilot.kill_engines(k)
         return accept()
     if pilot.landing.touchdown.is_bouncing:
         # Only the legs report contact, so reduce thrust first.
@@ -75,7 +75,7 @@ def _disarm(pilot: FlightState, request: rq.Disarm, k: int) -> Answer:
 def _kill(pilot: FlightState, request: rq.Kill, k: int) -> Answer:
     if not request.force and not pilot.is_standing():
         return refuse(Result.DENIED, "kill refused: it is in the air, and force was not given")
-    pilot.shut_off(k)
+    pilot.kill_engines(k)
     return accept()
 
 
@@ -92,7 +92,7 @@ def _set_mode(pilot: FlightState, request: rq.SetMode, k: int) -> Answer:
         return refuse(Result.DENIED, "ORBIT is begun by a command that names its radius")
     if mode is Mode.OFFBOARD and not pilot.remote.setpoint_fresh(pilot.k):
         return refuse(Result.TEMPORARILY_REJECTED, "OFFBOARD needs a set-point that is not old, send those first")
-    if mode in BY_STICK and pilot.is_flying() and not pilot.remote.sticks_fresh(pilot.k):
+    if mode in STICK_MODES and pilot.is_flying() and not pilot.remote.sticks_fresh(pilot.k):
         return refuse(Result.TEMPORARILY_REJECTED, f"{mode.value} needs sticks, and there are none")
     pilot.enter(mode, k)
     return accept()
@@ -205,7 +205,7 @@ def _store_remote_input(pilot: FlightState, request: rq.Sticks | Setpoint, k: in
     return accept()
 
 
-def _upload(pilot: FlightState, request: rq.MissionUpload, k: int) -> Answer:
+def _upload_mission(pilot: FlightState, request: rq.MissionUpload, k: int) -> Answer:
     if pilot.mode is Mode.MISSION and pilot.armed:
         return refuse(Result.TEMPORARILY_REJECTED, "upload refused: the mission is being flown")
     if warning := pilot.mission_flight.load(request, pilot.watch):
@@ -233,7 +233,7 @@ def _start_mission(pilot: FlightState, request: rq.MissionStart, k: int) -> Answ
     return _accept_start(pilot)
 
 
-def _set_current(pilot: FlightState, request: rq.MissionSetCurrent, k: int) -> Answer:
+def _set_current_item(pilot: FlightState, request: rq.MissionSetCurrent, k: int) -> Answer:
     count = len(pilot.mission.items)
     if request.index >= count:
         return refuse(Result.DENIED, f"mission item {request.index}: there are {count}")
@@ -323,9 +323,9 @@ HANDLERS: dict[type[Any], Callable[[FlightState, Any, int], Answer]] = {  # func
     rq.OffboardAttitude: _store_remote_input,
     rq.OffboardVelocity: _store_remote_input,
     rq.OffboardPosition: _store_remote_input,
-    rq.MissionUpload: _upload,
+    rq.MissionUpload: _upload_mission,
     rq.MissionStart: _start_mission,
-    rq.MissionSetCurrent: _set_current,
+    rq.MissionSetCurrent: _set_current_item,
     rq.MissionClear: _clear_mission,
     rq.FenceUpload: _set_fence,
     rq.RallyUpload: _set_rally,

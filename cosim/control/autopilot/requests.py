@@ -14,9 +14,9 @@ from typing import Annotated, Any, NamedTuple, get_args
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Quaternion
-from cosim.control.checked_record import Bounds, CheckedRecord, make, plain
+from cosim.control.checked_record import Bounds, CheckedRecord, make_record, to_plain
 
-# Far beyond any flight of these vehicles, but small enough that no arithmetic overflows.
+# Limits far beyond any flight of these vehicles, but small enough that no arithmetic overflows.
 Metres = Annotated[float, Bounds(-1e5, 1e5)]
 Speed = Annotated[float, Bounds(0.0, 1e3)]
 Velocity = Annotated[float, Bounds(-1e3, 1e3)]
@@ -52,13 +52,13 @@ class Answer(NamedTuple):
 
 
 class Arm(CheckedRecord):
-    """Start flying; ``force`` skips the checks that are not about the vehicle's safety on the ground."""
+    """Arm the vehicle; ``force`` skips the checks that are not about the vehicle's safety on the ground."""
 
     force: bool = False
 
 
 class Disarm(CheckedRecord):
-    """Engines to idle; in the air only with ``force``, and then they are shut off."""
+    """Disarm the standing vehicle; in the air only with ``force``, which shuts the engines off."""
 
     force: bool = False
 
@@ -70,7 +70,7 @@ class SetMode(CheckedRecord):
 
 
 class Takeoff(CheckedRecord):
-    """Climb to a height above home, by default the parameter's."""
+    """Take off to a height above home, by default the parameter's."""
 
     altitude_m: Metres | None = None
 
@@ -80,7 +80,7 @@ class Land(CheckedRecord):
 
 
 class ReturnHome(CheckedRecord):
-    """Climb, fly home, land."""
+    """Return: climb, fly home and land."""
 
 
 class Goto(CheckedRecord):
@@ -123,7 +123,7 @@ class Orbit(CheckedRecord):
 
 
 class Hold(CheckedRecord):
-    """Stop and stay."""
+    """Stop and hold the position."""
 
 
 class SetSpeed(CheckedRecord):
@@ -201,20 +201,20 @@ class ItemKind(Enum):
     of a payload that is not here: passed at once, so that the other items keep their numbers.
     """
 
-    WAYPOINT = "waypoint"  # at north, east, altitude; waits hold_s
-    TAKEOFF = "takeoff"  # to altitude
-    LAND = "land"  # at north, east; or where it is
+    WAYPOINT = "waypoint"  # flies to a position, waits hold_s
+    TAKEOFF = "takeoff"  # climbs to altitude
+    LAND = "land"  # lands at north, east, or where it is
     RETURN = "return"
     SPEED = "speed"  # changes the speed
     DELAY = "delay"  # waits for hold_s
-    JUMP = "jump"  # to `target`, `repeat` times (-1: always)
-    CIRCLE = "circle"  # around north, east at altitude
-    STAY = "stay"  # at north, east, altitude without end
+    JUMP = "jump"  # to item target; `repeat` -1: always
+    CIRCLE = "circle"  # circles round north, east at altitude
+    STAY = "stay"  # holds a position without end
     ALTITUDE = "altitude"  # climbs or sinks to altitude
     LEFT_OUT = "left_out"
 
 
-_NEEDS = {  # fields that an item must have
+_REQUIRED_FIELDS = {  # fields that an item must have
     ItemKind.WAYPOINT: ("north", "east", "altitude"),
     ItemKind.TAKEOFF: ("altitude",),
     ItemKind.SPEED: ("speed",),
@@ -244,7 +244,7 @@ class MissionItem(CheckedRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in _NEEDS.get(self.kind, ()):
+        for name in _REQUIRED_FIELDS.get(self.kind, ()):
             if getattr(self, name) is None:
                 raise InputError(f"MissionItem {self.kind.value}: {name} is missing")
         if (self.north is None) != (self.east is None):
@@ -290,7 +290,7 @@ class ZoneKind(Enum):
     STAY_OUT_OF_CIRCLE = "stay_out_of_circle"
 
 
-_POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)  # zones that are polygons
+_POLYGON_ZONES = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)  # zones that are polygons
 
 
 class FenceZone(CheckedRecord):
@@ -303,9 +303,9 @@ class FenceZone(CheckedRecord):
     def __post_init__(self) -> None:
         super().__post_init__()
         corners = len(self.points)
-        if self.kind in _POLYGONS and not 3 <= corners <= MAX_CORNERS:
+        if self.kind in _POLYGON_ZONES and not 3 <= corners <= MAX_CORNERS:
             raise InputError(f"FenceZone.points: {corners} corners, a polygon has 3 to {MAX_CORNERS}")
-        if self.kind not in _POLYGONS and (corners != 1 or self.radius <= 0.0):
+        if self.kind not in _POLYGON_ZONES and (corners != 1 or self.radius <= 0.0):
             raise InputError("FenceZone: a circle has one centre and a radius above 0")
 
 
@@ -347,7 +347,7 @@ class SetParameter(CheckedRecord):
 
 
 class InjectFault(CheckedRecord):
-    """A fault from the next step on, by the kinds of a scenario's faults.
+    """Inject a fault from the next step on; kinds are those of a scenario's faults.
 
     ``amount`` is the one number of its kind (throttle, share, lag, delay, angle, the barometer's bias), ``vector`` the
     bias of another sensor.  The simulation says which combinations there are.
@@ -379,21 +379,21 @@ Request = (
     | OffboardAttitude | OffboardVelocity | OffboardPosition | MissionUpload | MissionStart | MissionSetCurrent
     | MissionClear | FenceUpload | RallyUpload | SetParameter | InjectFault | ClearFaults | LinkLost | LinkBack
 )  # fmt: skip
-_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}  # request type by name
+_REQUEST_TYPES: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Request)}  # request type by name
 
 
 def to_dict(request: Request) -> dict[str, Any]:
     """Return a request as plain JSON values, its class under ``request``; fields at their default are left out."""
-    return {"request": type(request).__name__, **plain(request)}
+    return {"request": type(request).__name__, **to_plain(request)}
 
 
 def from_dict(data: Mapping[str, Any]) -> Request:
     """Return the request that :func:`to_dict` wrote.  Raises InputError for anything else."""
     values = dict(data)
     name = values.pop("request", None)
-    if not isinstance(name, str) or name not in _KINDS:
-        raise InputError(f"request = {name!r}: must be one of {', '.join(_KINDS)}")
-    made: Request = make(_KINDS[name], values, name)
+    if not isinstance(name, str) or name not in _REQUEST_TYPES:
+        raise InputError(f"request = {name!r}: must be one of {', '.join(_REQUEST_TYPES)}")
+    made: Request = make_record(_REQUEST_TYPES[name], values, name)
     return made
 
 

@@ -25,7 +25,7 @@ class Status(NamedTuple):
     refusals: tuple[str, ...]  # why arming would be refused
     home: Home | None
     fix: Fix
-    target: Home | None  # where it flies to, or holds
+    target: Home | None  # position that it flies to or holds
     track: Pair | None  # horizontal set-point on the way, m
     altitude: float  # set-point [m], or the last one
     yaw: float  # set-point, rad
@@ -34,7 +34,7 @@ class Status(NamedTuple):
     mission_reached: int  # last completed item; -1: none
     mission_done: bool
     failsafe: str  # reason of the active failsafe; or empty
-    remaining: float | None  # of fuel or battery; None: unknown
+    remaining: float | None  # fraction of fuel or battery, if known
     sticks_fresh: bool
     link_lost: bool
     zones: tuple[FenceZone, ...] = ()  # zones of the drawn fence

@@ -21,7 +21,7 @@ PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
 
 
 class Blocks(NamedTuple):
-    """The control blocks that a change of a parameter reaches.
+    """Control blocks whose gains parameters change in flight.
 
     ``predictors`` makes the three axes' predictors for a controller's name, the delay of the roll model in samples
     and a tuning; it raises InputError where the vehicle has no model for them.
@@ -36,7 +36,7 @@ class Blocks(NamedTuple):
 
 
 class ControlLoops(NamedTuple):
-    """Loops commanded by the autopilot, and the data to make their predictors.
+    """Control loops commanded by the autopilot, and the data to make their predictors.
 
     ``controller`` and ``delay`` (samples of the roll model; None without one) are what the rate loops fly with at the
     start; ``predictors`` makes others.  ``level``: of a controller from outside in the place of some of the loops.
@@ -52,7 +52,7 @@ class ControlLoops(NamedTuple):
 
 
 class LiveTuning:
-    """Hands changed parameters to the control blocks."""
+    """Applies changed parameters to the control blocks in flight."""
 
     def __init__(self, parameters: Parameters, control: Control, blocks: Blocks, step: float) -> None:
         self._parameters = parameters
@@ -74,7 +74,7 @@ class LiveTuning:
         elif name in _RATE_NAMES:
             self._blocks.rate.retune(rate_gains(self._control, new))
         elif name.startswith("HJ_ATT_") or name.startswith("HJ_RLIM_"):
-            self._blocks.attitude.retune(_attitude(self._control, new), self._step)
+            self._blocks.attitude.retune(_attitude_gains(self._control, new), self._step)
         elif name in ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I", "HJ_SPEED_UP", "HJ_SPEED_DN"):
             self._blocks.altitude.retune(_altitude_gains(self._control, new))
         elif name in ("HJ_POS_P", "HJ_VEL_P", "HJ_LEAN_MAX"):
@@ -104,17 +104,17 @@ def rate_gains(control: Control, values: Mapping[str, float]) -> list[RateGains]
 
 
 def controller_of(values: Mapping[str, float]) -> str | None:
-    """Return the predictor's name for HJ_PRED_TYPE; None for a custom one."""
+    """Return the name of the predictor that HJ_PRED_TYPE selects; None for a custom one."""
     return next((spec.name for spec in PREDICTORS.values() if spec.value == values["HJ_PRED_TYPE"]), None)
 
 
 def control_of(control: Control, values: Mapping[str, float]) -> Control:
-    """Return a vehicle's loops with the gains of ``values``: rate, attitude, height, predictor."""
+    """Return a vehicle's control table with the gains of ``values``: rate, attitude, height, predictor."""
     roll, pitch, yaw = rate_gains(control, values)
     return control.model_copy(
         update={
             "rate": control.rate.model_copy(update={"roll": roll, "pitch": pitch, "yaw": yaw}),
-            "attitude": _attitude(control, values),
+            "attitude": _attitude_gains(control, values),
             "altitude": _altitude_gains(control, values),
             "predictor": _predictor_tuning(control, values),
         }
@@ -129,7 +129,7 @@ def _predictor_tuning(control: Control, values: Mapping[str, float]) -> Predicto
     return tuning
 
 
-def _attitude(control: Control, values: Mapping[str, float]) -> AttitudeGains:
+def _attitude_gains(control: Control, values: Mapping[str, float]) -> AttitudeGains:
     gain = [values[f"HJ_ATT_{axis.upper()}"] for axis in AXES]
     limit = [radians(values[f"HJ_RLIM_{axis.upper()}"]) for axis in AXES]
     return control.attitude.model_copy(update={"gain_1_s": tuple(gain), "rate_limit_rad_s": tuple(limit)})

@@ -34,7 +34,7 @@ class AxisLaw(Protocol):
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis with its identified model."""
+    """Axis of a rate law, with its identified model."""
 
     belief: Belief
     name: str
@@ -52,22 +52,22 @@ class Axis:
 
     @property
     def gain(self) -> float:
-        """``k``, rad/s^2 per command: input of :attr:`slow_pole` with all faster dynamics at rest."""
+        """Gain ``k`` [rad/s^2 per command] of the integrating pole, with all faster dynamics at rest."""
         value: complex = self.model.gain / self.step
         for zero in self.model.all_zeros:
             value *= 1.0 - zero
-        for pole in self._fast:
+        for pole in self._faster_poles:
             value /= 1.0 - pole
         return value.real
 
     @property
     def delay(self) -> float:
-        """``theta``, s: :func:`low_frequency_delay`."""
+        """Delay ``theta`` [s] of the axis at low frequency, by :func:`low_frequency_delay`."""
         return low_frequency_delay(self.model)
 
     @property
-    def _fast(self) -> list[complex]:
-        return _fast_poles(self.model)
+    def _faster_poles(self) -> list[complex]:
+        return _find_faster_poles(self.model)
 
 
 def low_frequency_delay(model: RateModel) -> float:
@@ -76,14 +76,14 @@ def low_frequency_delay(model: RateModel) -> float:
     Of zeros as much less: ``arg(z - p)`` on the unit circle grows with ``1 / (1 - p)`` at its beginning.
     """
     samples: complex = model.delay_samples + 0.5
-    for pole in _fast_poles(model):
+    for pole in _find_faster_poles(model):
         samples += 1.0 / (1.0 - pole)
     for zero in model.all_zeros:
         samples -= 1.0 / (1.0 - zero)
     return samples.real * model.sample_time_s
 
 
-def _fast_poles(model: RateModel) -> list[complex]:
+def _find_faster_poles(model: RateModel) -> list[complex]:
     poles = list(model.all_poles)
     poles.remove(max(model.poles))
     return poles
@@ -102,9 +102,9 @@ class Actuators:
 
     @classmethod
     def from_axis(cls, axis: Axis) -> Actuators:
-        """Make it from a model: whole-step delay, and one lag for all dynamics faster than the integrator."""
+        """Return the actuators of an axis: a delay of whole steps, and one lag for all poles but the integrator's."""
         samples = max(1, round(axis.model.delay_samples))
-        lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # in steps
+        lag = max(axis.delay / axis.step - 0.5 - samples, 0.0)  # lag in steps
         return cls(samples, lag / (1.0 + lag))
 
     def reset(self) -> None:
@@ -121,7 +121,7 @@ class Actuators:
 
     @property
     def upcoming_sum(self) -> float:
-        """Sum of the outputs over the steps of the delay."""
+        """Sum of the outputs over the coming steps of the delay."""
         total = self._of_lag * self.now
         for weight, command in zip(self._weights, self._sent[-self.samples :], strict=True):
             total += weight * command
@@ -129,12 +129,12 @@ class Actuators:
 
 
 def positive_parameter(name: str, value: float, meaning: str, minimum: float = 1e-3, maximum: float = 1e3) -> Parameter:
-    """Return a parameter without a unit, above 0."""
+    """Return the declaration of a positive parameter without a unit."""
     return Parameter(name, value, "", meaning, minimum, maximum)
 
 
 def attitude_gain_parameter(value: float) -> Parameter:
-    """Return the parameter for the attitude loop's gain, which laws do not apply themselves."""
+    """Return the declaration of the attitude loop's gain [1/s], which laws do not apply themselves."""
     return positive_parameter(
         "angle", value, "gain of the attitude loop [1/s] times theta: set-points are scaled to have it"
     )
@@ -191,7 +191,7 @@ class RateLaw:
 
     @property
     def pid_axes(self) -> list[tuple[RateAxis, float]] | None:
-        """Its built-in PIDs with their set-point scales; None for other laws."""
+        """The built-in PIDs of the law with their set-point scales; None for other laws."""
         axes = [law.axis for law in self._laws if isinstance(law, Pid)]
         return list(zip(axes, self._scales, strict=True)) if len(axes) == len(self._laws) else None
 

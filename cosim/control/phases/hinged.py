@@ -24,7 +24,7 @@ class SurfaceHover(FlightLaw):
 
 
 class HingedLean(FlightLaw):
-    """Hover with an engine out and hinges that carry engines: it leans against their side force.
+    """Hover with an engine out, in which the vehicle leans against the side force of hinges that carry engines.
 
     The allocator's pressure stays as it is: :meth:`HingedRecovery.allocate` assumes zero while an engine is lost.
 
@@ -50,7 +50,7 @@ class HingedLean(FlightLaw):
         return self._has_stopped
 
     def steer(self, demand: Demand) -> Vector3:
-        """Return rates to the thrust's direction first; the heading only stops turning."""
+        """Return the body rates [rad/s] to the thrust's direction first; the heading only stops turning."""
         return self.loops.attitude.update_tilt_first(demand.command, demand.measured, self._allocator.lean)
 
     def observe(self, monitor: EngineMonitor) -> None:

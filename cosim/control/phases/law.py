@@ -43,7 +43,7 @@ class Demand:
         self.measured = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
         self.injected = Disturbance()
         self.is_idle = False  # the engines idle or are off
-        self.burnt = 0.0  # kg of fuel burnt
+        self.burnt = 0.0  # fuel burnt, kg
         self.rate_setpoint = UNKNOWN3
         self.torque = ZERO3
         self.collective = self.allocated = 0.0
@@ -51,12 +51,12 @@ class Demand:
 
     @property
     def upright(self) -> float:
-        """Cosine of the lean, no less than the height loop makes up for."""
+        """Cosine of the lean, limited to that for which the height loop compensates."""
         return max(MIN_UPRIGHT, upright(self.measured.attitude))
 
 
 class Loops:
-    """The loops and the allocation that the laws share.
+    """Control loops and allocation that all flight laws share.
 
     ``added_delay``: of the roll command, steps.  ``custom_attitude`` and ``custom_rate`` replace the loop of that name.
     """
@@ -77,7 +77,7 @@ class Loops:
         self._added_delay = DelayLine(added_delay)
 
     def reset(self) -> None:
-        """Forget the flight before."""
+        """Reset all loops at the start of a flight."""
         self.attitude.reset()
         self.altitude.reset()
         self.rate.reset()
@@ -88,14 +88,14 @@ class Loops:
             self.custom_rate.reset()
 
     def steer(self, command: Command, measured: Measured) -> Vector3:
-        """Return the body rates [rad/s] that lead to the commanded attitude."""
+        """Return the body rate set-point [rad/s] towards the commanded attitude."""
         custom = self.custom_attitude
         if custom is None or command.rate is not None:
             return self.attitude.update(command, measured)
         return custom.update(command, measured)
 
     def update(self, demand: Demand) -> None:
-        """Store the torque and the collective that lead to the set-points."""
+        """Update rate and height loop, and store their torque and collective in the demand."""
         rate, unallocated = demand.measured.rate, demand.unallocated
         if self.custom_rate is None:
             demand.torque = self.rate.update(demand.rate_setpoint, rate, unallocated)
@@ -105,7 +105,7 @@ class Loops:
 
     @property
     def predicted(self) -> Vector3:
-        """The body rates [rad/s] that the rate loop was fed with."""
+        """The measured or predicted body rates [rad/s] that the rate loop was fed with."""
         return self.rate.predicted if self.custom_rate is None else self.custom_rate.predicted
 
     def inject(self, torque: Vector3, injected: Disturbance) -> Vector3:
@@ -146,11 +146,11 @@ class FlightLaw:
         """Hand over to another law, which flies from this step on."""
 
     def applies(self, demand: Demand) -> bool:
-        """Return whether the law is to fly this step; laws are asked in their order, up to the first that does."""
+        """Return whether the law is to fly this step; the first law that applies flies."""
         return True
 
     def steer(self, demand: Demand) -> Vector3:
-        """Return the body rates [rad/s] to ask for; called while the engines idle too, for the log."""
+        """Return the body rate set-point [rad/s]; called while the engines idle too, for the log."""
         return self.loops.steer(demand.command, demand.measured)
 
     def update(self, demand: Demand) -> Actuation:
@@ -171,11 +171,11 @@ class FlightLaw:
         return NO_JETS
 
     def observe(self, monitor: EngineMonitor) -> None:
-        """Take the engines' reports at the end of a step."""
+        """Observe the engines' reports at the end of a step."""
 
 
 class Selector:
-    """Selects the law that flies."""
+    """Selects the flight law of each step, the first that applies."""
 
     def __init__(self, laws: Sequence[FlightLaw]) -> None:
         self.laws = list(laws)

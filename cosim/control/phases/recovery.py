@@ -28,7 +28,7 @@ from cosim.spec.vehicle import EngineLead, Vehicle
 
 
 class _EngineResponse:
-    """One quantity of the engines, predicted over their delay.
+    """Response of the engines' total moment or lift to its command, predicted over their delay.
 
     ``slope_s``: time constant of the reports' slope, short against any jet.
     """
@@ -46,12 +46,12 @@ class _EngineResponse:
         self.predicted, self.slope = value, 0.0
 
     def observe(self, value: float) -> None:
-        """Take the engines' report at the end of a step."""
+        """Store the output that the engines report at the end of a step."""
         self._slope += self._weight * ((value - self._value) / self._step - self._slope)
         self._value = value
 
     def predict(self) -> list[float]:
-        """Return the outputs over the delay; keep the output at its end and its slope."""
+        """Return the predicted outputs over the delay, and store the last output and its slope."""
         step, x, slope = self._step, self._value, self._slope
         course = []
         for command in self._commands:
@@ -65,14 +65,14 @@ class _EngineResponse:
         return self.predicted + (self._twice * self.slope + second_derivative) / self._square
 
     def record_command(self, value: float) -> None:
-        """Remember the command that was sent."""
+        """Store the command that was sent."""
         if self._delay:
             self._commands.append(value)
             del self._commands[0]
 
 
 class Recovery:
-    """Roll and collective control after an engine loss, until reallocation has taken effect; see the module.
+    """Roll and collective control after an engine loss, until reallocation has taken effect.
 
     ``delay``: of the engines [s].  ``level_s`` and ``climb_s`` [s]: behind the delay until it is level, and until it
     climbs as asked for, sums of the time constants; shorter, and jets at their limits roll it over; longer, and the
@@ -98,11 +98,11 @@ class Recovery:
         self._levers = tuple([-jet.position_m[1] for jet in vehicle.jets])
         self._inertia = vehicle.inertia_kg_m2[0]
         self._low = thrust_map.low * len(self._levers)
-        self._span = thrust_map.span * len(self._levers)  # N of thrust per unit of collective
+        self._span = thrust_map.span * len(self._levers)  # lift per unit of collective, N
         total_lever = 0.0
         for lever in self._levers:
             total_lever += lever if lever >= 0.0 else -lever
-        self._moment = thrust_map.span * total_lever  # N m per unit of roll command
+        self._moment = thrust_map.span * total_lever  # moment per unit of roll command, N m
         self._step = step
         self._a, self._b = 4.0 / (level_s + steps * step), 3.0 / (climb_s + steps * step)
         self.is_complete = False
@@ -117,7 +117,7 @@ class Recovery:
         self.is_complete = False
 
     def observe(self, thrust: PerJet, gains: Sequence[float]) -> None:
-        """Take each engine's thrust [N] from its report at the end of a step."""
+        """Store each engine's thrust [N] from its report at the end of a step."""
         self._roll.observe(self._moment_of(thrust))
         self._lift.observe(self._lift_of(thrust, gains))
 
@@ -180,6 +180,6 @@ class Recovery:
         return (0.7 * self._lift.predicted - self._low) / self._span
 
     def record_command(self, roll: float, collective: float) -> None:
-        """Remember the commands that were allocated."""
+        """Store the commands that were allocated."""
         self._roll.record_command(self._moment * roll)
         self._lift.record_command(self._low + self._span * collective)

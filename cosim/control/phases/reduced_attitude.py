@@ -34,14 +34,14 @@ from cosim.spec.vehicle import Vehicle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# rad/s between the spins of stored gains.
-_SPIN_SPACING: Final = 0.5
+# Spacing of the spins for which gains are stored.
+_SPIN_SPACING_RAD_S: Final = 0.5
 
 Gains = tuple[tuple[float, ...], ...]
 
 
 class ReducedAttitude:
-    """Control of four rotors with one out; see the module.
+    """Control of the thrust direction of four rotors with one out, while the vehicle spins.
 
     ``lag`` and ``delay`` of the rotors [s]; ``added_delay``: of every command, steps.  Raises InputError
     where the vehicle has not four rotors in opposite pairs, each pair turning the frame its own way.
@@ -82,11 +82,11 @@ class ReducedAttitude:
         ]
         # Final spin [rad/s], and the thrust [N] of the opposite rotor at that spin.
         weight, limit = vehicle.mass_kg * GRAVITY, radians(vehicle.limits.rate_deg_s)
-        self._spin, self._opposite_thrust = self._equilibrium(weight, limit)
+        self._spin, self._opposite_thrust = self._find_equilibrium(weight, limit)
         self._gains = [self._gains_for_loss(jet, lag) for jet in range(4)]
         self.is_flying = False
 
-    def _equilibrium(self, weight: float, limit: float, max_spin: float = 0.9) -> tuple[float, float]:
+    def _find_equilibrium(self, weight: float, limit: float, max_spin: float = 0.9) -> tuple[float, float]:
         """Return the final spin [rad/s] and the opposite rotor's thrust there [N].
 
         ``max_spin``: of the rate ``limit`` at which the vehicle is lost; the rest is for thrust beyond the weight.
@@ -113,17 +113,17 @@ class ReducedAttitude:
         self.is_flying = True
 
     def end(self) -> None:
-        """End the flight with a spin: the rotors idle or are off."""
+        """End the spinning flight, because the rotors idle or are off."""
         self.is_flying = False
 
     def observe(self, thrust: PerJet) -> None:
-        """Take the rotors' reported thrusts [N] at the end of a step."""
+        """Store the rotors' reported thrusts [N] at the end of a step."""
         self._thrust = thrust
 
     def update(
         self, direction: Vector3, rate: Vector3, total: float, added_torque: Vector3 = ZERO3
     ) -> tuple[PerJet, float]:
-        """Return the thrust fractions of all rotors, and their commanded total [N] in place of ``total``.
+        """Return the thrust fractions of all rotors, and the sum of thrusts [N] that they give in place of ``total``.
 
         ``direction``: set-point of the body's z axis, in body axes; ``rate`` [rad/s]; ``added_torque``: a disturbance
         of roll, pitch and yaw in throttle, unknown to the law.
@@ -132,7 +132,7 @@ class ReducedAttitude:
         predicted_direction, rate, moment = self._predict(direction, rate)
         state = (rate[0], rate[1], predicted_direction[0], predicted_direction[1], moment)
         gain = self._gains[failed]
-        position = min(abs(rate[2]) / _SPIN_SPACING, len(gain) - 1.001)
+        position = min(abs(rate[2]) / _SPIN_SPACING_RAD_S, len(gain) - 1.001)
         index = int(position)
         part = position - index
         command = 0.0
@@ -161,7 +161,7 @@ class ReducedAttitude:
         return tuple([self._map.fraction(thrust) for thrust in delayed]), allocated
 
     def _predict(self, direction: Vector3, rate: Vector3) -> tuple[Vector3, Vector3, float]:
-        """Return direction, rates and the pair's moment at the time when a command of now arrives."""
+        """Return thrust direction, body rates and the pair's moment, predicted to when the present command acts."""
         step, (jx, jy, jz), (cx, cy, cz) = self._step, self._inertia, self._damping
         (x, y, z), (p, q, r), thrust = direction, rate, list(self._thrust)
         failed = self._jets[0]
@@ -205,7 +205,7 @@ def linear_model(
 def feedback_gains(
     axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float, step: float = 0.01
 ) -> Gains:
-    """Return the feedback gains by spin, every ``_SPIN_SPACING`` from none to the ``last`` one, signed [rad/s].
+    """Return the feedback gains by spin, every ``_SPIN_SPACING_RAD_S`` from none to the ``last`` one, signed [rad/s].
 
     A lean of 1 rad weighs as much as a rate of 10 rad/s, and as a moment of 100 rad/s^2: the first lean, of less than
     half a radian, then takes less than the pair has to give beside the weight.  ``step`` of the recursion [s]: short
@@ -229,13 +229,13 @@ def feedback_gains(
         if k <= count:
             spins.append(abs(spin))
             gains.append(gain)
-    grid = np.arange(0.0, abs(last) + _SPIN_SPACING, _SPIN_SPACING)
+    grid = np.arange(0.0, abs(last) + _SPIN_SPACING_RAD_S, _SPIN_SPACING_RAD_S)
     table = np.array([np.interp(grid, spins[::-1], column[::-1]) for column in np.array(gains).T]).T
     return tuple([tuple(row) for row in table.tolist()])
 
 
 def _discretise(a: NDArray[Any], b: NDArray[Any], step: float) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return a system over a step with the input held: the exponential series to the fifth power."""
+    """Return a linear system discretised with the input held, by the exponential series to the fifth power."""
     import numpy as np
 
     system = np.zeros((6, 6))

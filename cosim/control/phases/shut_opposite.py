@@ -12,7 +12,7 @@ from cosim.control.phases.recovery import Recovery
 
 
 class ShutOpposite(FlightLaw):
-    """With the first engine out, shut off the opposite one, whose moment has the same sign.
+    """Flight law that shuts off the engine opposite to the first failed one, and flies with the others.
 
     ``opposites``: for every jet, from 0, the opposite one; ``recovery`` flies until the thrust is made up for, where
     there is one; ``mass`` [kg] of the vehicle, tank full.

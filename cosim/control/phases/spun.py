@@ -37,7 +37,7 @@ class SpunFlight(FlightLaw):
         return Actuation(throttle, loops.allocator.rest, demand.unallocated, NO_JETS)
 
     def handle_loss(self, monitor: EngineMonitor, burnt: float) -> frozenset[int]:
-        """Begin with the first failed rotor."""
+        """Begin the spinning flight when the first rotor fails; shut off no other."""
         failed = [i for i, health in enumerate(monitor.health) if health == JetHealth(0.0)]
         if len(failed) == 1 and not self._reduced.is_flying:
             self._reduced.begin(failed[0], monitor.reported_thrust, monitor.commanded_thrust)

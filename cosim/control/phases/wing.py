@@ -38,7 +38,7 @@ from cosim.control.altitude import MIN_UPRIGHT
 from cosim.control.phases.law import Demand, FlightLaw, Loops
 from cosim.spec.vehicle import WingControl
 
-# kg/m^3, standard atmosphere (ISO 2533), because there is no sensor for density.
+# Density at sea level [kg/m^3], standard atmosphere (ISO 2533), because there is no sensor for density.
 DENSITY_0: Final = 1.225
 # The nose leads by at most this fraction of the largest angle of attack. Chosen by us by flights in tailwind: missing
 # lift raises the height loop's demand for good, which bends no path, and the nose would rise to a stall.
@@ -96,7 +96,7 @@ class WingDemand(NamedTuple):
 
 
 class WingFlight(FlightLaw):
-    """Flight on the wing; see the module's text.
+    """Flight law of forward flight, in which a wing carries more of the weight the faster the vehicle flies.
 
     ``table``: of the wing's model; ``tilts``: the servos that turn thrust ahead, from 0; ``lag``: of the attitude
     behind its set-point [s].
@@ -140,7 +140,7 @@ class WingFlight(FlightLaw):
         self._lift = 0.0
 
     def applies(self, demand: Demand) -> bool:
-        """Return whether a speed ahead is asked for, and neither rates nor a collective."""
+        """Return whether a forward speed is commanded, and neither rates nor a collective."""
         command = demand.command
         return command.ahead is not None and command.rate is None and command.collective is None and not demand.is_idle
 
@@ -155,7 +155,7 @@ class WingFlight(FlightLaw):
         return has_stopped or speeds(demand.measured)[0] < self._open
 
     def steer(self, demand: Demand) -> Vector3:
-        """Return the body rates [rad/s] to the attitude that the wing needs for the speed."""
+        """Return the body rate set-point [rad/s] towards the attitude that the wing needs for the speed."""
         if demand.command.ahead is not None:
             demand.command = self.attitude(demand.command, demand.command.ahead, demand.measured)
         return super().steer(demand)
@@ -226,7 +226,7 @@ class WingFlight(FlightLaw):
         return Command(attitude, command.altitude, command.rate, command.collective, command.place, command.ahead)
 
     def actuator_demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
-        """Return the forces required of jets, hinges and surfaces for ``vertical`` N, beside the wing's."""
+        """Return the demand on jets, hinges and surfaces for an upward force ``vertical`` [N], less the wing's."""
         roll, pitch, _ = to_euler(measured.attitude)
         lift, drag, moment = (self._pressure * coefficient for coefficient in self._table.at(self._alpha))
         self._lift = lift
@@ -239,7 +239,7 @@ class WingFlight(FlightLaw):
         return WingDemand(along, (up * c - ahead * s) / max(MIN_UPRIGHT, cos(roll)), -moment)
 
     def report_residual(self, ahead: float, unallocated: Unallocated, margin: float = 0.005) -> Unallocated:
-        """Return the allocation residual as the loops are to know it, and keep that of the force ahead [N].
+        """Return the allocation residual for the loops' integrals, and store that of the forward force [N].
 
         Jets that cannot push down are no limit of the height loop while the wing can still lift less: as long as it
         stands by ``margin`` [rad] above its least angle of attack.
@@ -262,5 +262,5 @@ class WingFlight(FlightLaw):
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """See :attr:`columns`."""
+        """Values of :attr:`columns`."""
         return (self._setpoint, self._speed, self._alpha, self._lift)

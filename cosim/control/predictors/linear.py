@@ -47,7 +47,7 @@ def delayed_response(model: RateModel, z: Complex) -> Complex:
 
 
 def no_response(z: Complex) -> Pair:
-    """Return ``P_y`` and ``P_u`` of the measurement itself."""
+    """Return ``P_y = 1`` and ``P_u = 0``, those of a loop without predictor."""
     return np.ones_like(z), np.zeros_like(z)
 
 
@@ -120,8 +120,8 @@ class DelayedSystem:
     delay: int
 
 
-def part(model: RateModel) -> DelayedSystem:
-    """Return a sampled response with its delay; mode by mode where the delay is not whole."""
+def make_delayed_system(model: RateModel) -> DelayedSystem:
+    """Return the state space of a sampled response with its delay; mode by mode where the delay is not whole."""
     samples = int(model.delay_samples)
     if model.delay_samples == samples:
         A, B, C = cascade(model)
@@ -145,7 +145,7 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
         section_zeros = [zeros.pop() for _ in range(min(order, len(zeros)))]
         if len(section_zeros) == 1 and isinstance(section_zeros[0], complex) and section_zeros[0].imag:
             zeros.append(section_zeros.pop())  # keeps conjugate pairs together
-        sections.append(_section(pole, np.real(np.poly(section_zeros)) if section_zeros else np.array([1.0])))
+        sections.append(_make_section(pole, np.real(np.poly(section_zeros)) if section_zeros else np.array([1.0])))
     if zeros:
         raise InputError(f"identified model: more pairs of zeros ({model.zero_pairs}) than pairs of poles take")
     A, B, C, D = sections[0]
@@ -155,8 +155,8 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
     return A, B, model.gain * C
 
 
-def _section(pole: complex, numerator: Array) -> tuple[Array, Array, Array, float]:
-    """Return the section of a real pole, or of a conjugate pair, below a polynomial of at most its order."""
+def _make_section(pole: complex, numerator: Array) -> tuple[Array, Array, Array, float]:
+    """Return the state space (A, B, C, D) of a section with a real pole or a conjugate pair, and a numerator."""
     re, im = pole.real, pole.imag
     size = abs(1.0 - pole) or 1.0  # scales the state to the input
     if not im:
@@ -200,18 +200,18 @@ Keep = Callable[[str, Array], None]
 
 
 class PredictorSpace(Protocol):
-    """A predictor as a part of a loop in state space.
+    """State space of a predictor, as a part of a closed loop.
 
     Signals are rows, their coefficients over all states and inputs of the loop: they add up like signals.
     """
 
     @property
     def history_length(self) -> int:
-        """Number of past commands that it uses."""
+        """Number of past commands that the predictor uses."""
 
     @property
     def states(self) -> Mapping[str, int]:
-        """Its states by name, with their sizes."""
+        """Names of the predictor's states, with their sizes."""
 
     def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
         """Return the predicted rate, once a step, before the command of the step is known.
@@ -220,11 +220,11 @@ class PredictorSpace(Protocol):
         """
 
     def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
-        """Take the command of the step, after :meth:`predicted`."""
+        """Update the states by the command of the step, after :meth:`predicted`."""
 
 
 class NoSpace:
-    """State space of no prediction: the measurement itself."""
+    """State space without predictor: the measured rate is fed back."""
 
     history_length = 1
     states: Mapping[str, int] = {}
@@ -241,7 +241,7 @@ class SmithSpace:
 
     def __init__(self, model: RateModel, filter_s: float | None = None) -> None:
         self.history_length = int(model.delay_samples) + 2
-        self._now, self._then = cascade(model), part(model)
+        self._now, self._then = cascade(model), make_delayed_system(model)
         self.states = {"now": len(self._now[0]), "then": len(self._then.A)}
         self._filter: tuple[Array, Array] | None = None
         if filter_s is not None:

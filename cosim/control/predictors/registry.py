@@ -26,10 +26,10 @@ from cosim.spec.vehicle import PredictorTuning, RateModel
 if TYPE_CHECKING:
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
-_NAME = re.compile(r"[a-z][a-z0-9-]*")  # form of a predictor's name
-_MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")  # form of a MAVLink parameter's name
+_PREDICTOR_NAME = re.compile(r"[a-z][a-z0-9-]*")  # form of a predictor's name
+_MAVLINK_NAME = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")  # form of a MAVLink parameter's name
 
-Own = Mapping[str, float]  # parameter values by name
+OwnParameters = Mapping[str, float]  # parameter values by name
 
 
 @dataclass(frozen=True)
@@ -69,38 +69,38 @@ class PredictorSpec:
 
     name: str
     title: str
-    make: Callable[[Any, Own], Predictor]
+    make: Callable[[Any, OwnParameters], Predictor]
     number: int | None = None  # permanent id; None: hash of the name
     needs_model: bool = True
     parameters: tuple[TuningParameter, ...] = ()
-    response: Callable[[RateModel, Own], PairResponse] | None = None
-    space: Callable[[RateModel, Own], PredictorSpace] | None = None
+    response: Callable[[RateModel, OwnParameters], PairResponse] | None = None
+    space: Callable[[RateModel, OwnParameters], PredictorSpace] | None = None
     automatic: bool = False  # an automatic design tries it
     with_lead: bool = False  # an automatic design tries it with a lead
     compared: bool = False  # flown where controllers are compared
 
     @property
     def value(self) -> int:
-        """Its number over MAVLink."""
+        """Number of the predictor in MAVLink's parameter HJ_PRED_TYPE."""
         return number_of(self.name) if self.number is None else self.number
 
     def own(self, tuning: PredictorTuning) -> dict[str, float]:
         """Return the values of the predictor's own parameters, by name."""
         stated = tuning.own.get(self.name, {})
         return {
-            name: getattr(tuning, name) if name in _FIELDS else stated.get(name, default or 0.0)
+            name: getattr(tuning, name) if name in _BUILT_IN_FIELDS else stated.get(name, default or 0.0)
             for name, default in ((parameter.name, parameter.default) for parameter in self.parameters)
         }
 
-    def tuned(self, tuning: PredictorTuning, values: Own) -> PredictorTuning:
-        """Return ``tuning`` with other values of some of its parameters."""
-        fields = {name: value for name, value in values.items() if name in _FIELDS}
-        if others := {name: value for name, value in values.items() if name not in _FIELDS}:
+    def tuned(self, tuning: PredictorTuning, values: OwnParameters) -> PredictorTuning:
+        """Return ``tuning`` with some parameters of this predictor replaced by ``values``."""
+        fields = {name: value for name, value in values.items() if name in _BUILT_IN_FIELDS}
+        if others := {name: value for name, value in values.items() if name not in _BUILT_IN_FIELDS}:
             fields["own"] = tuning.own | {self.name: tuning.own.get(self.name, {}) | others}  # type: ignore[assignment]
         return tuning.model_copy(update=fields)
 
     def predictor(self, model: RateModel | None, tuning: PredictorTuning) -> Predictor:
-        """Return a new predictor at rest."""
+        """Return a new predictor at rest, for a model and a tuning."""
         return self.make(model, self.own(tuning))
 
 
@@ -110,7 +110,7 @@ def number_of(name: str) -> int:
     return 1000 + crc32(name.encode()) % 60000
 
 
-_FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}  # fields of the built-in tuning
+_BUILT_IN_FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}  # fields of the built-in tuning
 
 
 class Registry(Mapping[str, PredictorSpec]):
@@ -125,7 +125,7 @@ class Registry(Mapping[str, PredictorSpec]):
     def register(self, spec: PredictorSpec) -> None:
         """Register a predictor.  Raises InputError for ambiguous or untunable ones."""
         where = f"predictor {spec.name!r}"
-        if not _NAME.fullmatch(spec.name):
+        if not _PREDICTOR_NAME.fullmatch(spec.name):
             raise InputError(f"{where}: a name has small letters, digits and hyphens, and begins with a letter")
         if spec.name in self._specs:
             raise InputError(f"{where}: there is one of this name already")
@@ -135,7 +135,7 @@ class Registry(Mapping[str, PredictorSpec]):
             raise InputError(f"{where}: its number {spec.value} is that of {twin!r}; state another")
         for parameter in spec.parameters:
             low, high = parameter.search
-            if parameter.name not in _FIELDS and (
+            if parameter.name not in _BUILT_IN_FIELDS and (
                 parameter.default is None or not parameter.least <= parameter.default <= parameter.most
             ):
                 raise InputError(
@@ -143,7 +143,7 @@ class Registry(Mapping[str, PredictorSpec]):
                 )
             taken = {"HJ_PRED_TYPE", "HJ_PRED_DELAY"} | {p.mavlink for s in self._specs.values() for p in s.parameters}
             if parameter.mavlink is not None and (
-                parameter.mavlink in taken or not _MAVLINK.fullmatch(parameter.mavlink)
+                parameter.mavlink in taken or not _MAVLINK_NAME.fullmatch(parameter.mavlink)
             ):
                 raise InputError(
                     f"{where}: {parameter.name}: mavlink = {parameter.mavlink!r}: must begin with HJ_PRED_, have at "
@@ -176,8 +176,8 @@ class Registry(Mapping[str, PredictorSpec]):
                 for parameter in self.find(name, f"{where}.own.{name}: unknown predictor").parameters
             }
             for key, value in values.items():
-                if key not in parameters or key in _FIELDS:
-                    names = set(parameters) - _FIELDS
+                if key not in parameters or key in _BUILT_IN_FIELDS:
+                    names = set(parameters) - _BUILT_IN_FIELDS
                     suggestion = nearest(key, names) if names else "there are none"
                     raise InputError(f"{where}.own.{name}.{key}: unknown parameter; {suggestion}")
                 least, most, unit = parameters[key].least, parameters[key].most, parameters[key].unit
@@ -186,19 +186,19 @@ class Registry(Mapping[str, PredictorSpec]):
 
     def __getitem__(self, name: str) -> PredictorSpec:
         if name not in self._specs:
-            self._look()
+            self._register_installed()
         return self._specs[name]
 
     def __iter__(self) -> Iterator[str]:
-        self._look()
+        self._register_installed()
         return iter(self._specs)
 
     def __len__(self) -> int:
-        self._look()
+        self._register_installed()
         return len(self._specs)
 
-    def _look(self) -> None:
-        """Register the predictors of installed packages at the first need."""
+    def _register_installed(self) -> None:
+        """Register the predictors of installed packages, when they are first needed."""
         if self._waiting == {}:
             return
         from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
@@ -218,19 +218,19 @@ class Registry(Mapping[str, PredictorSpec]):
             raise refused
 
 
-def _state(model: RateModel, own: Own) -> Predictor:
+def _make_state_predictor(model: RateModel, own: OwnParameters) -> Predictor:
     from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 
     observer = DoubleIntegratorObserver(own["observer_rad_s"], model.sample_time_s)
     return StatePredictor(model, observer, StateModel(model))
 
 
-def _with_observer(
+def _specify_observer_predictor(
     name: str, title: str, number: int, parameter: str, mavlink: str, disturbance: bool, compared: bool
 ) -> PredictorSpec:
     """Return the specification of a state predictor with an observer of the identified model."""
 
-    def make(model: RateModel, own: Own) -> Predictor:
+    def make(model: RateModel, own: OwnParameters) -> Predictor:
         from cosim.control.predictors.state import ModalPredictor, ModelObserver, StateModel, StatePredictor
 
         if len(model.poles) != 2 or model.pole_pairs or model.zero_pairs:
@@ -238,47 +238,47 @@ def _with_observer(
         state = StateModel(model)
         return StatePredictor(model, ModelObserver(state, own[parameter], disturbance), state)
 
-    def response(model: RateModel, own: Own) -> PairResponse:
+    def response(model: RateModel, own: OwnParameters) -> PairResponse:
         from cosim.control.predictors.linear import observer_response
 
         return observer_response(model, own[parameter], disturbance)
 
-    def space(model: RateModel, own: Own) -> PredictorSpace:
+    def space(model: RateModel, own: OwnParameters) -> PredictorSpace:
         from cosim.control.predictors.linear import ObserverSpace
 
         return ObserverSpace(model, own[parameter], disturbance)
 
-    tuned = _observer(parameter, mavlink)
+    tuned = _specify_observer_parameter(parameter, mavlink)
     return PredictorSpec(
         name, title, make, number, parameters=(tuned,), response=response, space=space, automatic=True, with_lead=True,
         compared=compared,
     )  # fmt: skip
 
 
-def _observer(parameter: str, mavlink: str) -> TuningParameter:
+def _specify_observer_parameter(parameter: str, mavlink: str) -> TuningParameter:
     text = "how fast its observer is"
     return TuningParameter(parameter, "rad/s", text, 0.1, 400.0, (0.3, 30.0), mavlink=mavlink, decimals=1)
 
 
-def _no_response(model: RateModel, own: Own) -> PairResponse:
+def _baseline_response(model: RateModel, own: OwnParameters) -> PairResponse:
     from cosim.control.predictors.linear import no_response
 
     return no_response
 
 
-def _no_space(model: RateModel, own: Own) -> PredictorSpace:
+def _baseline_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
     from cosim.control.predictors.linear import NoSpace
 
     return NoSpace()
 
 
-def _smith_response(model: RateModel, own: Own) -> PairResponse:
+def _smith_response(model: RateModel, own: OwnParameters) -> PairResponse:
     from cosim.control.predictors.linear import smith_response
 
     return smith_response(model, own.get("filter_s"))
 
 
-def _smith_space(model: RateModel, own: Own) -> PredictorSpace:
+def _smith_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
     from cosim.control.predictors.linear import SmithSpace
 
     return SmithSpace(model, own.get("filter_s"))
@@ -290,8 +290,8 @@ BASELINE = PredictorSpec(  # no predictor
     lambda model, own: NoPredictor(),
     0,
     needs_model=False,
-    response=_no_response,
-    space=_no_space,
+    response=_baseline_response,
+    space=_baseline_space,
     automatic=True,
     with_lead=True,
     compared=True,
@@ -324,9 +324,9 @@ FILTERED_SMITH = PredictorSpec(  # filtered Smith predictor
 STATE = PredictorSpec(  # state predictor
     "state",
     "d-step state predictor with a double-integrator observer (paper)",
-    _state,
+    _make_state_predictor,
     3,
-    parameters=(_observer("observer_rad_s", "HJ_PRED_OBS"),),
+    parameters=(_specify_observer_parameter("observer_rad_s", "HJ_PRED_OBS"),),
 )
 PREDICTORS = Registry(  # all predictors by name
     [
@@ -334,11 +334,11 @@ PREDICTORS = Registry(  # all predictors by name
         SMITH,
         FILTERED_SMITH,
         STATE,
-        _with_observer(
+        _specify_observer_predictor(
             "state-model", "d-step state predictor with an observer of the identified model (ours)", 4,
             "model_observer_rad_s", "HJ_PRED_OBS_M", disturbance=False, compared=False,
         ),
-        _with_observer(
+        _specify_observer_predictor(
             "state-disturbance",
             "the same, with the input disturbance estimated and predicted (ours, after Sanz et al.)",
             5, "disturbance_observer_rad_s", "HJ_PRED_OBS_D", disturbance=True, compared=True,

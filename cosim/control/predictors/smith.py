@@ -15,7 +15,7 @@ from cosim.spec.vehicle import RateModel
 
 
 class NoPredictor:
-    """No prediction: the measurement itself."""
+    """Predictor that returns the measured rate, without prediction."""
 
     def reset(self) -> None:
         """Do nothing: there is no state."""
@@ -136,7 +136,7 @@ class SmithPredictor:
 
 
 class FilteredSmithPredictor:
-    """The filtered Smith predictor of Normey-Rico and Camacho: ``G_n u + F (y - z^-h G_n u)``.
+    """Filtered Smith predictor of Normey-Rico and Camacho: ``G_n u + F (y - z^-h G_n u)``.
 
     ``F`` is :func:`robustness_filter`; with ``F = 1`` this is Smith's predictor.  What the filter passes of the
     difference between plant and model is what the loop reacts to: slower is more robust, faster rejects sooner.

@@ -44,14 +44,14 @@ class StateModel:
         self._continuous = (float(l1), float(l2))
 
     def fraction(self, f: float) -> tuple[Matrix, Matrix]:
-        """Return the transition over a fraction ``f`` of a step, and the effect of a command held over it."""
+        """Return transition matrix and input matrix over a fraction ``f`` of a step, with the command held."""
         l1, l2 = self._continuous
         whole = _integral(l1, l2, self.step)
         return _exponential(l1, l2, f * self.step), _integral(l1, l2, f * self.step) @ np.linalg.solve(whole, self.B)
 
 
 class Observer(Protocol):
-    """Estimates the state at ``t_k``."""
+    """Observer that estimates the model's state at ``t_k``."""
 
     def reset(self) -> None:
         """Return to rest."""
@@ -65,7 +65,7 @@ class Observer(Protocol):
 
 
 class DoubleIntegratorObserver:
-    """The paper's: ``x' = (A - L C) x + B u + L y`` of a double integrator, ``L = (beta_1, beta_2)``.
+    """The paper's observer ``x' = (A - L C) x + B u + L y`` of a double integrator, ``L = (beta_1, beta_2)``.
 
     ``beta_1 = 2 w``, ``beta_2 = w^2``: both poles at ``-w``.  The command enters as printed, ``B = (0, 1)``: in the
     unit of the command, which is nothing beside the slope of the rate, so this is a differentiator in effect.
@@ -124,7 +124,7 @@ class ModelObserver:
 
     def update(self, measured: float, late: float, push: Pair) -> tuple[Pair, float]:
         old = self._state
-        ahead = [_dot(row, old) for row in self.F]
+        ahead = [_scalar_product(row, old) for row in self.F]
         ahead[0] += push[0]
         ahead[1] += push[1]
         error = measured - ahead[0]
@@ -133,7 +133,7 @@ class ModelObserver:
 
 
 class StatePredictor:
-    """Observer, then the model over the delay with the commands in transport.
+    """Predictor of an observer, and of the model over the delay with the commands in transport.
 
     A delay of ``n + f`` samples is run through exactly: ``f`` of a step with the oldest of ``n + 1`` commands, then
     ``n`` whole steps.  An estimated input disturbance is taken to last (the idea of Sanz et al. 2016).
@@ -174,7 +174,7 @@ class StatePredictor:
         push = (old_x * before + new_x * now, old_v * before + new_v * now)
         (x, v), disturbance = self.observer.update(measured, f * before + (1.0 - f) * now, push)
         of_x, of_v = self.of_state
-        return of_x * x + of_v * v + _dot(self.weights, sent) + self.of_disturbance * disturbance
+        return of_x * x + of_v * v + _scalar_product(self.weights, sent) + self.of_disturbance * disturbance
 
 
 class LinearPredictor:
@@ -207,9 +207,9 @@ class LinearPredictor:
         late, old = sent[0], self._state
         rows, of_rate, of_command = self.transition, self.of_rate, self.of_command
         self._state = state = [
-            _dot(row, old) + of_rate[i] * measured + of_command[i] * late for i, row in enumerate(rows)
+            _scalar_product(row, old) + of_rate[i] * measured + of_command[i] * late for i, row in enumerate(rows)
         ]
-        return _dot(self.of_state, state) + _dot(self.weights, sent)
+        return _scalar_product(self.of_state, state) + _scalar_product(self.weights, sent)
 
 
 class Modes:
@@ -225,7 +225,7 @@ class Modes:
             raise InputError(
                 f"identified model: a state predictor needs poles above 0 and at most 1, not {model.poles}"
             )
-        self.poles = _apart(model.all_poles)
+        self.poles = _separate_equal_poles(model.all_poles)
         self.delay = model.delay_samples
         self.whole = int(model.delay_samples)
         f = self.delay - self.whole
@@ -268,14 +268,14 @@ def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: boo
 
 
 class _Mode:
-    """A mode with a real pole: its numbers in :class:`ModalPredictor`, and its state ``x``."""
+    """Real mode of a :class:`ModalPredictor`: its constants and its state ``x``."""
 
     def __init__(self, pole: float, share: float, residue: float, gain: float, weight: float) -> None:
         self.pole, self.share, self.residue, self.gain, self.weight = pole, share, residue, gain, weight
         self.x = 0.0
 
     def step(self, disturbance: float, now: float, before: float) -> float:
-        """Return the state after a step under two commands that follow each other."""
+        """Return the state after a step with the command ``before`` and then, for ``share`` of it, ``now``."""
         self.x = self.pole * self.x + disturbance + self.share * now + (1.0 - self.share) * before
         return self.x
 
@@ -327,7 +327,7 @@ class ModalPredictor:
         sent.append(applied)
         del sent[0]
         before, now, d = sent[0], sent[1], self._d
-        ahead = _dot(self.weights, sent)
+        ahead = _scalar_product(self.weights, sent)
         if self._is_real:
             rate = after = 0.0
             for mode in self._modes:
@@ -348,7 +348,7 @@ class ModalPredictor:
         return _product_sum(self.state_weights, x).real + ahead + self.command_weight * d
 
 
-def _dot(a: list[float], b: list[float]) -> float:
+def _scalar_product(a: list[float], b: list[float]) -> float:
     """Return the scalar product, summed in order."""
     total = 0.0
     for i, x in enumerate(a):
@@ -371,8 +371,8 @@ def _product(factors: list[complex]) -> complex:
     return product
 
 
-def _apart(poles: Sequence[complex]) -> list[complex]:
-    """Return the poles with equal ones moved apart by a little: modes need them different."""
+def _separate_equal_poles(poles: Sequence[complex]) -> list[complex]:
+    """Return the poles with equal ones moved slightly apart, because modes need different poles."""
     separate: list[complex] = []
     for pole in poles:
         while any(abs(pole - other) <= 1e-7 * abs(pole) for other in separate):
@@ -391,7 +391,7 @@ def _exponential(l1: float, l2: float, t: float) -> Matrix:
 
 
 def _integral(l1: float, l2: float, t: float) -> Matrix:
-    """Integral of :func:`_exponential` from 0 to ``t``, by its series (the steps are short against the modes)."""
+    """Return the integral of :func:`_exponential` from 0 to ``t``, by its series: steps are short against modes."""
     M = np.array([[0.0, 1.0], [-l1 * l2, l1 + l2]])
     term = np.eye(2) * t
     total = term.copy()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
+from cosim.control.autopilot.modes import STICK_MODES, LandedState, Mode
 from cosim.groundstation.mavlink.telemetry_state import Personality
 from cosim.groundstation.mavlink.wire.dialect import mav
 
@@ -117,7 +117,7 @@ def custom_mode(mode: Mode, personality: Personality) -> int:
 
 def base_mode(mode: Mode, armed: bool) -> int:
     """Return the field base_mode of HEARTBEAT."""
-    flags = MANUAL_INPUT | STABILIZE if mode in BY_STICK else STABILIZE | GUIDED | AUTO
+    flags = MANUAL_INPUT | STABILIZE if mode in STICK_MODES else STABILIZE | GUIDED | AUTO
     return CUSTOM | flags | (ARMED if armed else 0)
 
 

@@ -36,7 +36,7 @@ def test_authority_of_a_quadrotor_is_what_it_is_by_hand() -> None:
 def test_tilted_jets_push_forward_and_turn_about_their_lever() -> None:
     vehicle, _ = load_vehicle("hexjet")
     reach = Reach(vehicle.layout(), [0.0] * 6, [1.0] * 6, [(-0.5, 0.5)] * 2, [0.0, 0.0], 1.0)
-    wrench, _ = reach._linear(np.zeros(6), (0.2, -0.1))
+    wrench, _ = reach._linearise_wrench(np.zeros(6), (0.2, -0.1))
     left, right = vehicle.jets[1], vehicle.jets[0]
     assert wrench[:3, 1] == pytest.approx([np.sin(0.2), 0.0, -np.cos(0.2)])
     for column, jet, tilt in ((1, left, 0.2), (0, right, -0.1)):

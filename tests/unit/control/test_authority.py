@@ -51,7 +51,7 @@ def test_the_change_by_each_hinge_is_that_of_finite_differences(seed: int) -> No
     made, rng = layout(seed), np.random.default_rng(seed)
     thrust, angles = rng.uniform(1.0, 3.0, 3), rng.uniform(-1.0, 1.0, 4)
     reach = Reach(made, [0.0] * 3, [3.0] * 3, [(-1.0, 1.0)] * 4, [0.0] * 4, WEIGHT)
-    _, turns = reach._linear(thrust, angles)
+    _, turns = reach._linearise_wrench(thrust, angles)
     small = 1e-5 * np.eye(4)
     for hinge in range(4):
         ends = [made.wrench(thrust.tolist(), (angles + sign * small[hinge]).tolist()) for sign in (1.0, -1.0)]
@@ -112,9 +112,9 @@ def test_a_range_that_is_not_convex_is_told_closer_by_cutting_it() -> None:
     hull = Hull.of(made, thrust, thrust, low, high)
     assert hull is not None
     reach = Reach(made, [2.0], [2.0], [(0.0, 1.2)], [0.0], 2.0 * cos(0.6))
-    about = reach._about_axis(np.array([1.0, 0.0, 0.0]))
+    about = reach._moment_objective(np.array([1.0, 0.0, 0.0]))
     goal, rows, values = about.goal, about.rows[:1], about.values[:1]
-    found = reach._largest(type(about)(goal, rows, values), 12)
+    found = reach._bounds(type(about)(goal, rows, values), 12)
     assert found.lower == pytest.approx(2.0 * sin(0.6), rel=1e-6)  # the twist's share of the thrust ahead
     assert found.is_exact
 

@@ -30,7 +30,7 @@ class DeadReckoning:
         self.filter = self.whole.reckoning
 
     def predict(self, measured: Measured, by_lean: tuple[float, float]) -> None:
-        self.whole._reckon(measured, complex(*by_lean))
+        self.whole._dead_reckon(measured, complex(*by_lean))
 
     def correct(self, fix: Measured | None, still: bool, lean: float) -> None:
         p, v = (0j, 0j) if fix is None else (complex(*fix.position[:2]), complex(*fix.velocity[:2]))

@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.control.lead import lead_polynomials
-from cosim.control.predictors.linear import companion, part
+from cosim.control.predictors.linear import companion, make_delayed_system
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.tuning import Tuning
 
@@ -39,7 +39,7 @@ class Space:
 
     def __init__(self, channel: Channel, tuning: Tuning) -> None:
         self.channel, self.tuning = channel, tuning
-        self._plant = part(channel.identified or channel.actuator.model)
+        self._plant = make_delayed_system(channel.identified or channel.actuator.model)
         self._late = self._plant.delay + channel.added_delay  # samples until a command acts
         self._between = self._plant.B.shape[1] > 1
         self._slots: dict[str, slice] = {}

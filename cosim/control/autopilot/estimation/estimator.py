@@ -17,28 +17,30 @@ from cosim.control.autopilot.estimation.kalman import Kalman
 from cosim.control.autopilot.estimation.position import BIAS_WALK, STANDING_NOISE, PositionEstimator, trusted_noise
 from cosim.spec.vehicle import PositionGains, Sensors
 
-# Least noise assumed for any sensor: rad, rad/s, m.
+# Least noise that is assumed of the attitude sensor [rad], the gyro [rad/s] and the barometer [m].
 _MIN_NOISE = (2e-4, 0.002, 0.01)
-# rad/s, chosen by us as are the following: after calibration at rest; and 17 deg/s, once the bias turns out to have
-# changed.
+# Standard deviations of the gyro's bias [rad/s], chosen by us as are the following: after calibration at rest, and
+# after the bias has turned out to have changed, 17 deg/s.
 _GYRO_BIAS_AT_START, _GYRO_BIAS_UNKNOWN = 0.01, 0.3
-# The difference of gyro and attitude, averaged over this many s, is a surprise if it exceeds this many standard
-# deviations of the mean and this many rad (what filters and sampling cause in a manoeuvre); at most one per this many
-# s.
-_MEAN_S, _SURPRISE, _MIN_SURPRISE, _BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
-# Repeated samples, while the other moves, after which a gyro or attitude sensor has failed.
+# The gyro's bias has changed if the difference between gyro and attitude, averaged over this time, exceeds this many
+# standard deviations of the mean and this angle, which filters and sampling cause in a manoeuvre; a change is detected
+# again after this time at the earliest.
+_ERROR_MEAN_S, _MAX_ERROR_SIGMAS, _MAX_ERROR_RAD, _MIN_BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
+# Number of repeated samples, while the other sensor's change, after which a gyro or attitude sensor has failed.
 _MAX_REPEATS = 5
-# rad/s for this many s: four times the noise of a sample; at less the controllers lean by less than a degree.
-_MIN_BIAS, _BIASED_S = 0.02, 0.3
-# m/s^2: 10 mg, more than remains after calibration; and the largest bias that is estimated.
-_BIAS_AT_START, _MAX_BIAS = 0.1, 0.5
-# Squared normalised error: five standard deviations, exceeded by chance once in 1.7 million.
+# A gyro counts as biased after this time [s] above this bias [rad/s]: four times the noise of a sample; at less the
+# controllers lean by less than a degree.
+_MAX_GYRO_BIAS, _MIN_BIASED_S = 0.02, 0.3
+# Bias of the accelerometer [m/s^2]: standard deviation at the start, 10 mg, more than remains after calibration, and
+# largest estimate.
+_FORCE_BIAS_AT_START, _MAX_FORCE_BIAS = 0.1, 0.5
+# Largest squared normalised error of a reading that is used: five standard deviations, by chance once in 1.7 million.
 _MAX_SQUARED_ERROR = 25.0
-# s without new values after which a barometer or accelerometer has stopped, or a receiver.
-_FAILED_S, _SILENT_S = 0.1, 1.0
-# s of contradiction after which a barometer is not used, and s of agreement after which it is again.
-_IMPLAUSIBLE_S, _AGREEMENT_S = 0.5, 1.0
-# rad, one standard deviation: an error in which a twelfth of the weight pushes sideways.
+# Times [s] without new values after which a barometer or accelerometer has stopped, and a GNSS receiver.
+_MAX_REPEATED_S, _MAX_SILENCE_S = 0.1, 1.0
+# Times [s] of contradiction after which a barometer is not used, and of agreement after which it is used again.
+_MAX_IMPLAUSIBLE_S, _MIN_AGREEMENT_S = 0.5, 1.0
+# Largest standard deviation of a reliable lean [rad]: with this error a twelfth of the weight pushes sideways.
 MAX_LEAN_DEVIATION = radians(5.0)
 
 
@@ -68,7 +70,7 @@ class EstimateQuality(NamedTuple):
 
 
 class Estimator:
-    """Attitude and rates, height and climb rate, position and velocity, each from the sensors that work.
+    """Estimator of attitude and rates, height and climb rate, position and velocity from the sensors that work.
 
     Where all sensors work, attitude and horizontal position are the sensors' own; rates are the gyro's less its bias;
     height and climb rate are always estimates.
@@ -108,7 +110,7 @@ class Estimator:
         position_noise, velocity_noise, force_noise = trusted_noise(sensors)
         self._height_noise, self._velocity_noise = height_noise**2, velocity_noise**2
         self._position_noise, self._force_noise = position_noise**2, force_noise**2
-        self.vertical = Kalman(step, self._latency, (height_noise, velocity_noise, _BIAS_AT_START))
+        self.vertical = Kalman(step, self._latency, (height_noise, velocity_noise, _FORCE_BIAS_AT_START))
         noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
         self._position = PositionEstimator(gains, sensors, step, noisy, reckons=True)
         self.reset(None)
@@ -174,7 +176,7 @@ class Estimator:
 
     @property
     def now(self) -> Measured:
-        """The measurements, sensed or estimated, that the loops fly with."""
+        """The present measurements, sensed or estimated, that the loops fly with."""
         assert self.measured is not None
         return self.measured
 
@@ -206,22 +208,22 @@ class Estimator:
     @property
     def is_biased(self) -> bool:
         """Whether the gyro's bias matters."""
-        return self._biased_s >= _BIASED_S
+        return self._biased_s >= _MIN_BIASED_S
 
     @property
     def has_height(self) -> bool:
         """Whether the barometer is trusted."""
-        return self._height_age < _FAILED_S and not self._is_implausible
+        return self._height_age < _MAX_REPEATED_S and not self._is_implausible
 
     @property
     def has_fix(self) -> bool:
         """Whether GNSS gives new fixes that agree with the climb rate."""
-        return self._fix_age < _SILENT_S and self._fix_refusal_s < _SILENT_S
+        return self._fix_age < _MAX_SILENCE_S and self._fix_refusal_s < _MAX_SILENCE_S
 
     @property
     def has_force(self) -> bool:
         """Whether the accelerometer is trusted."""
-        return self._force_age < _FAILED_S
+        return self._force_age < _MAX_REPEATED_S
 
     @property
     def has_position(self) -> bool:
@@ -271,16 +273,16 @@ class Estimator:
         self._rate_repeats = 0 if new_rate or still else self._rate_repeats + (1 if new_attitude else 0)
         self._attitude_repeats = 0 if new_attitude or still else self._attitude_repeats + (1 if new_rate else 0)
         self._last_attitude = measured.attitude
-        self._turn(measured.rate)
+        self._predict_attitude(measured.rate)
         if self._attitude_repeats == 0:
-            self._compare_attitude(measured.attitude)
-        is_biased = self.has_rate and _largest(self.gyro_bias) > _MIN_BIAS
+            self._correct_attitude(measured.attitude)
+        is_biased = self.has_rate and _largest(self.gyro_bias) > _MAX_GYRO_BIAS
         self._biased_s = self._biased_s + self._dt if is_biased else 0.0
         attitude = measured.attitude if self.has_attitude else self._attitude
         return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
 
-    def _turn(self, rate: Vector3, bias_walk: float = 2e-5) -> None:
-        """Predict one step with the gyro; without one the bias is minus the rate and may change quickly.
+    def _predict_attitude(self, rate: Vector3, bias_walk: float = 2e-5) -> None:
+        """Predict the attitude one step ahead by the gyro; without one the bias is minus the rate, and changes quickly.
 
         ``bias_walk``: rad/s per root s, a MEMS gyro's zero (5 mdeg/s per K) that warms by some K in a minute.
         """
@@ -304,8 +306,8 @@ class Estimator:
         walk = bias_walk if has_rate else self._rate_walk
         angle.spread(dt, -1.0, self._rate_noise * dt if has_rate else 0.0, walk * walk * dt)
 
-    def _compare_attitude(self, attitude: Quaternion, max_jump: float = 0.02) -> None:
-        """Correct attitude and bias by the sensor's attitude less the gyro's of the same instant.
+    def _correct_attitude(self, attitude: Quaternion, max_jump: float = 0.02) -> None:
+        """Correct attitude and gyro bias by the attitude sensor's difference from the prediction for the same instant.
 
         ``max_jump``: rad between two samples that the gyro saw nothing of; no noise of the sensor does it.
         """
@@ -330,14 +332,14 @@ class Estimator:
         self.gyro_bias = _sum(self.gyro_bias, error, bias_gain.real)
 
     def _detect_new_bias(self, error: Vector3, total: float) -> None:
-        """Widen the bias's covariance if the mean error shows that the bias has changed."""
-        gain = self._dt / _MEAN_S
+        """Increase the covariance of the gyro's bias if the mean error shows that the bias has changed."""
+        gain = self._dt / _ERROR_MEAN_S
         self._mean = _sum(self._mean, _sum(error, self._mean, -1.0), gain)
         self._quiet_s = max(0.0, self._quiet_s - self._dt)
-        bound = max(_MIN_SURPRISE, _SURPRISE * sqrt(0.5 * gain * total))
+        bound = max(_MAX_ERROR_RAD, _MAX_ERROR_SIGMAS * sqrt(0.5 * gain * total))
         if self._quiet_s == 0.0 and _largest(self._mean) > bound:
             self._angle.uu = max(self._angle.uu, _GYRO_BIAS_UNKNOWN**2)
-            self._quiet_s = _BETWEEN_S
+            self._quiet_s = _MIN_BETWEEN_S
 
     def _update_height(self, k: int, measured: Measured, attitude: Quaternion, still: bool, has_contact: bool) -> None:
         is_new = self._check_repeats(measured, still)
@@ -346,7 +348,7 @@ class Estimator:
             self._correct_height(1, -self.vertical.v, STANDING_NOISE**2)
         self._correct_by_barometer(measured.altitude, is_new or still)
         if k > self._latency and (k - self._latency) % self._period == 0:
-            self._take_fix(-measured.position[2], -measured.velocity[2], still)
+            self._correct_by_gnss(-measured.position[2], -measured.velocity[2], still)
 
     def _check_repeats(self, measured: Measured, still: bool) -> bool:
         """Detect sensors that repeat while others change; return whether the barometer's reading is new."""
@@ -370,7 +372,7 @@ class Estimator:
     def _predict_height(
         self, attitude: Quaternion, force: Vector3, has_contact: bool, unsensed: float = 3.0, contact_noise: float = 2.0
     ) -> None:
-        """Predict one step; without accelerometer the acceleration has the deviation ``unsensed`` m/s^2.
+        """Predict height and climb rate one step ahead.  ``unsensed``: deviation of an unmeasured acceleration [m/s^2].
 
         ``contact_noise``: m/s^2, by which the forces of stiff legs change within a step.
         """
@@ -382,31 +384,31 @@ class Estimator:
         else:
             # An unmeasured acceleration is constant over about a second, not white from step to step.
             self._lift, acceleration, noise = GRAVITY, 0.0, unsensed**2
-        vertical.move(acceleration)
+        vertical.predict(acceleration)
         vertical.spread(dt, 1.0, noise, BIAS_WALK**2 * dt)
 
     def _correct_height(self, which: int, error: complex, noise: float, latency: float | None = None) -> None:
-        """Correct by a height (0) or a climb rate (1) of now or of ``latency`` s ago."""
+        """Correct height and climb rate by the error of a height (0) or climb rate (1) that is ``latency`` s old."""
         self.vertical.correct(which, error, noise, latency)
-        self.vertical.u = max(-_MAX_BIAS, min(_MAX_BIAS, self.vertical.u.real))
+        self.vertical.u = max(-_MAX_FORCE_BIAS, min(_MAX_FORCE_BIAS, self.vertical.u.real))
 
     def _correct_by_barometer(self, altitude: float, is_new: bool) -> None:
         error = altitude - self.vertical.p.real
-        if not is_new or self._height_age >= _FAILED_S:
+        if not is_new or self._height_age >= _MAX_REPEATED_S:
             self._agreement_s = 0.0
             return
         if error * error > _MAX_SQUARED_ERROR * (self.vertical.pp + self._height_noise):
             self._agreement_s = 0.0
             self._refusal_s += self._dt
-            self._is_implausible = self._is_implausible or self._refusal_s >= _IMPLAUSIBLE_S
+            self._is_implausible = self._is_implausible or self._refusal_s >= _MAX_IMPLAUSIBLE_S
             return
         self._refusal_s = 0.0
         self._agreement_s += self._dt
-        self._is_implausible = self._is_implausible and self._agreement_s < _AGREEMENT_S
+        self._is_implausible = self._is_implausible and self._agreement_s < _MIN_AGREEMENT_S
         if not self._is_implausible:
             self._correct_height(0, error, self._height_noise)
 
-    def _take_fix(self, height: float, rate: float, still: bool, offset_epochs: int = 300) -> None:
+    def _correct_by_gnss(self, height: float, rate: float, still: bool, offset_epochs: int = 300) -> None:
         """Correct by a GNSS fix: always velocity, and height without a barometer.
 
         ``offset_epochs``: over so many, half a minute, the receiver's height is compared with the barometer's.
@@ -421,7 +423,7 @@ class Estimator:
         error = rate - vertical.delayed[1].real
         if error * error > _MAX_SQUARED_ERROR * (vertical.vv + self._velocity_noise):
             self._fix_refusal_s += between
-            if self._fix_refusal_s < _SILENT_S or self.has_height:
+            if self._fix_refusal_s < _MAX_SILENCE_S or self.has_height:
                 return
             # No other height sensor is left: use this one again, as uncertain as one reading.
             vertical.pv = vertical.vu = 0.0

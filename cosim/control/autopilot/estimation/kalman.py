@@ -12,7 +12,7 @@ from cosim.base.signals import Vector3
 
 
 class Kalman:
-    """A Kalman filter of position ``p``, velocity ``v`` and bias ``u``, with late readings.
+    """Kalman filter of position ``p``, velocity ``v`` and bias ``u``, with readings that arrive late.
 
     The model is ``p' = v``, ``v' = a + r u + white``, ``u' = white``: ``a`` is held over a step, ``r`` (``turn``) is a
     sign, or the heading as a unit vector for a bias that turns with the vehicle.  Both axes of a plane share one
@@ -48,8 +48,8 @@ class Kalman:
         """Position and velocity at the instant of a measurement that arrives now."""
         return self._past[0]
 
-    def move(self, acceleration: complex, rests: bool = False) -> None:
-        """Predict one step with an acceleration; ``rests``: the vehicle stands and nothing pushes it."""
+    def predict(self, acceleration: complex, rests: bool = False) -> None:
+        """Predict the state one step ahead under an acceleration; ``rests``: the vehicle stands and is not pushed."""
         dt = self._dt
         self.p += dt * (self.v + 0.5 * dt * acceleration)
         self.v += dt * acceleration
@@ -93,12 +93,12 @@ class Kalman:
         return kp, kv, ku
 
     def correct(self, which: int, error: complex, noise: float, latency: float | None = None) -> None:
-        """Correct by a reading of ``p`` (0) or ``v`` (1), ``error`` more than the estimate; see :meth:`shift`."""
+        """Correct the state by a reading of ``p`` (0) or ``v`` (1) that is ``error`` above the estimate."""
         kp, kv, ku = self.take_reading(which, noise)
         self.shift(kp * error, kv * error, ku * error, latency)
 
     def shift(self, dp: complex, dv: complex, du: complex, latency: float | None = None) -> None:
-        """Change the estimate of ``latency`` s ago, all since then, and that of now; None: that of now alone."""
+        """Change the states from ``latency`` s ago to the present; None: the present one alone."""
         push, late, dt = self.turn * du, latency or 0.0, self._dt
         if latency is not None:
             for i, (p, v) in enumerate(self._past):

@@ -14,9 +14,9 @@ from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
 from cosim.spec.vehicle import PositionGains, Sensors
 
-# m/s^2 per root s: bias of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K per second.
+# Random walk of the bias [m/s^2 per root s] of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K per second.
 BIAS_WALK = 0.001
-# m/s: noise of standing still, used as a measurement of velocity.
+# Noise [m/s] of the velocity zero, which is used as a measurement while the vehicle stands.
 STANDING_NOISE = 0.02
 
 
@@ -31,7 +31,7 @@ class Fix(NamedTuple):
 def trusted_noise(
     sensors: Sensors, position: float = 0.1, velocity: float = 0.02, force: float = 0.05
 ) -> tuple[float, float, float]:
-    """Return the noise of GNSS position [m] and velocity [m/s] and of the accelerometer [m/s^2], at least these."""
+    """Return the assumed noise of GNSS position [m] and velocity [m/s] and of the accelerometer [m/s^2]."""
     gnss = sensors.gnss
     return (
         max(gnss.position_noise_m, position),
@@ -109,8 +109,8 @@ class PositionEstimator:
         """
         acceleration = complex(*lean_acceleration(measured.attitude)) + self._lean.u
         if self._reckons:
-            self._reckon(measured, acceleration)
-        self._lean.move(acceleration, still)
+            self._dead_reckon(measured, acceleration)
+        self._lean.predict(acceleration, still)
         if k > self._latency and (k - self._latency) % self._period == 0:
             # A receiver without a new fix repeats the last one to the last bit.
             fix = (*measured.position, *measured.velocity[:2])
@@ -127,7 +127,7 @@ class PositionEstimator:
         return self.fix
 
     def _correct(self, p: complex, v: complex, still: bool, is_pushed: bool) -> None:
-        """Correct by a position and a velocity of ``latency`` samples ago."""
+        """Correct the estimate by a position and a velocity that are ``latency`` samples old."""
         gains = self._gains
         gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
         self._epoch += 1
@@ -138,20 +138,20 @@ class PositionEstimator:
         du = 0j if still or is_pushed else gain[2][0] * off_p + gain[2][1] * off_v
         self._lean.shift(dp, dv, du, self._latency * self._step)
 
-    def _reckon(self, measured: Measured, by_lean: complex) -> None:
-        """Predict one step by the accelerometer, or by the lean without one."""
+    def _dead_reckon(self, measured: Measured, by_lean: complex) -> None:
+        """Predict position and velocity one step ahead by the accelerometer, or without one by the lean."""
         force, reckoning = measured.specific_force, self.reckoning
         self._has_force = force[0] == force[0] and force[1] == force[1] and force[2] == force[2]
         if self._has_force:
             north, east, _ = rotate(measured.attitude, force)
             reckoning.turn = rect(1.0, heading_of(measured.attitude))
             by_lean = complex(north, east) + reckoning.turn * reckoning.u
-        reckoning.move(by_lean)
+        reckoning.predict(by_lean)
 
     def _correct_reckoning(
         self, p: complex, v: complex, fresh: bool, still: bool, lean_deviation: float, unsensed: float = 0.5
     ) -> None:
-        """Correct at the end of the time between two fixes.
+        """Propagate the covariance of dead reckoning over the time between two fixes, and correct it by the new one.
 
         ``unsensed``: the acceleration that the lean does not explain, where none is sensed, m/s^2 over a second.
         """

@@ -18,7 +18,7 @@ def settling_gains(
     least_noise: tuple[float, float] = (0.01, 0.001),
     epochs: int = 600,
 ) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
-    """Return the Kalman gains (3 x 2) of each GNSS epoch, and by number of epochs the deviations of its two readings.
+    """Return the Kalman gains (3 x 2) of each GNSS epoch, and the standard deviations of the estimate after each.
 
     Gains are of position, velocity and disturbance by position and velocity, deviations of position and velocity.  The
     last gains stay.  They vary from the first fix on, so that the noise of position is averaged away while the vehicle

@@ -13,7 +13,7 @@ from cosim.spec.vehicle import Vehicle
 def estimate_wind(
     vehicle: Vehicle, push: Pair, velocity: Pair, euler: Vector3, thrust: Sequence[float], density: float
 ) -> Pair | None:
-    """Return the wind [m/s], north and east, that would push the vehicle like this; None if it cannot be estimated.
+    """Return the wind [m/s, north and east] that explains the acceleration ``push``; None if it cannot be estimated.
 
     Level in hover, the body's drag and the air that the jets swallow hold the vehicle back with
     ``m b = (rho A |V| / 2 + M) V`` along each of its axes, ``A`` the drag area of the axis and ``M`` the mass flow of
@@ -33,8 +33,8 @@ def estimate_wind(
     if vehicle.control.wing is not None or push == (0.0, 0.0) or is_tipped or not has_drag:
         return None
     c, s = cos(euler[2]), sin(euler[2])
-    u = _speed(mass * (push[0] * c + push[1] * s), 0.5 * density * forward, linear)
-    v = _speed(mass * (push[1] * c - push[0] * s), 0.5 * density * side, linear)
+    u = _speed_at_drag(mass * (push[0] * c + push[1] * s), 0.5 * density * forward, linear)
+    v = _speed_at_drag(mass * (push[1] * c - push[0] * s), 0.5 * density * side, linear)
     return velocity[0] + u * c - v * s, velocity[1] + u * s + v * c
 
 
@@ -46,11 +46,11 @@ def drag_limited_speed(vehicle: Vehicle, acceleration: float, thrust: Sequence[f
     linear, area = _mass_flow(vehicle, thrust), max(vehicle.aero.drag_area_m2[:2])
     if vehicle.control.wing is not None or max(linear, area) <= 0.0:
         return None
-    return _speed(vehicle.mass_kg * acceleration, 0.5 * density * area, linear)
+    return _speed_at_drag(vehicle.mass_kg * acceleration, 0.5 * density * area, linear)
 
 
-def _speed(force: float, square: float, linear: float) -> float:
-    """Return the speed [m/s] at which ``square V |V| + linear V`` is the force [N]."""
+def _speed_at_drag(force: float, square: float, linear: float) -> float:
+    """Return the speed V [m/s] at which the drag ``square V |V| + linear V`` is ``force`` [N]."""
     size = abs(force)
     if square == 0.0:
         return force / linear

@@ -17,13 +17,13 @@ from cosim.control.autopilot.requests import RallyPoint
 # surroundings.
 MIN_HEIGHT_M = 1.0  # above the ground, in automatic flight
 LANDING_HEIGHT_M = 0.3  # a lower height command means to land
-HEIGHT_OFF_M = 0.4  # at which a climb or descent is complete
-ARRIVAL_M = 0.7  # from home or a waypoint
+HEIGHT_OFF_M = 0.4  # error that completes climb or descent
+ARRIVAL_M = 0.7  # distance that counts as arrival
 MAX_ENTRY_M_S = 0.5  # faster vehicles do not begin a descent
 
 
 class Landmarks:
-    """Home, rally points, and the ground at the last take-off."""
+    """Home, rally points, and the height of the ground at the last take-off."""
 
     def __init__(self) -> None:
         self.rally: tuple[RallyPoint, ...] = ()  # rally points, kept across flights
@@ -34,7 +34,7 @@ class Landmarks:
         self.home: Home | None = None
         self.home_is_set = False  # True: a request has set home
         self.ground = ground  # ground height at the last take-off
-        self.take_off_position: Pair | None = None  # where the last take-off began
+        self.take_off_position: Pair | None = None  # position of the last take-off
 
     @property
     def home_altitude(self) -> float:
@@ -58,7 +58,7 @@ class Landmarks:
 
 
 class Course:
-    """Target position, height and heading, and the :class:`Guide` that flies there."""
+    """Target position, height and heading of automatic flight, and the :class:`Guide` that flies to them."""
 
     def __init__(self, parameters: Parameters, estimates: Estimator, landmarks: Landmarks, guide: Guide) -> None:
         self.parameters = parameters
@@ -75,11 +75,11 @@ class Course:
         self.guide.reset()
 
     def aim(self, position: Pair | None, height: float | None, heading: float | None) -> None:
-        """Set the target; None: where it comes to rest, no height yet, the present heading."""
+        """Set the target; None: the position where the vehicle comes to rest, no height yet, the present heading."""
         self.position, self.height, self.heading = position, height, heading
 
     def begin(self, k: int, is_spinning: bool = False, is_pushed: bool = False) -> None:
-        """Set the instant for the commands that follow.
+        """Update the guide to step ``k``, before commands are computed.
 
         ``is_spinning``: no heading is held; ``is_pushed``: hinges may push the vehicle aside, so its own speed counts.
         """
@@ -113,7 +113,7 @@ class Course:
         landmarks = self.landmarks
         home = landmarks.home or Home(*position, landmarks.home_altitude)
         target = landmarks.nearest(home, position)
-        # m: within this distance of home it lands without climbing or flying there.
+        # Distance from home [m] within which the vehicle lands without climbing or flying there.
         if hypot(target[0] - position[0], target[1] - position[1]) < 2.0:
             return target, altitude, True
         height = home.altitude + self.parameters["RTL_RETURN_ALT"]
@@ -125,7 +125,7 @@ class Course:
         return self.fly_to(self.position, self.height, self.heading)
 
     def fly_to(self, position: Pair | None, altitude: float | None, yaw: float | None) -> Command:
-        """Return the command to a position, height and heading; None: stop, stop climbing, as it is."""
+        """Return the command to a position, height and heading; None: stop, stop climbing, keep the heading."""
         guide = self.guide
         lean = guide.towards(position, self.speed) if position is not None else guide.at_velocity((0.0, 0.0))
         height_setpoint = guide.at_climb(0.0) if altitude is None else self.to_height(altitude)

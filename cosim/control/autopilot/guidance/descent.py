@@ -12,11 +12,11 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.control.altitude import MIN_UPRIGHT
-from cosim.control.autopilot.guidance.shaper import BUILD_UP, COMMAND_FRACTION
+from cosim.control.autopilot.guidance.shaper import BUILD_UP_TIME, COMMAND_FRACTION
 
 
 class HeightLimits(NamedTuple):
-    """Bounds of the height set-point: m/s^2, m/s^3; and the braking and response time of a descent: m/s^2, s."""
+    """Bounds of the height set-point [m/s^2, m/s^3], and the braking [m/s^2] and response time [s] of a descent."""
 
     acceleration: float
     jerk: float
@@ -25,14 +25,14 @@ class HeightLimits(NamedTuple):
 
 
 def height_limits(height: float, gain: float, speed: float, up: float, down: float) -> HeightLimits:
-    """Return the bounds from the gains K_h (height) and K (climb rate) [1/s], and the thrust's accelerations [m/s^2].
+    """Return the bounds for gains K_h (height) and K (climb rate) [1/s] and accelerations of the thrust [m/s^2].
 
     As for the leans: ``A = min(K speed, (1/4) up, (1/4) down)`` and ``J = A K / 0.5``; braking is planned at ``3/4 A``,
     and the vehicle is later than its set-point by ``1/K_h + 1/K`` and half of the jerk's mean, ``0.25/K``.
     """
     k = max(gain, 0.1)
     a = min(k * speed, COMMAND_FRACTION * up, COMMAND_FRACTION * down)
-    return HeightLimits(a, a * k / BUILD_UP, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * BUILD_UP) / k)
+    return HeightLimits(a, a * k / BUILD_UP_TIME, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * BUILD_UP_TIME) / k)
 
 
 def thrust_margins(hover: float, idle: float, throttle_min: float, throttle_max: float) -> tuple[float, float]:
@@ -55,7 +55,7 @@ def descent_rate(height: float, braking: float, response_time: float, end: float
 
 
 class CollectiveFloor:
-    """Smallest collective while height is not controlled.
+    """Lower limit of the collective that avoids a hard landing while height is not controlled.
 
     With ``v`` from :func:`descent_rate` at the present height (a = half of the thrust beyond the weight, t = four times
     the longest time in which engines and sensed climb rate answer), the vehicle sinking at ``s``, and ``k = 1/(2 T)``
@@ -73,9 +73,9 @@ class CollectiveFloor:
 
     # Fraction of the excess thrust planned for stopping a fall; the rest is for lean and errors.
     catch_fraction = 0.5
-    # m/s^2, largest correction that the integral may learn for a wrong weight.
+    # Largest correction [m/s^2] that the integral may learn for a wrong weight.
     max_trim = 0.4 * GRAVITY
-    # s: the receiver's climb rate is 0.1 s late and on average 0.05 s old.
+    # Delay [s] of the GNSS climb rate, which is 0.1 s late and on average 0.05 s old.
     sensed_s = 0.15
 
     def __init__(
@@ -106,16 +106,16 @@ class CollectiveFloor:
         self.is_acting = False
 
     def restart_at(self, collective: float) -> None:
-        """Start again from this collective of the height control."""
+        """Restart at the collective of the height control, when that ends."""
         self.reset()
         self._last = collective
 
     def allowed_descent(self, height: float, end: float) -> float:
-        """Return the rate of descent [m/s] allowed at a height [m] above the ground; ``end``: at the ground."""
+        """Return the rate of descent [m/s] allowed at a height [m] above the ground; ``end``: that at the ground."""
         return descent_rate(height, self._braking, self._late, end)
 
     def apply(self, collective: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
-        """Return ``collective``, or the larger one of the floor, without jumps.
+        """Return ``collective``, or the larger one that avoids a hard landing, without jumps.
 
         ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
         """
@@ -123,7 +123,7 @@ class CollectiveFloor:
         slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
         k = self._k
         up = max(0.0, sink) * slope + k * (sink - v) + self._trim
-        least = self._collective(up, upright, weight)
+        least = self._collective_at(up, upright, weight)
         self.is_acting = least > collective
         if self.is_acting:
             self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, self.max_trim)
@@ -132,10 +132,10 @@ class CollectiveFloor:
         return self.limit_rate(max(collective, least))
 
     def collective_for(self, up: float, upright: float, weight: float) -> float:
-        """Return the collective for an upward acceleration [m/s^2]; downwards half of what idle thrust gives."""
-        return self._collective(max(up, -self._slowing), upright, weight)
+        """Return the collective for an upward acceleration [m/s^2], not below half of that of idle thrust."""
+        return self._collective_at(max(up, -self._slowing), upright, weight)
 
-    def _collective(self, up: float, upright: float, weight: float) -> float:
+    def _collective_at(self, up: float, upright: float, weight: float) -> float:
         thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, MIN_UPRIGHT)
         return min(max(thrust - self._idle, self._least), self._most)
 

@@ -14,12 +14,12 @@ from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angu
 from cosim.control.autopilot.parameters import Parameters
 from cosim.spec.vehicle import Vehicle
 
-_SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that set attitude limits
-_CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # parameters that set height limits
+_ATTITUDE_PARAMETERS = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that set attitude limits
+_HEIGHT_PARAMETERS = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # parameters that set height limits
 
 
 class Envelope:
-    """Limits commands to what the vehicle can follow.
+    """Limits commands to those that the vehicle can follow.
 
     Every command passes a :class:`Shaper`; a collective by stick or set-point passes a :class:`CollectiveFloor`.
 
@@ -28,9 +28,9 @@ class Envelope:
     longest.
     """
 
-    # m/s: the altitude loop answers it with 1/50 of the weight, 1/100 of throttle.
+    # Climb rate [m/s] that counts as rest: the altitude loop answers it with 1/50 of the weight, 1/100 of throttle.
     max_rest_climb = 0.25
-    # Of the throttle: a pilot finds hover so closely by hand, and a step of this size tips nothing.
+    # Difference of throttle from hover that a pilot meets by hand; a step of this size tips no vehicle.
     near_hover = 0.1
 
     def __init__(
@@ -57,7 +57,7 @@ class Envelope:
         self.restart_at(self._hover if airborne else self._least)
 
     def restart_at(self, collective: float) -> None:
-        """Start again from this collective of the height control."""
+        """Restart at the collective of the height control, when that ends."""
         self.floor.restart_at(collective)
         self._is_by_stick = self._is_braking = False
 
@@ -78,9 +78,9 @@ class Envelope:
 
     def update_limits(self, name: str, guide: Guide) -> None:
         """Recompute the limits that depend on a changed parameter."""
-        if name.startswith(_SHAPING):
+        if name.startswith(_ATTITUDE_PARAMETERS):
             self.shaper.limit(self.attitude_limits())
-        if name in _CLIMBING:
+        if name in _HEIGHT_PARAMETERS:
             guide.limit(self.height_limits())
 
     def shape(self, command: Command) -> Command:
@@ -91,12 +91,12 @@ class Envelope:
         return command._replace(attitude=self.shaper.attitude(command.attitude, euler))
 
     def limit_fall(self, collective: float, ground: float, remaining: float | None) -> float:
-        """Return the requested collective, or the greater one that avoids the ground at the height ``ground`` [m].
+        """Return the requested collective, or the larger one that avoids the ground at the height ``ground`` [m].
 
         ``remaining``: fraction of the fuel; None: the vehicle has none, or it is not known.
         """
         self._is_by_stick, self._is_braking = True, False
-        return self._limit(collective, ground, remaining)
+        return self._apply_floor(collective, ground, remaining)
 
     def slow_down(self, ground: float, remaining: float | None) -> float | None:
         """Return the collective that brings a fast climb or fall to rest before the height loop takes over.
@@ -111,9 +111,9 @@ class Envelope:
         if not (self._is_by_stick or self._is_braking):
             return None
         p, climb, lean = self._parameters, -self._estimates.now.velocity[2], upright(self._estimates.now.attitude)
-        weight = self._weight(remaining)
+        weight = self._weight_fraction(remaining)
         wanted = self.floor.collective_for(-p["HJ_CLIMB_P"] * climb, lean, weight)
-        given = self._limit(wanted, ground, remaining)
+        given = self._apply_floor(wanted, ground, remaining)
         if self._is_by_stick:
             is_fast = abs(climb - clip(climb, -p["HJ_SPEED_DN"], p["HJ_SPEED_UP"])) > self.max_rest_climb
             is_far = abs(given - self.floor.collective_for(0.0, lean, weight)) > self.near_hover
@@ -122,7 +122,7 @@ class Envelope:
             self._is_braking = abs(climb) > self.max_rest_climb or given != wanted
         return given if self._is_braking else None
 
-    def _limit(self, collective: float, ground: float, remaining: float | None) -> float:
+    def _apply_floor(self, collective: float, ground: float, remaining: float | None) -> float:
         measured = self._estimates.now
         return self.floor.apply(
             collective,
@@ -130,10 +130,10 @@ class Envelope:
             measured.velocity[2],
             self._parameters["MPC_LAND_SPEED"],
             upright(measured.attitude),
-            self._weight(remaining),
+            self._weight_fraction(remaining),
         )
 
-    def _weight(self, remaining: float | None) -> float:
+    def _weight_fraction(self, remaining: float | None) -> float:
         """Return the weight as a fraction of that at the start."""
         fuel = self._vehicle.fuel
         if fuel is None or remaining is None:

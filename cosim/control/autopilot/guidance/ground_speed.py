@@ -21,11 +21,11 @@ class GroundSpeed:
     The wind is estimated while the vehicle flies or hovers steadily, and taken to blow against it on every way.
     """
 
-    # s, averaging time of the wind: longer than gusts, and longer than the seconds by which the estimate is late.
+    # Averaging time of the wind [s]: longer than gusts, and longer than the estimate's delay.
     mean_s = 10.0
-    # A speed is steady if it changes by less than this fraction of HJ_ACC_HOR and is off by less than this many m/s.
+    # A speed is steady if its change is below this fraction of HJ_ACC_HOR and its error below this limit [m/s].
     max_acceleration, max_error_m_s = 0.2, 1.0
-    # m/s, least ground speed: slower than this the way home takes longer than any tank lasts.
+    # Least ground speed [m/s]: slower than this the way home takes longer than any tank lasts.
     least_speed = 0.1
 
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
@@ -36,7 +36,7 @@ class GroundSpeed:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the wind."""
+        """Discard the estimated wind."""
         self._north = self._east = self._weight = 0.0
 
     def update_wind(self) -> None:
@@ -57,7 +57,7 @@ class GroundSpeed:
 
     @property
     def wind(self) -> Pair:
-        """The mean of the wind [m/s], north and east; 0 as long as none was estimated."""
+        """The mean of the estimated wind [m/s], north and east; 0 before the first estimate."""
         return (self._north / self._weight, self._east / self._weight) if self._weight else (0.0, 0.0)
 
     @property
@@ -78,7 +78,7 @@ class GroundSpeed:
         return min(self._course.speed, self.max_speed)
 
     def travel_time(self, distance: float, speed: float) -> float:
-        """Return how long [s] a way of so many m takes at a commanded speed [m/s], from rest to rest.
+        """Return the duration [s] of a flight over a distance [m] at a commanded speed [m/s], from rest to rest.
 
         The set-point speeds up with a and brakes with 3/4 a.  While it is faster than the vehicle can be, it gets
         ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.

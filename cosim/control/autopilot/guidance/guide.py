@@ -15,13 +15,13 @@ from cosim.control.autopilot.parameters import Parameters
 
 
 class Guide:
-    """Keeps the set-points of position, height and heading; each begins at the vehicle's state.
+    """Moves the set-points of position, height and heading, each of which begins at the vehicle's state.
 
     A set-point that was not used in the step before is taken up from the present state, so that changing modes does
     not step the command of anything but the acceleration.
     """
 
-    # m, lead of the height set-point over the vehicle beyond what its climb rate needs.
+    # Largest lead [m] of the height set-point over the vehicle beyond what its climb rate needs.
     max_lead = 1.0
 
     def __init__(
@@ -36,7 +36,7 @@ class Guide:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all set-points."""
+        """Discard all set-points."""
         self._k = -1
         self._track_step = self._height_step = self._yaw_step = -2
         self.altitude = self.yaw = self._climb = 0.0
@@ -56,7 +56,7 @@ class Guide:
     def begin(
         self, k: int, measured: Measured, yaw: float, fix: Fix, max_sink: float = inf, is_spinning: bool = False
     ) -> None:
-        """Set the instant for the calls that follow; ``max_sink``: the highest rate of descent [m/s] of a set-point.
+        """Store the state of step ``k`` for the commands; ``max_sink``: highest rate of descent [m/s] of a set-point.
 
         With ``is_spinning`` no heading is held: the lean is computed for the commanded heading, at which it can change
         steadily.
@@ -68,25 +68,25 @@ class Guide:
         self._max_sink = max_sink
 
     def towards(self, target: Pair, speed: float) -> Pair:
-        """Return roll and pitch (rad) that fly to a position."""
+        """Return the roll and pitch [rad] that fly to a position."""
         self._start_track()
-        return self._lean(self.tracker.towards(target, speed))
+        return self._lean_towards(self.tracker.towards(target, speed))
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
-        """Return roll and pitch (rad) that fly round a centre."""
+        """Return the roll and pitch [rad] that fly round a centre."""
         self._start_track()
-        return self._lean(self.tracker.around(centre, radius, speed, clockwise))
+        return self._lean_towards(self.tracker.around(centre, radius, speed, clockwise))
 
     def at_velocity(self, velocity: Pair) -> Pair:
-        """Return roll and pitch (rad) that fly at a velocity."""
+        """Return the roll and pitch [rad] that fly at a velocity."""
         self._start_track()
-        return self._lean(self.tracker.at_velocity(velocity))
+        return self._lean_towards(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
         """Return the height set-point [m] on its way to ``altitude`` [m] at these rates [m/s] at most."""
         self._start_height()
         height_error = altitude - self.altitude
-        if self._waits(height_error):
+        if self._stops_to_wait(height_error):
             return self.altitude
         speed = up if height_error > 0.0 else min(down, self._max_sink)
         return self._store_height(self._height.towards((altitude, 0.0), speed))
@@ -95,12 +95,12 @@ class Guide:
         """Return the height set-point [m], moving at ``rate`` [m/s]."""
         self._start_height()
         rate = max(rate, -self._max_sink)
-        if self._waits(rate):
+        if self._stops_to_wait(rate):
             return self.altitude
         return self._store_height(self._height.at_velocity((rate, 0.0)))
 
     def to_yaw(self, yaw: float | None) -> float:
-        """Return the heading set-point [rad] on its way to ``yaw`` the short way round; None stays."""
+        """Return the heading set-point [rad] on its way to ``yaw`` the short way round; None: keep the heading."""
         self._start_yaw()
         if yaw is not None:
             most = self._parameters["HJ_YAW_RATE"] * pi / 180.0 * self._step
@@ -115,13 +115,13 @@ class Guide:
         return self.yaw
 
     def command(self, lean: Pair, altitude: float, yaw: float) -> Command:
-        """Return the command of closed loops."""
+        """Return the command with set-points of attitude [rad] and height [m]."""
         track = self.track
         return Command((lean[0], lean[1], yaw), altitude, place=None if track is None else track.position)
 
     @property
     def track(self) -> Track | None:
-        """Set-point of position, if one is active."""
+        """The set-point of position; None if none is active."""
         return self.tracker.track if self._track_step == self._k else None
 
     @property
@@ -130,10 +130,10 @@ class Guide:
 
     @property
     def stop_height(self) -> float:
-        """Height at which the set-point would come to rest now."""
+        """Height [m] at which the set-point would come to rest if stopped now."""
         return self._height.stop_position[0]
 
-    def _lean(self, track: Track) -> Pair:
+    def _lean_towards(self, track: Track) -> Pair:
         return lean_from_acceleration(self._position.update(track, self._fix), self._yaw)
 
     def _start_track(self) -> None:
@@ -156,8 +156,8 @@ class Guide:
             self.yaw = self._yaw
         self._yaw_step = self._k
 
-    def _waits(self, change: float) -> bool:
-        """Return whether the vehicle lags so far that the height set-point stops to wait for it."""
+    def _stops_to_wait(self, change: float) -> bool:
+        """Stop the height set-point and return True if the vehicle lags too far behind it."""
         ahead = self.altitude - self._measured.altitude
         if abs(ahead) < self.max_lead + abs(self._climb) / self._height_gain() or ahead * change <= 0.0:
             return False

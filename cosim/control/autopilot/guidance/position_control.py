@@ -13,7 +13,7 @@ from cosim.spec.vehicle import PositionGains
 
 
 class PositionController:
-    """P on position, P on velocity, against the estimated disturbance: the commanded acceleration, m/s^2 NED.
+    """Position loop: P on position and P on velocity, less the estimated disturbance, give an acceleration [m/s^2 NED].
 
     ``a = a_track + K_v (v_track + K_p (p_track - p) - v) - b``.  ``b`` is the integral action: it comes from what the
     vehicle did with the lean that it had, so it cannot wind up at a limit.  ``K_p`` times the error is limited, and
@@ -27,7 +27,7 @@ class PositionController:
         self.reset()
 
     def reset(self) -> None:
-        """Drop any change of gains that is fading."""
+        """End the fading of a gain change."""
         self._left: tuple[float, float, float] | None = None
         self._fades: tuple[Fade, ...] = ()
 
@@ -39,20 +39,20 @@ class PositionController:
         self._fades = self._fades or (Fade(self._step), Fade(self._step))
 
     def update(self, track: Track, fix: Fix) -> Pair:
-        """Return the acceleration to lean for, m/s^2 NED."""
-        answer = self._answer(self._law, track, fix)
+        """Return the commanded horizontal acceleration, m/s^2 NED."""
+        answer = self._acceleration(self._law, track, fix)
         if not self._fades:
             return answer
         n, e = (fade.update() for fade in self._fades)
         if self._left is not None:
-            old = self._answer(self._left, track, fix)
+            old = self._acceleration(self._left, track, fix)
             self._left = None
             n, e = old[0] + n - answer[0], old[1] + e - answer[1]
             for fade, value in zip(self._fades, (n, e), strict=True):
                 fade.begin(value)
         return answer[0] + n, answer[1] + e
 
-    def _answer(self, law: tuple[float, float, float], track: Track, fix: Fix) -> Pair:
+    def _acceleration(self, law: tuple[float, float, float], track: Track, fix: Fix) -> Pair:
         kp, kv, lean = law
         (tp, tv, ta), (p, v, b) = track, fix
         cn, ce = limit_length(kp * (tp[0] - p[0]), kp * (tp[1] - p[1]), self._catch_up)

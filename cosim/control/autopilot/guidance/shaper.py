@@ -20,11 +20,10 @@ from cosim.control.autopilot.geometry import Pair, limit_length, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
-# Chosen by us: the fraction of the torque for commands; the rest is for wind, noise and overshoot.
+# Fraction of the torque that set-points may use, chosen by us; the rest is for wind, noise and overshoot.
 COMMAND_FRACTION = 0.25
-# Chosen by us: an acceleration builds up in this fraction of the attitude loop's time constant, fast enough not to be
-# felt as lag.
-BUILD_UP = 0.5
+# Time in which an acceleration builds up, over the attitude loop's time constant: fast enough not to be felt as lag.
+BUILD_UP_TIME = 0.5
 
 
 class AttitudeLimits(NamedTuple):
@@ -46,7 +45,7 @@ def attitude_limits(
     rate_limit: Sequence[float],
     least_gain: float = 0.1,
 ) -> AttitudeLimits:
-    """Return the bounds from the attitude loop's gains K (roll, pitch, yaw; 1/s) and the usable angular accelerations.
+    """Return the bounds for the attitude loop's gains K (roll, pitch, yaw; 1/s) and the usable angular accelerations.
 
     With ``K = min(K_roll, K_pitch)`` and the most lean L that is asked for,
 
@@ -66,15 +65,15 @@ def attitude_limits(
     return AttitudeLimits(
         min(k * lean, rate_limit[0], rate_limit[1]),
         a,
-        a * k / BUILD_UP,
+        a * k / BUILD_UP_TIME,
         turn,
         a_yaw,
-        a_yaw * k_yaw / BUILD_UP,
+        a_yaw * k_yaw / BUILD_UP_TIME,
     )
 
 
 def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
-    """Return the angular acceleration [rad/s^2] that set-points may use about each axis: a quarter of the room.
+    """Return the angular acceleration [rad/s^2] that set-points may use about each axis, a quarter of the available.
 
     ``A = (1/4) room K_u / e``: ``room`` is what hover leaves of the command (throttle either way, or tilt), ``K_u`` the
     angular acceleration per command (moment over inertia; thrust from the weight, at ``hover`` with the fraction
@@ -83,12 +82,12 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     one, ``1 + K tau`` through a servo).
     """
     if vehicle.allocation == "effectiveness":
-        return _by_layout(vehicle, hover, idle, gain)
+        return _full_authority(vehicle, hover, idle, gain)
     jets, control = vehicle.jets, vehicle.control
     limits, inertia = control.allocation, vehicle.inertia_kg_m2
     weight = vehicle.mass_kg * GRAVITY
     room = min(hover - limits.throttle_min, limits.throttle_max - hover)
-    per_jet = weight / len(jets) / (hover + idle)  # N per unit of throttle, of one jet
+    per_jet = weight / len(jets) / (hover + idle)  # N per unit of throttle of one jet
     authority = []
     for axis, name in enumerate(AXES):
         servo = vehicle.servo
@@ -106,8 +105,8 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     return (authority[0], authority[1], authority[2])
 
 
-def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float], least: float = 0.02) -> Vector3:
-    """Return the angular authority [rad/s^2] where every throttle and hinge may have a part.
+def _full_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float], least: float = 0.02) -> Vector3:
+    """Return the angular authority [rad/s^2] of a layout in which every throttle and hinge may turn every axis.
 
     It is a quarter of what the layout attains about each axis, with the slowest hinge taken for all; of ``least``
     [rad/s^2] about one that hardly anything turns, where set-points creep and do not stand.
@@ -166,7 +165,7 @@ class Shaper:
     def attitude(self, set_point: Vector3, now: Vector3) -> Vector3:
         """Return roll, pitch and yaw (rad) for the attitude loop; ``now``: the vehicle's attitude."""
         if not self._used or self._rates:
-            self._begin(now)
+            self._start_set_points(now)
         self._rates = False
         roll, pitch = self._lean.towards((set_point[0], set_point[1]), self._limits.rate).position
         # The heading is unwrapped and goes the short way from the point that leads it, also beyond half a turn.
@@ -177,14 +176,14 @@ class Shaper:
     def rate(self, set_point: Vector3, now: Vector3) -> Vector3:
         """Return body rates (rad/s) for the rate loop."""
         if not self._used:
-            self._begin(now)
+            self._start_set_points(now)
         self._rates = True
         limits = self._limits
         p, q = self._lean.at_velocity(limit_length(set_point[0], set_point[1], limits.rate)).velocity
         r, _ = self._yaw.at_velocity((clamp(set_point[2], limits.yaw_rate), 0.0)).velocity
         return (p, q, r)
 
-    def _begin(self, now: Vector3) -> None:
+    def _start_set_points(self, now: Vector3) -> None:
         rates: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
         if self._used:
             rates = (self._lean.track.velocity, self._yaw.track.velocity)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from cosim.control.autopilot.geometry import Pair
 
-# Fraction of the acceleration for planned braking, so that some is left for turning.
+# Fraction of the acceleration that braking is planned with, so that some is left for turning.
 BRAKE_FRACTION = 0.75
 
 
@@ -21,7 +21,7 @@ class Track(NamedTuple):
 
 
 class Tracker:
-    """The set-point that the vehicle follows: bounded speed, acceleration and jerk, for any target at any time.
+    """Set-point that moves to any target with bounded speed, acceleration and jerk.
 
     A point leads, with bounded acceleration towards the target's position or velocity; the set-point is its mean
     over ``acceleration / jerk`` seconds, which bounds the jerk and adds exactly that time (a mean of what does not
@@ -35,7 +35,7 @@ class Tracker:
         self.start((0.0, 0.0), (0.0, 0.0))
 
     def limit(self, acceleration: float, jerk: float, longest_s: float = 10.0) -> None:
-        """Set new limits, m/s^2 and m/s^3; the mean's length changes at the next start.
+        """Set new limits of acceleration [m/s^2] and jerk [m/s^3]; the averaging time changes at the next start.
 
         ``longest_s``: a set-point that answers later than this is of no use to a pilot.
         """
@@ -68,16 +68,16 @@ class Tracker:
         n, e = target[0] - self._p[0], target[1] - self._p[1]
         distance = hypot(n, e)
         if distance == 0.0:
-            return self._move(0.0, 0.0)
+            return self._move_at(0.0, 0.0)
         # The speed from which braking in whole steps ends at the target.
         unit = self._b * self._step
         braking = self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5)
         scale = min(min(speed, braking), distance / self._step) / distance
-        return self._move(n * scale, e * scale)
+        return self._move_at(n * scale, e * scale)
 
     def at_velocity(self, velocity: Pair) -> Track:
         """Move one step towards a velocity, m/s."""
-        return self._move(velocity[0], velocity[1])
+        return self._move_at(velocity[0], velocity[1])
 
     @property
     def point(self) -> Pair:
@@ -100,7 +100,7 @@ class Tracker:
             radius_error,
         )
         along = sqrt(max(0.0, speed * speed - across * across)) * (1.0 if clockwise else -1.0)
-        return self._move(across * n - along * e, across * e + along * n)
+        return self._move_at(across * n - along * e, across * e + along * n)
 
     @property
     def stop_position(self) -> Pair:
@@ -111,7 +111,7 @@ class Tracker:
         scale = 0.5 * speed / self._a * self._step
         return (self._p[0] + vn * scale, self._p[1] + ve * scale)
 
-    def _move(self, north: float, east: float) -> Track:
+    def _move_at(self, north: float, east: float) -> Track:
         v, p, dt = self._v, self._p, self._step
         dn, de = north - v[0], east - v[1]
         change = hypot(dn, de)

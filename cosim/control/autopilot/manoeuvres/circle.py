@@ -13,7 +13,7 @@ from cosim.control.autopilot.requests import Orbit, OrbitYaw
 
 
 class Circle:
-    """The course round a centre, with a count of its turns."""
+    """Manoeuvre that circles round a centre, with a count of the turns."""
 
     def __init__(self, course: Course, watch: FailsafeMonitor) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
@@ -22,13 +22,13 @@ class Circle:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last circle."""
+        """Discard the last circle."""
         self.orbit: Orbit | None = None
-        self._turned = 0.0  # rad flown around the centre
+        self._turned = 0.0  # angle flown around the centre, rad
         self._bearing: float | None = None  # rad, in the last step; None: before it
 
     def check_request(self, request: Orbit) -> tuple[Pair, float]:
-        """Return centre and height of an orbit.  Raises InputError if it is not allowed."""
+        """Return centre and height of a requested orbit.  Raises InputError if it is not allowed."""
         limit = self._parameters.table["MPC_XY_VEL_MAX"]
         if request.speed is not None and not limit.least <= request.speed <= limit.most:
             raise InputError(f"orbit refused: speed {request.speed:g} m/s, from {limit.least:g} to {limit.most:g} m/s")
@@ -51,18 +51,18 @@ class Circle:
         return ""
 
     def begin(self, orbit: Orbit, centre: Pair, altitude: float) -> None:
-        """Aim at a circle, with no turn done."""
+        """Start a circle, with no turn flown."""
         self.orbit = orbit
         self._course.aim(centre, altitude, self._estimates.euler[2])
         self._turned, self._bearing = 0.0, None
 
     @property
     def complete(self) -> bool:
-        """Whether the requested turns are done."""
+        """Whether the requested turns have been flown."""
         return self.orbit is not None and 0.0 < 2.0 * pi * self.orbit.turns <= self._turned
 
     def fly(self) -> Command:
-        """Return the command round the centre; turns count once it is on the circle."""
+        """Return the command round the centre; turns count once the vehicle is on the circle."""
         orbit, course, (north, east) = self.orbit, self._course, self._estimates.fix.position
         assert orbit is not None
         assert course.position is not None

@@ -10,17 +10,17 @@ from cosim.control.autopilot.guidance.course import HEIGHT_OFF_M, MIN_HEIGHT_M, 
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
 
-# Chosen by us: m above the ground from which a vehicle without leg contact flies, above the height noise.
+# Height above the ground from which a vehicle without leg contact flies, chosen by us above the height noise.
 _MIN_LIFT_OFF_M = 0.3
 
 
 class TakeOff:
-    """From idle to a height: thrust up to that of hover, then a climb, level until the legs are free.
+    """Take-off from idle to a height: thrust rises to that of hover, then a climb, level until the legs are free.
 
     ``hover``: the collective at which it hovers; ``idle``: that of the engines at idle.
     """
 
-    # s after spooling up without leaving the ground, when the take-off is abandoned.
+    # Time [s] after spooling up at which a take-off that has not left the ground is abandoned.
     give_up_s = 10.0
 
     def __init__(self, course: Course, hover: float, idle: float, step: float) -> None:
@@ -32,10 +32,10 @@ class TakeOff:
 
     def reset(self) -> None:
         """Discard the last take-off."""
-        self.height: float | None = None  # m above home
+        self.height: float | None = None  # requested height, m above home
 
     def check_height(self, height: float | None, watch: FailsafeMonitor) -> float:
-        """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if it may not."""
+        """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if not allowed."""
         estimates, landmarks = self._estimates, self._landmarks
         height = height if height is not None else self._parameters["MIS_TAKEOFF_ALT"]
         if height < MIN_HEIGHT_M:
@@ -50,7 +50,7 @@ class TakeOff:
             raise InputError(f"take-off refused: {height:g} m: {why}")
         return height
 
-    def leave(self, k: int) -> None:
+    def begin(self, k: int) -> None:
         """Begin the take-off at the present position."""
         self._landmarks.ground = self._estimates.altitude
         self._landmarks.take_off_position = self._estimates.fix.position
@@ -58,7 +58,7 @@ class TakeOff:
         self._course.begin(k)
 
     def rise(self, steps: int) -> Command | None:
-        """Return the command so many steps after the beginning; None: the vehicle does not leave the ground."""
+        """Return the command ``steps`` steps after the beginning; None: the vehicle does not leave the ground."""
         guide, since = self._course.guide, steps * self._step
         spool = self._parameters["HJ_SPOOL_TIME"]
         if since > spool + self.give_up_s:
@@ -79,7 +79,7 @@ class TakeOff:
 
     @property
     def complete(self) -> bool:
-        """Whether that height is reached."""
+        """Whether the requested height is reached."""
         height = self._course.height
         return height is not None and abs(self._estimates.altitude - height) < HEIGHT_OFF_M
 
@@ -90,9 +90,9 @@ class Landing:
     :class:`Touchdown` evaluates the legs' contact; this class checks it against the height.
     """
 
-    # m above the ground: three standard deviations higher than this is in the air, whatever the legs report.
+    # Height [m] above the ground; three standard deviations above it is in the air, whatever the legs report.
     clear_m = 1.0
-    # s of leg contact that neither height nor weight confirms: the switch is broken; s from contact to idle.
+    # Time [s] of contact that neither height nor weight confirms, which a broken switch reports; time to idle thrust.
     max_doubt_s, settle_s = 1.0, 0.7
 
     def __init__(self, course: Course, touchdown: Touchdown, hover: float, idle: float, step: float) -> None:
@@ -104,7 +104,7 @@ class Landing:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last flight."""
+        """Start a flight without contact in doubt."""
         self.touchdown.reset()
         self._doubt_s = 0.0  # s of contact that cannot be real
         self.abort()
@@ -115,7 +115,7 @@ class Landing:
         self.disarms = False  # whether to disarm once it stands
 
     def update(self, report: Report, sure: bool) -> None:
-        """Update the contact by one step; ``sure``: it is clearly in the air."""
+        """Update the contact by one step; ``sure``: the vehicle is clearly in the air."""
         estimates, descending = self._estimates, self._course.descending
         self.touchdown.update(estimates.now.velocity[2], estimates.lift, report, descending, sure)
 
@@ -127,7 +127,7 @@ class Landing:
         return clear or (self.touchdown.is_off_ground and above > _MIN_LIFT_OFF_M)
 
     def lift_off(self) -> None:
-        """Start the flight with a trusted leg switch, unless that still reports contact."""
+        """Begin the flight with the leg switch trusted, unless it still reports contact."""
         stuck = not self.touchdown.is_off_ground
         self.touchdown.reset()
         self.touchdown.switch_failed = stuck
@@ -148,7 +148,7 @@ class Landing:
         A vehicle that drifts, or comes down fast, hops from leg to leg on nearly its own weight in thrust until it
         trips: the thrust has to go before a contact lasts, so a touch of a moment ago counts as low as this.
         """
-        touchdown, low = self.touchdown, self._low
+        touchdown, low = self.touchdown, self._may_be_grounded
         if not touchdown.is_touching or low or touchdown.carries_weight:
             self._doubt_s = 0.0
             return touchdown.is_touching or (low and touchdown.is_bouncing and not touchdown.switch_failed)
@@ -163,13 +163,13 @@ class Landing:
         return True
 
     @property
-    def _low(self) -> bool:
-        """Whether it may be as low as its take-off, given the uncertainty of height."""
+    def _may_be_grounded(self) -> bool:
+        """Whether the vehicle may be as low as at its take-off, given the uncertainty of height."""
         estimates = self._estimates
         return estimates.altitude - 3.0 * estimates.altitude_deviation < self._landmarks.ground + _MIN_LIFT_OFF_M
 
     def settle(self, collective: float) -> Command:
-        """Return the command that takes the thrust away, from this collective on."""
+        """Return the command that reduces the thrust to idle, one step on from ``collective``."""
         self._course.descending = True
         self.collective = max(self._idle, collective - self._step * self._hover / self.settle_s)
         yaw = self._course.guide.to_yaw(None)

@@ -8,7 +8,7 @@ from cosim.control.autopilot.requests import ItemKind, MissionItem
 
 
 class Mission:
-    """Items and progress.  ``current`` is the index of the present item; past the end the mission is done."""
+    """Items and progress of a mission.  ``current``: index of the present item; past the end the mission is done."""
 
     def __init__(self) -> None:
         self.items: tuple[MissionItem, ...] = ()
@@ -36,7 +36,7 @@ class Mission:
     def done(self) -> bool:
         return self.current >= len(self.items)
 
-    def describe_rest(self) -> str:
+    def describe_remaining(self) -> str:
         """Return which items have yet to be flown; empty: none."""
         count = len(self.items)
         return "" if self.done else f"mission left at item {self.current}: {count - self.current} of {count} not flown"
@@ -49,7 +49,7 @@ class Mission:
         return self.skip_jumps()
 
     def skip_jumps(self, max_jumps: int = 10_000) -> MissionItem | None:
-        """Follow jumps from the present item, and pass items that are not flown; more jumps in a row are a circle."""
+        """Follow jumps from the present item, and pass items that are not flown; ``max_jumps`` in a row are endless."""
         for _ in range(max_jumps):
             item = self.item
             if item is not None and item.kind is ItemKind.LEFT_OUT:
@@ -71,7 +71,7 @@ class Mission:
         return None
 
 
-_NO_TIME = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)  # items that take no flight time
+_INSTANT_ITEMS = (ItemKind.LEFT_OUT, ItemKind.SPEED, ItemKind.DELAY)  # items that take no flight time
 
 
 def find_endless_jump(items: Sequence[MissionItem]) -> int | None:
@@ -85,7 +85,7 @@ def find_endless_jump(items: Sequence[MissionItem]) -> int | None:
             visited.add(index)
             if item.kind is ItemKind.JUMP and item.repeat < 0 and item.target is not None:
                 index = item.target
-            elif item.kind in _NO_TIME and not item.hold_s:
+            elif item.kind in _INSTANT_ITEMS and not item.hold_s:
                 index += 1
             else:
                 break

@@ -16,7 +16,7 @@ from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUploa
 
 
 class MissionFlight:
-    """Flies :attr:`mission` along the course; circle and return have own classes."""
+    """Flies the items of :attr:`mission`; circle and return have classes of their own."""
 
     def __init__(self, course: Course, circle: Circle, return_flight: ReturnFlight, step: float) -> None:
         self.mission = Mission()
@@ -28,13 +28,13 @@ class MissionFlight:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last flight and keep the mission."""
+        """Start a flight, and keep the mission."""
         self._climb_to: float | None = None  # m, altitude before leaving the take-off
         self.abort()
 
     def abort(self) -> None:
         """End the present item."""
-        self._is_in_position = False  # at the place to climb or land
+        self._is_in_position = False  # has reached the place to climb or land
 
     def load(self, request: MissionUpload, watch: FailsafeMonitor) -> str:
         """Load another mission and return a warning on items at the ground; empty: none.
@@ -94,13 +94,13 @@ class MissionFlight:
         return self.mission.item is not None and self.mission.item.kind in (ItemKind.DELAY, ItemKind.LAND)
 
     def stay_on_ground(self, k: int) -> None:
-        """Wait one step on the ground for such an item, and advance when it is done."""
+        """Wait one step on the ground for the present item, and advance when it is done."""
         item = self.mission.item
         if item is not None and (item.kind is ItemKind.LAND or self._is_done(item, k)):
             self.advance(flying=False)
 
     def leave_ground(self, flown: bool) -> None:
-        """Prepare for take-off; ``flown``: for the mission, which climbs first unless its item says how."""
+        """Prepare for take-off; ``flown``: the mission is flown, which climbs first unless its item says how."""
         item = self.mission.item
         self._climb_to = None
         if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
@@ -114,7 +114,7 @@ class MissionFlight:
         self.begin(flying)
 
     def begin(self, flying: bool) -> None:
-        """Aim at the present item; items that ask for no flight are over at once."""
+        """Set the target to the present item; items that need no flight are done at once."""
         item = self._set_speeds()
         if item is None:
             return
@@ -175,7 +175,7 @@ class MissionFlight:
         return course.fly()
 
     def _change_height(self, item: MissionItem) -> None:
-        """Aim at the item's altitude, once its position is reached."""
+        """Set the target to the item's altitude once its position is reached."""
         course = self._course
         if course.position is None or course.distance_to(course.position) <= self._parameters["HJ_ACC_RADIUS"]:
             self._is_in_position, course.height = True, self._altitude_of(item)

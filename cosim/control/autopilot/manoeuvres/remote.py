@@ -8,13 +8,13 @@ from cosim.base.frames import to_euler
 from cosim.base.signals import Command
 from cosim.control.autopilot.geometry import limit_length
 from cosim.control.autopilot.guidance.course import LANDING_HEIGHT_M, Course
-from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
+from cosim.control.autopilot.modes import DIRECT, STICK_MODES, Mode
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks, quaternion_of
 from cosim.spec.vehicle import AllocationLimits
 
 Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
-_NEVER = -(10**9)  # a step long before the first
+_NEVER = -(10**9)  # a step long before the first one
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)  # sticks released, half throttle
 
 
@@ -24,9 +24,9 @@ class RemoteControl:
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """
 
-    # Throttle stick on the ground: below the first value it is off, above the second it requests a take-off.
+    # Throttle stick on the ground: below the first value engines idle, above the second it requests a take-off.
     off_throttle, up_throttle = 0.05, 0.6
-    # m/s: smaller commands count as level.
+    # Least climb rate [m/s] of a command that does not count as level.
     least_climb = 0.1
 
     def __init__(self, course: Course, limits: AllocationLimits, hover: float, step: float) -> None:
@@ -38,13 +38,13 @@ class RemoteControl:
         self.reset()
 
     def reset(self) -> None:
-        """Forget sticks and set-points."""
+        """Discard sticks and set-points."""
         self.sticks: Sticks | None = None
         self.setpoint: Setpoint | None = None
         self._sticks_at = self._setpoint_at = _NEVER
 
     def take(self, request: Sticks | Setpoint, k: int) -> None:
-        """Replace the last sticks or set-point, with the step of their arrival."""
+        """Store sticks or a set-point as the last ones, with the step of their arrival."""
         if isinstance(request, Sticks):
             self.sticks, self._sticks_at = request, k
         else:
@@ -65,7 +65,7 @@ class RemoteControl:
         """Return why the vehicle may not be armed in a mode flown by sticks or set-points."""
         if mode is Mode.OFFBOARD and not self.setpoint_fresh(k):
             return ["mode OFFBOARD needs set-points, and there are none"]
-        if mode in BY_STICK and not self.sticks_fresh(k):
+        if mode in STICK_MODES and not self.sticks_fresh(k):
             return [f"mode {mode.value} needs sticks, and there are none"]
         if mode in DIRECT and self.sticks is not None and self.sticks.throttle > self.off_throttle:
             return ["the throttle stick is not down"]
@@ -74,7 +74,7 @@ class RemoteControl:
     def needs_take_off(self, mode: Mode, k: int) -> bool:
         """Return whether the sticks or the set-point need the vehicle to leave the ground."""
         sticks, setpoint = self.sticks, self.setpoint
-        if mode in BY_STICK and sticks is not None and self.sticks_fresh(k):
+        if mode in STICK_MODES and sticks is not None and self.sticks_fresh(k):
             return sticks.throttle > (self.off_throttle if mode in DIRECT else self.up_throttle)
         if mode is Mode.OFFBOARD:
             if isinstance(setpoint, OffboardAttitude):
@@ -86,30 +86,30 @@ class RemoteControl:
         return False
 
     def fly(self, mode: Mode) -> Command:
-        """Return the command of the sticks or of the set-point."""
-        if mode in BY_STICK:
+        """Return the command for the last sticks or the last set-point."""
+        if mode in STICK_MODES:
             return self._command_by_sticks(self.sticks or _CENTRED, mode)
         return self._course.fly() if self.setpoint is None else self._command_by_setpoint(self.setpoint)
 
     def _command_by_sticks(self, sticks: Sticks, mode: Mode) -> Command:
         course, parameters = self._course, self._parameters
         guide = course.guide
-        yaw = guide.at_yaw_rate(_dead(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
+        yaw = guide.at_yaw_rate(_deflection(sticks.yaw) * radians(parameters["HJ_YAW_RATE"]))
         most = radians(parameters["HJ_STICK_LEAN"])
         lean = limit_length(sticks.roll * most, -sticks.pitch * most, most)
         if mode in DIRECT:
-            return Command((*lean, yaw), self._estimates.altitude, None, self._collective(sticks.throttle))
+            return Command((*lean, yaw), self._estimates.altitude, None, self._stick_collective(sticks.throttle))
         if mode is Mode.POSCTL:
             heading, speed = self._estimates.euler[2], course.speed
             c, s = cos(heading), sin(heading)
-            forward, right = limit_length(_dead(sticks.pitch) * speed, _dead(sticks.roll) * speed, speed)
+            forward, right = limit_length(_deflection(sticks.pitch) * speed, _deflection(sticks.roll) * speed, speed)
             lean = guide.at_velocity((forward * c - right * s, forward * s + right * c))
-        climb = _dead(2.0 * sticks.throttle - 1.0)
+        climb = _deflection(2.0 * sticks.throttle - 1.0)
         rate = climb * parameters["HJ_CLIMB_AUTO" if climb > 0.0 else "HJ_DESC_AUTO"]
         course.descending = rate < 0.0
         return guide.command(lean, guide.at_climb(rate), yaw)
 
-    def _collective(self, throttle: float) -> float:
+    def _stick_collective(self, throttle: float) -> float:
         """Return the collective of a throttle stick: least at 0, hover at the centre, most at 1."""
         low, high = self._limits.throttle_min, self._limits.throttle_max
         if throttle < 0.5:
@@ -133,7 +133,7 @@ class RemoteControl:
         return guide.command(lean, guide.at_climb(climb), yaw)
 
 
-def _dead(stick: float, zone: float = 0.05) -> float:
+def _deflection(stick: float, zone: float = 0.05) -> float:
     """Return a stick's deflection without its dead zone around the centre, still 1 at the end."""
     size = max(0.0, abs(stick) - zone) / (1.0 - zone)
     return size if stick > 0.0 else -size

@@ -20,7 +20,7 @@ class ReturnFlight:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last return."""
+        """Discard the last return."""
         self._phase = _CLIMB
         self._to: Pair | None = None  # landing place: home or a rally point
 

@@ -11,7 +11,7 @@ from cosim.base.protocols import Report
 
 
 class Touchdown:
-    """Contact by the leg switch, or by lift and thrust if the switch is silent or proved wrong.
+    """Detects ground contact by the leg switch, or by lift and thrust if the switch is silent or proved wrong.
 
     ``hover``: the collective at which it hovers with full tanks; ``idle``: what the engines give at none, on the same
     scale.  What the collective of level flight really is (fuel burns, engines are lost) is learnt in the air.
@@ -20,21 +20,21 @@ class Touchdown:
     Times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s); all are chosen by us.
     """
 
-    # s of contact that are a touchdown, without contact that end it, and of one felt without a switch.
+    # Times [s]: of contact until a touchdown, without contact until its end, and of a contact sensed without switch.
     touch_s, bounce_s, felt_s = 0.2, 0.1, 1.0
-    # s since the last contact that still count as contact: with almost its weight in thrust it hops so long.
+    # Time [s] since the last contact that still counts as contact: with thrust near its weight a vehicle hops so long.
     bouncing_s = 1.0
-    # s without thrust until it stands; s without motion or commands, in which it would sink 2 m/s at 0.9 of its weight.
+    # Times [s] until it stands: without thrust; without motion or commands, when 0.9 of its weight would sink 2 m/s.
     stand_s, rest_s = 0.5, 2.0
-    # m/s: faster than any landing, so the switch is broken; m/s that count as standing.
+    # Sink rates [m/s]: faster than any landing, so that a contact is false, and slow enough to count as standing.
     falling, still = 1.0, 0.2
-    # Of hover thrust: less cannot be a descent for long.
+    # Fraction of hover thrust below which a descent cannot last.
     light = 0.6
-    # Of the weight on the legs, for so many s: three times the error of lift and thrust in a descent.
+    # Fraction of the weight on the legs, and for how long [s]: three times the error of lift and thrust in a descent.
     load, load_s = 0.15, 0.2
-    # Fraction of the weight as measured while the legs report contact: below it their report is wrong.
+    # Measured lift over weight below which a report of leg contact is wrong.
     free_fall = 0.7
-    # s over which the hover thrust is averaged.
+    # Averaging time [s] of the hover thrust.
     hover_s = 5.0
 
     def __init__(self, hover: float, step: float, idle: float = 0.0, spool: float = 0.0) -> None:
@@ -45,7 +45,7 @@ class Touchdown:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last flight and trust the switch again."""
+        """Start a flight, with the leg switch trusted again."""
         self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
         self._load_s = self._hanging_s = self._resting_s = 0.0
         self._since_contact = self.bouncing_s  # s since the legs last reported contact
@@ -122,7 +122,7 @@ class Touchdown:
 
     @property
     def legs_bear_weight(self) -> bool:
-        """Whether the legs carry what the engines, at their least thrust, do not.
+        """Whether the legs carry the weight that the engines, at their least thrust, do not.
 
         Engines around a lost one may give most of the weight for their balance.  If they give nearly all of it no load
         is to be felt; a vehicle that neither falls nor climbs away then stands.
