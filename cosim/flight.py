@@ -139,7 +139,7 @@ def name_controller(scenario: Scenario | str | Path, controller: Any = None) -> 
     The parameters are those of ``cosim.fly``.  Raises InputError.
     """
     from cosim.simulation.controllers.controller_file import apply_controller
-    from cosim.simulation.controllers.source import from_object
+    from cosim.simulation.controllers.source import make_object_source
     from cosim.spec.controller_name import is_design, resolve_controller
     from cosim.spec.scenario import Scenario
 
@@ -151,7 +151,7 @@ def name_controller(scenario: Scenario | str | Path, controller: Any = None) -> 
         return scenario, None
     if isinstance(controller, (str, Path)):
         return scenario.replace(controller=resolve_controller(str(controller), Path())), None
-    own = from_object(controller)
+    own = make_object_source(controller)
     return scenario.replace(controller=own.name), own
 
 

@@ -17,11 +17,11 @@ from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Fault
 from cosim.spec.vehicle import PredictorTuning
 
-_FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}  # fault class by kind
+_FAULT_CLASSES = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}  # by kind
 
 
 def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
-    """Replace the scenario's commands by an autopilot, which flies as requested from here on.
+    """Replace the scenario's commands by an autopilot that flies as ground stations request, and return it.
 
     ``airborne``: the flight begins in the air, armed and holding.
     What tunes the loops that a controller from outside takes the place of cannot be changed in flight.
@@ -92,9 +92,9 @@ def _hover_burn_rate(simulation: Simulation) -> float | None:
 
 def make_fault(request: InjectFault) -> Fault:
     """Return the scenario's fault for a request.  Raises InputError for an unknown one."""
-    kind = _FAULTS.get(request.fault)
+    kind = _FAULT_CLASSES.get(request.fault)
     if kind is None:
-        raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULTS))}")
+        raise InputError(f"fault {request.fault!r}: must be one of {', '.join(sorted(_FAULT_CLASSES))}")
     table: dict[str, Any] = {"kind": request.fault, "start_s": 0.0}
     if request.jets:
         table["jet"] = list(request.jets)

@@ -28,7 +28,7 @@ from cosim.vehicle.effects.rotors import RotorDynamics
 
 @dataclass(frozen=True)
 class AxisPart:
-    """Actuators of one lag that provide a fraction of an axis: engines, or servos and hinges.
+    """Actuators with a common lag that provide a fraction of an axis: engines, or servos and hinges.
 
     They act as ``fraction + lead_s (1 - 1/z) / T + reaction_s2 ((1 - 1/z) / T)^2`` times the actuators' response:
     ``lead_s`` [s] is the momentum of rotors that they turn or speed up, which acts by the rate at which it changes, and
@@ -42,13 +42,13 @@ class AxisPart:
     lead_s: float = 0.0
 
     def compute_weights(self, step: float) -> tuple[float, float, float]:
-        """Return by how much the part acts by its actuators' answer of this step and of the two before."""
+        """Return the weights of the actuators' response in this step and in the two before it."""
         lead, kick = self.lead_s / step, self.reaction_s2 / (step * step)
         return (self.fraction + lead + kick, -lead - 2.0 * kick, kick)
 
 
 class AxisFractions(NamedTuple):
-    """Fractions of a small angular acceleration about an axis, with sum 1, and the moves for it.
+    """Fractions of a small angular acceleration about an axis by actuator, with sum 1, and the actuators' moves.
 
     ``thrusts`` and ``servos``: the share of each jet's thrust, and of each hinge and surface or of each bank's servo.
     ``moves``: by how much each thrust [N] and then each servo [rad] moves per rad/s^2; () for banks, whose rotors act
@@ -88,7 +88,7 @@ def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
 
 
 def thrust_momentum_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step: float) -> float:
-    """Return :func:`rotor_momentum_lead` about an axis driven by thrusts alone; 0 with banks."""
+    """Return the lead by rotor momentum about an axis that thrusts alone turn, in control steps; 0 with banks."""
     jets = len(vehicle.jets)
     if vehicle.servo is not None or not any(levers(vehicle, index)):
         return 0.0
@@ -157,7 +157,7 @@ def list_hinged_parts(
     kicks = compute_hinge_reactions(vehicle, step)[:, index]
     engines, thrusts = [engine] * jets, allocator.solve_hover(ZERO3)[0][:jets]
 
-    def part(movers: Sequence[int], servos: tuple[Hinge, ...]) -> AxisPart:
+    def make_part(movers: Sequence[int], servos: tuple[Hinge, ...]) -> AxisPart:
         own = [move if k in movers else 0.0 for k, move in enumerate(moves)]
         return AxisPart(
             servos,
@@ -167,17 +167,17 @@ def list_hinged_parts(
             step * rotor_momentum_lead(vehicle, engines, thrusts, own, step)[index],
         )
 
-    parts = [part(range(jets), ())]
+    parts = [make_part(range(jets), ())]
     for lag in dict.fromkeys(hinge.lag_s for hinge in vehicle.hinges):
         with_lag = [k for k, hinge in enumerate(vehicle.hinges) if hinge.lag_s == lag]
-        parts.append(part([jets + k for k in with_lag], tuple([vehicle.hinges[k] for k in with_lag])))
+        parts.append(make_part([jets + k for k in with_lag], tuple([vehicle.hinges[k] for k in with_lag])))
     return parts
 
 
 def rotor_momentum_lead(
     vehicle: Vehicle, engines: Sequence[EngineSpec], thrusts: Sequence[float], moves: Sequence[float], step: float
 ) -> Vector3:
-    """Return how a command turns the vehicle by its rotors' momentum: by so much of its change in a control step.
+    """Return the lead by rotor momentum about each axis, in control steps: a command's change turns the rotors at once.
 
     About x, y and z of the body, rad/s^2 per rad/s^2 of change, so in control steps; 0 where no rotor's inertia is
     stated.  ``engines`` and ``thrusts`` [N, in hover]: at each station; ``moves``: of each thrust [N], then each hinge
@@ -207,7 +207,7 @@ def rotor_momentum_lead(
 
 
 def compute_hinge_reactions(vehicle: Vehicle, step: float) -> Array:
-    """Return the body's angular acceleration per rad/s^2 of each hinge from rest, one row a hinge: its reaction."""
+    """Return each hinge's reaction, one row per hinge: angular acceleration of the body per rad/s^2 of the hinge."""
     reactions = HingeReactions(vehicle.hinges, vehicle.jets, step)
     small, rows = 1e-6, []
     for number in range(len(vehicle.hinges)):
@@ -222,7 +222,7 @@ def compute_hinge_reactions(vehicle: Vehicle, step: float) -> Array:
 def discretise_rate(
     damping_1_s: float, step: float, substeps: int, shape: Sequence[float] = (1.0, 0.0, 0.0)
 ) -> tuple[tuple[float, ...], float]:
-    """Return the effect of a moment over JSBSim's runs: weights of this and previous steps, and the rate's pole.
+    """Return the discrete response of the rate to a moment over JSBSim's runs: weights of steps, and the pole.
 
     ``rate_k+1 = p rate_k + step f (share_0 moment_k + share_1 moment_k-1 + share_2 moment_k-2 ...)``.  A run moves the
     rate by ``h (3 a_n - a_n-1) / 2`` with the accelerations at its beginning and one run before (Adams and
@@ -240,7 +240,7 @@ def discretise_rate(
 
 
 def rate_response(z: Complex, shares: Sequence[float], pole: float) -> Complex:
-    """Return the response of the rate to a moment, per step and unit of inertia, as :func:`discretise_rate` has it."""
+    """Return the response at ``z`` of the rate to a moment, per step and inertia, from :func:`discretise_rate`."""
     now, before, *earlier = shares
     moment = now * z + before
     for k, share in enumerate(earlier, 1):
@@ -249,11 +249,11 @@ def rate_response(z: Complex, shares: Sequence[float], pole: float) -> Complex:
 
 
 def filter_pole(filter_s: float, step: float) -> float:
-    """Return the pole in z of a first-order low-pass; 0 without one."""
+    """Return the pole in z of a first-order low-pass with time constant ``filter_s``; 0 without one."""
     return exp(-step / filter_s) if filter_s > 0.0 else 0.0
 
 
 def measurement_response(z: Complex, pole: float, latency: int, hold: int = 1) -> Complex:
-    """Return the response of measured rate to rate: low-pass, latency, and the mean effect of a kept measurement."""
+    """Return the response at ``z`` of the measured rate to the rate: low-pass, latency, and a held measurement."""
     hold_response = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
     return np.asarray((1.0 - pole) * z / (z - pole) * z**-latency * hold_response)

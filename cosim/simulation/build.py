@@ -34,7 +34,7 @@ from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 
 def build(scenario: Scenario, controller: Source | None = None, with_ledger: bool = True) -> Simulation:
-    """Connect the blocks of a flight; ``controller`` is a given one, else the scenario's.
+    """Return the simulation of a scenario with its blocks connected; ``controller``: in place of the scenario's.
 
     ``with_ledger``: whether the delay ledger is made, which takes longer than a thousand steps of a hinged vehicle.
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
@@ -46,8 +46,8 @@ def build(scenario: Scenario, controller: Source | None = None, with_ledger: boo
     plugins = load_plugins(scenario)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
-    _need_tank(scenario, vehicle)
-    _need_height_above_ground(scenario, vehicle)
+    _check_fuel(scenario, vehicle)
+    _check_start_height(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
     engine, *stations = specs = load_engines(scenario, vehicle)
     step, environment, seed = scenario.step_s, scenario.environment, scenario.seed
@@ -117,8 +117,8 @@ def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: CommandS
     return flies_ahead
 
 
-def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Refuse partial fuel without a tank, and faults and factors of missing jets."""
+def _check_fuel(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Refuse partial fuel for a vehicle without a tank."""
     if vehicle.fuel is None and scenario.initial.fuel != 1.0:
         raise InputError(
             f"scenario {scenario.name}: initial.fuel = {scenario.initial.fuel:g}: {vehicle.name} has no tank; leave it "
@@ -126,8 +126,8 @@ def _need_tank(scenario: Scenario, vehicle: Vehicle) -> None:
         )
 
 
-def _need_height_above_ground(scenario: Scenario, vehicle: Vehicle) -> None:
-    """Refuse a start with a contact deeper in the ground than when standing on the legs.
+def _check_start_height(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Refuse a start in the air with a contact deeper in the ground than when the vehicle stands on its legs.
 
     What stands deeper is thrown out of the ground by its springs.
     """

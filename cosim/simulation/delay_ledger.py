@@ -46,14 +46,14 @@ from cosim.simulation.engine_reference import SmallStepResponse, measure_small_s
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
 
-MINOR_SHARE = 0.05  # of an axis, listed but not summed up
+MINOR_SHARE = 0.05  # share of an axis listed, not summed up
 MEASURED = ", measured with a small step around half throttle"  # how an engine's delay was measured
-AT_HOVER = ", measured with small steps around the throttle of hover"  # how an engine's delay was measured
+MEASURED_AT_HOVER = ", measured with small steps around the throttle of hover"  # how an engine's delay was measured
 
 
 @dataclass(frozen=True)
 class LedgerRow:
-    """One element of an axis's chain."""
+    """One delay or lag in the chain from command to measured rate of an axis."""
 
     element: str
     owner: str
@@ -82,7 +82,7 @@ def select_axis(rows: Sequence[LedgerRow], axis: str) -> list[LedgerRow]:
 
 
 def sum_samples(rows: Sequence[LedgerRow], axis: str = "roll") -> float | None:
-    """Return the sum of an axis in control steps; None if any element is unknown."""
+    """Return the sum of an axis's delays in control steps; None if any element is unknown."""
     samples = [row.samples for row in select_axis(rows, axis)]
     return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
 
@@ -100,7 +100,7 @@ def explain_unknown(rows: Sequence[LedgerRow], axis: str) -> str:
 
 
 class _Hover:
-    """A vehicle in hover, whose axes have ledger rows."""
+    """Vehicle in hover, for whose axes ledger rows are made."""
 
     def __init__(
         self, scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec], allocator: Allocator
@@ -126,50 +126,50 @@ class _Hover:
             ("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
             ("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
         ]
-        return [LedgerRow(*row, axis) for row in (*held, *self._acting(axis, turned), *airframe_and_gyro)]
+        return [LedgerRow(*row, axis) for row in (*held, *self._actuator_rows(axis, turned), *airframe_and_gyro)]
 
-    def _acting(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
-        """Return element, owner, kind and samples of an axis's actuator."""
+    def _actuator_rows(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
+        """Return element, owner, kind and samples of the rows for an axis's actuators."""
         by_thrust, by_servo = sum(turned.thrusts), sum(turned.servos)
         if not by_thrust and not by_servo:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
-        rotors = self._rotors(axis, turned)
+        rotors = self._rotor_rows(axis, turned)
         if by_servo <= MINOR_SHARE:
-            rows = [*self._thrust_delay(turned.thrusts), *rotors]
-            return [*rows, *_list_minor_shares("servos give", by_servo, "tilt servos")]
+            rows = [*self._engine_rows(turned.thrusts), *rotors]
+            return [*rows, *_minor_rows("servos give", by_servo, "tilt servos")]
         if by_thrust <= MINOR_SHARE:
-            rows = [*self._by_servos(turned.servos), *rotors]
-            return [*rows, *_list_minor_shares("engines give", by_thrust, _name_owner(self._engines))]
+            rows = [*self._servo_rows(turned.servos), *rotors]
+            return [*rows, *_minor_rows("engines give", by_thrust, _name_owner(self._engines))]
         why = (
             f"no one delay: servos give {100.0 * by_servo:.0f} % of the moment, by themselves "
-            f"{_format_total(self._by_servos(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
-            f"{_format_total(self._thrust_delay(turned.thrusts))} late: the lag of their sum depends on frequency"
+            f"{_format_total(self._servo_rows(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
+            f"{_format_total(self._engine_rows(turned.thrusts))} late: the lag of their sum depends on frequency"
         )
         return [(why, "allocation", "mixed", None)]
 
-    def _thrust_delay(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+    def _engine_rows(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
         engines, step, later = self._engines, self._step, self._scenario.mismatch.delay_samples
         owner = _name_owner(engines)
         owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
         known = [self._small_step_response(jet) for jet in range(len(engines))]
         how = MEASURED if any(engine.pole is None and engine.small_step is not None for engine in engines) else ""
-        how = how or (AT_HOVER if any(known) else "")
-        delays = [_delay(engine, step) for engine in engines]
-        lags = [_lag(engine, step, around) for engine, around in zip(engines, known, strict=True)]
+        how = how or (MEASURED_AT_HOVER if any(known) else "")
+        delays = [_transport_delay(engine, step) for engine in engines]
+        lags = [_engine_lag(engine, step, around) for engine, around in zip(engines, known, strict=True)]
         unknown = [("engines later than known", "mismatch.delay_samples", "transport", float(later))]
         at_pole = ", 1/(1 - a) at one internal step a control step"
         return [
             *(unknown if later else []),
-            (f"transport delay{how if how == MEASURED else ''}", owner, "transport", _mean(delays, shares)),
-            (f"spool lag{how or at_pole}", owner, "lag", _mean(lags, shares)),
+            (f"transport delay{how if how == MEASURED else ''}", owner, "transport", _weighted_mean(delays, shares)),
+            (f"spool lag{how or at_pole}", owner, "lag", _weighted_mean(lags, shares)),
             ("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         ]
 
-    def _by_servos(self, shares: Sequence[float], listed: float = 0.01) -> list[tuple[str, str, str, float | None]]:
-        """Return the lag and the exchange; a hinge that gives less than ``listed`` of the axis is not named."""
+    def _servo_rows(self, shares: Sequence[float], listed: float = 0.01) -> list[tuple[str, str, str, float | None]]:
+        """Return the rows of servo lag and exchange, naming hinges that give at least ``listed`` of the axis."""
         servos = list_servos(self._vehicle)
         poles = [filter_pole(servo.lag_s, self._step) for servo in servos]
-        lag = _mean([1.0 / (1.0 - pole) for pole in poles], shares)
+        lag = _weighted_mean([1.0 / (1.0 - pole) for pole in poles], shares)
         moving = [servo for servo, share in zip(servos, shares, strict=True) if abs(share) >= listed]
         names = [servo.name for servo in moving if isinstance(servo, (Hinge, Surface))]
         owner = f"lag_s of {', '.join(names)}" if names else "servo.lag_s"
@@ -180,7 +180,7 @@ class _Hover:
             ("angle of the step's end acts over all of it", "servos, then airframe", "exchange", -1.0),
         ]
 
-    def _rotors(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
+    def _rotor_rows(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
         """Return the row of the rotors' momentum lead, if it acts about the axis."""
         early = rotor_momentum_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[
             AXES.index(axis)
@@ -190,7 +190,7 @@ class _Hover:
         return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
 
     def _small_step_response(self, jet: int) -> SmallStepResponse | None:
-        """Return the response about trim of an engine of the library that states no pole; None for any other engine."""
+        """Return the response about trim of a library engine that states no pole; None for any other engine."""
         engine = self._engines[jet]
         if engine.pole is not None or not engine.library:
             return None
@@ -199,7 +199,7 @@ class _Hover:
         return measure_small_steps(engine, throttle, self._step)
 
 
-def _list_minor_shares(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
+def _minor_rows(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
     if share < 5e-4:
         return []
     return [(f"{who} {100.0 * share:.1f} % of the moment beside it: not in the sum", owner, "beside", 0.0)]
@@ -215,8 +215,8 @@ def _name_owner(engines: Sequence[EngineSpec]) -> str:
     return f"engine {names[0]}" if len(names) == 1 else f"engines {', '.join(names)}"
 
 
-def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | None:
-    """Return the mean of values with non-zero weights; None if one is unknown.
+def _weighted_mean(values: Sequence[float | None], weights: Sequence[float]) -> float | None:
+    """Return the weighted mean of values; None if one with a non-zero weight is unknown.
 
     Equal values are returned as they are, without rounding.
     """
@@ -229,22 +229,22 @@ def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | N
     return sum(value * weight for value, (_, weight) in zip(known, pairs, strict=True)) / sum(w for _, w in pairs)
 
 
-def _delay(engine: EngineSpec, step: float) -> float | None:
-    """Return the transport delay in control steps, as stated or measured."""
+def _transport_delay(engine: EngineSpec, step: float) -> float | None:
+    """Return an engine's transport delay in control steps, as stated or measured."""
     if engine.transport_delay is not None:
         return engine.transport_delay / step
     return None if engine.small_step is None else float(engine.small_step.delay)
 
 
-def _lag(engine: EngineSpec, step: float, around: SmallStepResponse | None) -> float | None:
-    """Return the engine's lag minus the exchange's part of it, control steps.
+def _engine_lag(engine: EngineSpec, step: float, around: SmallStepResponse | None) -> float | None:
+    """Return an engine's lag less the exchange's part of it, in control steps.
 
     With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
     exchange together delay by ``q + a^(m (q + 1) - d) / (1 - a^m)`` control steps; for ``m = 1`` this is
     ``d + 1 / (1 - a) - 1``.
     """
     if engine.pole is None or engine.internal_step is None or engine.delay_samples is None:
-        delay = _delay(engine, step)
+        delay = _transport_delay(engine, step)
         late = around.delay if around is not None else (None if engine.small_step is None else engine.small_step.late)
         return None if late is None or delay is None else late - delay + 1.0
     m = round(step / engine.internal_step)

@@ -20,7 +20,7 @@ class Ending:
 
 
 class TerminationCheck:
-    """Decides when a flight is over before its time."""
+    """Detects crash, divergence and other early endings of a flight."""
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
@@ -34,7 +34,7 @@ class TerminationCheck:
         self._descent = 0.0
 
     def check(self, state: State, now: float) -> Ending | None:
-        """Return the ending, if ``state`` at ``now`` [s] is one."""
+        """Return the ending if ``state`` at the time ``now`` [s] ends the flight, else None."""
         p, q, r = state.rate
         limit = self._rate_limit
         if state.hull_contact:

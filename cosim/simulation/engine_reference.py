@@ -11,8 +11,8 @@ from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineSpec, make_bank
 
-_OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # throttle steps where lags may differ
-# s of a step response, after which it has settled; and the fraction of a change that counts as none.
+_EXTREME_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # throttle steps where lags may differ
+# Duration [s] after which a step response has settled; fraction of a change that counts as none.
 _MAX_RESPONSE_S, _NO_CHANGE = 20.0, 1e-6
 
 
@@ -32,13 +32,13 @@ _around: RecentCache[SmallStepResponse] = RecentCache(64)
 
 
 def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:
-    """Return static curves, lag and delay of an engine, stated or measured by stepping it.
+    """Return the reference of a healthy engine: static curves, lag and delay, stated or measured by stepping it.
 
     An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
     Raises EngineError if the engine fails.
     """
     key = (*spec.behaviour_key, spec.curve, spec.lag, spec.transport_delay, step)
-    return _references.get(key, lambda: _measure(spec, step))
+    return _references.get(key, lambda: _measure_reference(spec, step))
 
 
 def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
@@ -48,13 +48,13 @@ def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float |
     """
     if not spec.has_port("fuel_flow"):
         return None
-    return _flows.get((*spec.behaviour_key, throttle, step), lambda: _flow(spec, throttle, step))
+    return _flows.get((*spec.behaviour_key, throttle, step), lambda: _measure_flow(spec, throttle, step))
 
 
 def measure_small_steps(
     spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = (0.001, 0.05)
 ) -> SmallStepResponse:
-    """Return how an engine answers small steps of the throttle either way, from rest at ``throttle``.
+    """Return the mean response of an engine to small throttle steps up and down, from rest at ``throttle``.
 
     ``sizes``: of the steps, of throttle; the first that the engine sees is taken: there are ECUs that miss the first.
     The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
@@ -88,7 +88,7 @@ def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
 
 
 def _remaining_change(bank: Engines, first: float, then: float, step: float) -> list[float]:
-    """Return the remaining fraction of the change after each step, until small for a second."""
+    """Return the remaining fraction of a thrust change after each control step, until it is small for a second."""
     after = bank.reset(then).thrust[0]
     change = after - bank.reset(first).thrust[0]
     course, quiet = [], 0
@@ -101,12 +101,12 @@ def _remaining_change(bank: Engines, first: float, then: float, step: float) -> 
     return course
 
 
-def _flow(spec: EngineSpec, throttle: float, step: float) -> float:
+def _measure_flow(spec: EngineSpec, throttle: float, step: float) -> float:
     with make_bank([spec], step) as bank:
         return bank.reset(throttle).fuel_flow[0]
 
 
-def _measure(spec: EngineSpec, step: float) -> EngineReference:
+def _measure_reference(spec: EngineSpec, step: float) -> EngineReference:
     lag, delay = spec.lag, spec.transport_delay
     lags = (lag, lag)
     speed: list[float] | None = None
@@ -122,7 +122,7 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if lag is None:
                 # The time to 63 % counts from the throttle step, so the lag fits the delay that is used.
                 lag = max(step, measured + begins - delay)
-                others = [sum(_measure_response(bank, *point, step)) - delay for point in _OTHER_STEPS]
+                others = [sum(_measure_response(bank, *point, step)) - delay for point in _EXTREME_STEPS]
                 lags = max(step, min(lag, *others)), max(lag, *others)
     shortest, longest = lags
     assert shortest is not None

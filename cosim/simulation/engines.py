@@ -35,7 +35,7 @@ def load_engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
 
 
 def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineSpec]) -> Sequence[EngineSpec]:
-    """Return the engines that fly at the stations where the controller assumes ``stated``.
+    """Return the engines that really fly at the stations where the controller assumes ``stated``.
 
     These are the same without parameters in the scenario's mismatch.  Raises InputError as a flight.
     """
@@ -48,14 +48,14 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
         unknown = {} if station is not None and station.engine is not None else common
         unknown = {**unknown, **single.get(str(index + 1), {})}
         spec = stated[index]
-        if unknown:  # the assumed archive was checked before
+        if unknown:  # the stated archive was checked already
             spec = loader.load(engine, {**parameters, **unknown}, spec.isolated)
         flown.append(spec)
     return flown
 
 
 def list_stations(scenario: Scenario, vehicle: Vehicle) -> list[Station | None]:
-    """Return what is stated of each station, by the scenario or else by the vehicle; None: the scenario's engine."""
+    """Return the station tables of the scenario or else of the vehicle, one per jet; None: the scenario's engine."""
     _, folder = scenario.resolved_vehicle()
     own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]
     return [scenario.stations.get(str(number), station) for number, station in enumerate(own, 1)]
@@ -71,7 +71,7 @@ class _Loader:
         self._loaded: dict[tuple[str, frozenset[tuple[str, float]]], EngineSpec] = {}
 
     def parameters_of(self, station: Station) -> tuple[str, dict[str, float]]:
-        """Return the engine of a station and its parameters."""
+        """Return the name of a station's engine, and its parameters."""
         if station.engine is None:
             return self._scenario.engine, {**self._scenario.engine_parameters, **station.parameters}
         return station.engine, station.parameters
@@ -92,7 +92,7 @@ class _Loader:
 
 
 def make_engines(scenario: Scenario, stations: Sequence[EngineSpec]) -> EngineChain:
-    """Return the engines at the stations in the chain that they fly in.  Raises InputError as a flight."""
+    """Return the chain of the engines at the stations, with faults and mismatch.  Raises InputError as a flight."""
     step = scenario.step_s
     factors, delay = compute_engine_mismatch(scenario.mismatch, len(stations))
     return EngineChain(

@@ -38,8 +38,8 @@ from cosim.spec.scenario import (
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
-LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")  # signals that command a lean
-TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # columns of a track
+LEAN_SIGNALS = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")  # signals that command a lean
+TRACK_COLUMNS = ("north_m", "east_m", "altitude_m", "yaw_deg")  # columns of a track
 
 
 class GuidedPilot:
@@ -118,11 +118,11 @@ class GuidedPilot:
             return command
         start, aim, drawn = self._guided[number]
         if number != self._number:
-            self._begin(number, aim, command, fix)
+            self._begin_command(number, aim, command, fix)
         if self._waypoints is not None:
             self._advance_waypoints(k, self._waypoints, command, fix, measured.altitude)
         if drawn is not None:
-            track = self._follow(drawn, (k - start) * self._step)
+            track = self._follow_track(drawn, (k - start) * self._step)
         elif self._velocity is not None:
             track = self._tracker.at_velocity(self._velocity)
         else:
@@ -135,7 +135,7 @@ class GuidedPilot:
     def _check_commands(self, where: str) -> None:
         """Raise InputError for conflicting guided commands."""
         asked = self._commander.signals
-        leaning = [signal for signal in asked if signal in LEANING]
+        leaning = [signal for signal in asked if signal in LEAN_SIGNALS]
         if leaning:
             raise InputError(f"{where}: {', '.join(leaning)}: a place needs the lean to itself")
         for key, others in (("altitude_m", ("altitude_m", "collective")), ("yaw_deg", ("yaw_deg",))):
@@ -161,8 +161,8 @@ class GuidedPilot:
         self._point = 0  # index of the current waypoint
         self._reached: int | None = None  # step at which the waypoint was reached
 
-    def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
-        """Begin a command; what it leaves open is unchanged."""
+    def _begin_command(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
+        """Begin a guided command; set-points that it does not state are unchanged."""
         if self._last_point is not None:
             track, height = self._last_point
             self._tracker.start(track.position, track.velocity)
@@ -182,20 +182,20 @@ class GuidedPilot:
             north, east = self._tracker.stop_position
             self._target = (north if aim.north_m is None else aim.north_m, east if aim.east_m is None else aim.east_m)
             self._most = aim.speed_m_s or self._speed
-            self._rise_and_turn(aim.altitude_m, aim.yaw_deg, command)
+            self._start_height_and_heading(aim.altitude_m, aim.yaw_deg, command)
         elif isinstance(aim, WaypointsCommand):
             self._point, self._reached = 0, None
-            self._aim_at(aim, aim.waypoint[0], command)
+            self._set_waypoint(aim, aim.waypoint[0], command)
         elif isinstance(aim, VelocityCommand):
             if aim.climb_m_s is not None:
-                self._rise_and_turn(command.altitude, None, command)
+                self._start_height_and_heading(command.altitude, None, command)
                 self._climb = aim.climb_m_s
-            self._rise_and_turn(None, aim.yaw_deg, command)
+            self._start_height_and_heading(None, aim.yaw_deg, command)
 
-    def _aim_at(self, aim: WaypointsCommand, point: Waypoint, command: Command) -> None:
+    def _set_waypoint(self, aim: WaypointsCommand, point: Waypoint, command: Command) -> None:
         self._target = (point.north_m, point.east_m)
         self._most = point.speed_m_s or aim.speed_m_s or self._speed
-        self._rise_and_turn(point.altitude_m, point.yaw_deg, command)
+        self._start_height_and_heading(point.altitude_m, point.yaw_deg, command)
 
     def _advance_waypoints(self, k: int, aim: WaypointsCommand, command: Command, fix: Fix, height: float) -> None:
         """Advance to the next waypoint after one was reached and held for its time."""
@@ -217,10 +217,10 @@ class GuidedPilot:
             self._point += 1
             if self._point < len(aim.waypoint):
                 self._reached = None
-                self._aim_at(aim, aim.waypoint[self._point], command)
+                self._set_waypoint(aim, aim.waypoint[self._point], command)
 
-    def _follow(self, drawn: SplineTrack, t: float) -> Track:
-        """Return a track's set-points at ``t`` [s] from its start."""
+    def _follow_track(self, drawn: SplineTrack, t: float) -> Track:
+        """Return the set-points of a track at ``t`` [s] from its start, and store those of height and heading."""
         track, height, yaw = drawn.evaluate(t)
         self._last_point = (track, height)
         if height is not None:
@@ -229,8 +229,8 @@ class GuidedPilot:
             self._yaw = self._to_yaw = wrap(yaw)
         return track
 
-    def _rise_and_turn(self, altitude: float | None, yaw_deg: float | None, command: Command) -> None:
-        """Start height and heading that are stated from the present commands."""
+    def _start_height_and_heading(self, altitude: float | None, yaw_deg: float | None, command: Command) -> None:
+        """Set the targets of height and heading that are stated; set-points start from the present commands."""
         if altitude is not None:
             if self._to_altitude is None:
                 self._height.start((command.altitude, 0.0), (0.0, 0.0))
@@ -241,7 +241,7 @@ class GuidedPilot:
             self._to_yaw = radians(yaw_deg)
 
     def _altitude(self, scripted: float) -> float:
-        """Return the commanded height, m: on its way to the target, and no faster than what stops above the ground."""
+        """Return the height command [m] on its way to the target, no faster than what stops above the ground."""
         if self._to_altitude is None:
             return scripted
         if self._last_point is not None and self._last_point[1] is not None:
@@ -253,7 +253,7 @@ class GuidedPilot:
         return self._height.towards((self._to_altitude, 0.0), up if self._to_altitude > here else sink).position[0]
 
     def _heading(self, scripted: float) -> float:
-        """Return the commanded heading, rad, on its way to the target."""
+        """Return the heading command [rad] on its way to the target."""
         if self._to_yaw is None:
             return scripted
         self._yaw = wrap(self._yaw + min(max(wrap(self._to_yaw - self._yaw), -self._turn), self._turn))
@@ -261,7 +261,7 @@ class GuidedPilot:
 
 
 class SplineTrack:
-    """A track of a file: cubic splines through its rows, at rest at both ends; the heading is linear between rows.
+    """Track of a file: cubic splines through its rows, at rest at both ends; the heading is linear between rows.
 
     ``max_acceleration``: that which the law may lean for, m/s^2.  Raises InputError as the commands' other files, where
     a column of the place is missing, and where the track asks for more.
@@ -269,15 +269,15 @@ class SplineTrack:
 
     def __init__(self, scenario: Scenario, entry: TrackCommand, where: str, max_acceleration: float) -> None:
         path = scenario.folder / entry.file
-        self._times, columns = read_columns(path, TRACKED, where)
-        for name in TRACKED[:2]:
+        self._times, columns = read_columns(path, TRACK_COLUMNS, where)
+        for name in TRACK_COLUMNS[:2]:
             if name not in columns:
                 raise InputError(f"{path}: line 1: no column {name}; a track has time_s, north_m and east_m")
-        self.states = [name for name in TRACKED[2:] if name in columns]
+        self.states = [name for name in TRACK_COLUMNS[2:] if name in columns]
         # Tolerance for rounding, so that a row on the grid counts from its own step on.
         self._slack = 1e-9 * scenario.step_s
         self._yaw = [radians(value) for value in columns["yaw_deg"]] if "yaw_deg" in columns else None
-        self._pieces = {name: _spline(self._times, columns[name]) for name in TRACKED[:3] if name in columns}
+        self._pieces = {name: _spline(self._times, columns[name]) for name in TRACK_COLUMNS[:3] if name in columns}
         for t in self._times:
             asked = hypot(*self.evaluate(t)[0].acceleration)  # rows are joined by straight lines
             if asked > max_acceleration:
@@ -287,12 +287,12 @@ class SplineTrack:
                 )
 
     def evaluate(self, t: float) -> tuple[Track, Pair | None, float | None]:
-        """Return place, velocity and acceleration; height and its rate; heading [rad], each if it is stated."""
+        """Return horizontal set-points, height and climb rate, and heading [rad] at ``t`` [s], each if it is stated."""
         times = self._times
         i = min(max(bisect_right(times, t + self._slack) - 1, 0), max(len(times) - 2, 0))
         u = min(max(t, times[0]), times[-1]) - times[i]
         resting = not times[0] <= t <= times[-1]
-        of = {name: _piece(pieces[i], u, resting) for name, pieces in self._pieces.items()}
+        of = {name: _evaluate_cubic(pieces[i], u, resting) for name, pieces in self._pieces.items()}
         north, east = of["north_m"], of["east_m"]
         yaw = None
         if self._yaw is not None:
@@ -315,15 +315,15 @@ def _spline(times: Sequence[float], values: Sequence[float]) -> list[Cubic]:
     return list(zip(a, b, c, d, strict=True))
 
 
-def _piece(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
-    """Return value, slope and curvature; constant beyond the ends."""
+def _evaluate_cubic(cubic: Cubic, u: float, resting: bool) -> tuple[float, float, float]:
+    """Return value, slope and curvature of a cubic at ``u``; ``resting``: beyond the ends, without slope."""
     a, b, c, d = cubic
     value = ((a * u + b) * u + c) * u + d
     return (value, 0.0, 0.0) if resting else (value, (3.0 * a * u + 2.0 * b) * u + c, 6.0 * a * u + 2.0 * b)
 
 
 def _describe_target(aim: GuidedCommand, drawn: SplineTrack | None, key: str) -> str:
-    """Describe what in a guided command states height (``altitude_m``) or heading (``yaw_deg``); or nothing."""
+    """Return the part of a guided command that states height (``altitude_m``) or heading (``yaw_deg``), or ""."""
     if drawn is not None:
         return f"track states {key}" if key in drawn.states else ""
     if isinstance(aim, WaypointsCommand):

@@ -55,7 +55,7 @@ from cosim.spec.vehicle import RateModel, Vehicle
 # Frequencies [rad/s], and the response of thrust to command there, relative to the static gain.
 Response = tuple[Array, Complex]
 
-MIN_REPORTED = 0.15  # relative, of gain, delay or lag
+MIN_REPORTED = 0.15  # relative error of gain, delay or lag
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class ModelAgreement:
     state: str  # "" as built, or "fuel" or "payload"
     hertz: float  # frequency of the comparison
     model_gain: float  # gain of the model
-    vehicle_gain: float  # of vehicle and engine, in ``unit``
+    vehicle_gain: float  # gain of vehicle and engine
     model_delay: float  # total delay of the model, samples
     vehicle_delay: float  # total delay of the vehicle, samples
     lag_misfit: float
@@ -81,21 +81,21 @@ class ModelAgreement:
 
     @property
     def is_noteworthy(self) -> bool:
-        """Whether the two differ by more than the threshold of a note."""
+        """Whether model and vehicle differ by more than the threshold of a note."""
         return self.distance > 1.0
 
     @property
     def is_unfit(self) -> bool:
         """Whether gain, delay or lag are too wrong for a predictor with this model."""
-        return self._excess(1.5, 1.0 / 3.0, 0.5) > 1.0
+        return self._relative_misfit(1.5, 1.0 / 3.0, 0.5) > 1.0
 
     @property
     def distance(self) -> float:
-        """The difference in units of the threshold of a note."""
-        return self._excess(1.0 + MIN_REPORTED, MIN_REPORTED, MIN_REPORTED)
+        """Difference of model and vehicle over the threshold of a note."""
+        return self._relative_misfit(1.0 + MIN_REPORTED, MIN_REPORTED, MIN_REPORTED)
 
-    def _excess(self, gain: float, delay: float, lag: float, least_samples: float = 2.0) -> float:
-        """Return the largest of the three differences, over its limit; a model of the other sign is beyond any.
+    def _relative_misfit(self, gain: float, delay: float, lag: float, least_samples: float = 2.0) -> float:
+        """Return the largest of the errors of gain, delay and lag, each over its limit; infinite for the other sign.
 
         ``gain``: ratio, either way; ``delay``: of all delay of the vehicle, ``least_samples`` at least.
         """
@@ -110,7 +110,7 @@ class ModelAgreement:
 
     @property
     def numbers(self) -> str:
-        """Gain and delay of both, and the error of the lag, in words."""
+        """Text with gain and delay of model and vehicle, and the error of the lag."""
         if self.is_opposite:
             return f"it turns the other way than the vehicle, which has {self.vehicle_gain:.4g} {self.unit}"
         said = (
@@ -124,7 +124,7 @@ class ModelAgreement:
 
     @property
     def note(self) -> str:
-        """Sentence for whoever flies with the model."""
+        """Note on the difference for a flight with the model."""
         where = f" {self.state}" if self.state else ""
         return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
 
@@ -145,7 +145,7 @@ def compare_flown_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpe
 
 
 def list_model_notes(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[str]:
-    """Return a line for each axis whose model the vehicle does not keep: of its first state that is to be noted."""
+    """Return a note for each axis whose model differs too much from the vehicle, for the first such loading."""
     notes: dict[str, str] = {}
     for agreement in compare_flown_models(scenario, vehicle, engine):
         if agreement.is_noteworthy:
@@ -168,7 +168,7 @@ def compare_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, sta
     response = _engine_response(vehicle, engine, scenario.step_s) if models else None
     if response is None:
         return []
-    return [_compare(scenario, vehicle, engine, response, axis, model, state) for axis, model in models.items()]
+    return [_compare_model(scenario, vehicle, engine, response, axis, model, state) for axis, model in models.items()]
 
 
 def _loading_states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Vehicle]]:
@@ -184,7 +184,7 @@ def _loading_states(scenario: Scenario, vehicle: Vehicle) -> list[tuple[str, Veh
     ]
 
 
-def _compare(
+def _compare_model(
     scenario: Scenario,
     vehicle: Vehicle,
     engine: EngineSpec,
@@ -200,10 +200,10 @@ def _compare(
     parts = _parts(scenario, vehicle, engine, index, span)
     omega, thrust = response
     z = np.exp(1j * omega * step)
-    own = gain * _actuators(parts, thrust, z, step) * _airframe(scenario, vehicle, damping, z)
+    own = gain * _actuator_response(parts, thrust, z, step) * _airframe_response(scenario, vehicle, damping, z)
     # Phase lag without the integral, which is 1 / (j omega + damping).
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
-    at = 0.5 * _first_radian(late, omega)
+    at = 0.5 * _one_radian_frequency(late, omega)
     ratio = delayed_response(model, z) / own
     size, phase = np.log(np.abs(ratio)), np.unwrap(np.angle(ratio))
     (g, g2), (p, p2) = (np.interp([at, 2.0 * at], omega, values) for values in (size, phase))
@@ -212,7 +212,7 @@ def _compare(
     return ModelAgreement(
         engine.family,
         axis,
-        _unit(vehicle, index),
+        _gain_unit(vehicle, index),
         state,
         at / (2.0 * np.pi),
         gain * float(np.exp(g)),
@@ -224,7 +224,7 @@ def _compare(
     )
 
 
-def _first_radian(late: Array, omega: Array) -> float:
+def _one_radian_frequency(late: Array, omega: Array) -> float:
     """Return the lowest frequency, rad/s, with more than 1 rad of lag, or the highest one."""
     first = int(np.argmax(late > 1.0))
     if not late[first] > 1.0:
@@ -233,7 +233,7 @@ def _first_radian(late: Array, omega: Array) -> float:
     return float(np.interp(1.0, late[part], omega[part]))
 
 
-def _unit(vehicle: Vehicle, index: int) -> str:
+def _gain_unit(vehicle: Vehicle, index: int) -> str:
     """Return the unit of an axis' gain."""
     if vehicle.allocation == "effectiveness":
         return "rad/s^2 per rad/s^2"
@@ -241,7 +241,7 @@ def _unit(vehicle: Vehicle, index: int) -> str:
 
 
 def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int, span: float) -> Sequence[AxisPart]:
-    """Return the parts that make the axis's moment."""
+    """Return the actuators that make an axis's moment, by lag."""
     step = scenario.step_s
     if vehicle.allocation == "effectiveness":
         return list_hinged_parts(vehicle, make_effectiveness(scenario, vehicle, engine), index, engine, step)
@@ -251,8 +251,8 @@ def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int,
     return [AxisPart((vehicle.servo,), (1.0,), 1.0, kick)]
 
 
-def _actuators(parts: Sequence[AxisPart], engine: Complex, z: Complex, step: float) -> Complex:
-    """Return command to moment, over that at rest: the parts of engines and servos, with what turning kicks back."""
+def _actuator_response(parts: Sequence[AxisPart], engine: Complex, z: Complex, step: float) -> Complex:
+    """Return the response of moment to command over its static gain: engines and servos, with their reactions."""
     total = np.zeros_like(z)
     for part in parts:
         answer = engine
@@ -264,7 +264,7 @@ def _actuators(parts: Sequence[AxisPart], engine: Complex, z: Complex, step: flo
     return total
 
 
-def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
+def _airframe_response(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
     """Return the response of measured rate to angular acceleration."""
     gyro = vehicle.sensors.gyro
     shares, pole = discretise_rate(damping, scenario.step_s, scenario.substeps)
@@ -286,12 +286,12 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Respo
         around = measure_small_steps(engine, hover, step)
     else:
         around = measure_small_steps(engine, round(hover / 0.05) * 0.05, step, (0.05,))
-    return _transform(around.response, step) if around.response else None
+    return _transform_step(around.response, step) if around.response else None
 
 
 @lru_cache(64)
-def _transform(course: tuple[float, ...], step: float, points: int = 96) -> Response:
-    """Return the frequency response of a course after a step of the throttle, from 0.02 rad/s on."""
+def _transform_step(course: tuple[float, ...], step: float, points: int = 96) -> Response:
+    """Return the frequency response that belongs to a step response, from 0.02 rad/s on."""
     omega = np.geomspace(0.02, 0.8 * np.pi / step, points)
     # The thrust at a step's end acts over the whole step, whose command is known one sample before its end.
     back, value = np.exp(-1j * omega * step), np.zeros(points, complex)

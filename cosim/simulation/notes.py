@@ -8,8 +8,8 @@ from cosim.engine import EngineSpec
 from cosim.spec.scenario import SUBSTEPS, Scenario, StepErrors, list_differing_keys, measured_errors
 from cosim.spec.vehicle import Vehicle
 
-# m: below, JSBSim's MIL-F-8785C takes its intensity from the wind, well above from the severity.
-LOW_M = 300.0
+# Height [m] below which JSBSim's MIL-F-8785C turbulence depends on the wind; well above it on the severity.
+MAX_LOW_M = 300.0
 
 
 def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
@@ -18,7 +18,7 @@ def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: 
 
 
 def note_few_substeps(scenario: Scenario, varied: Collection[str] = ()) -> list[str]:
-    """Return a line on the accuracy of a flight with fewer JSBSim runs a step than usual, or as many as an error asks.
+    """Return a note on the accuracy of a flight whose JSBSim runs per step are fewer than usual or set by an error.
 
     It has what was measured of the aircraft, and what of this flight, or of the keys ``varied`` by a study, was not.
     Empty where a scenario states as many runs as usual, or more.
@@ -36,13 +36,13 @@ def note_few_substeps(scenario: Scenario, varied: Collection[str] = ()) -> list[
             f"those with 16, with {SUBSTEPS} by {usual[0]:g} deg and {usual[1]:g} mm"
         )
         others = list_unmeasured(scenario, measured, varied)
-        what += f"; not measured here: {_enumerate(others)}" if others else ""
+        what += f"; not measured here: {_join_names(others)}" if others else ""
     gusts = "; the turbulence is another than with other numbers" if scenario.environment.turbulence_severity else ""
     return [f"substeps = {runs}{f', for {error!r}' if error else ''}: {what}{gusts}"]
 
 
 def list_unmeasured(scenario: Scenario, measured: StepErrors, varied: Collection[str] = ()) -> list[str]:
-    """List the keys by which a flight differs from those with measured step errors."""
+    """Return the keys by which a flight differs from those with measured step errors."""
     if scenario.name in measured.scenarios:
         shipped = Scenario.load(scenario.name).replace(aircraft=scenario.aircraft, **measured.settings)
         differing = list_differing_keys(scenario, shipped)
@@ -57,8 +57,8 @@ def list_unmeasured(scenario: Scenario, measured: StepErrors, varied: Collection
     return ["this flight, which is none of them", *dict.fromkeys([*own, *varied])]
 
 
-def _enumerate(names: Sequence[str], most: int = 4) -> str:
-    """Join names, cut after the first few."""
+def _join_names(names: Sequence[str], most: int = 4) -> str:
+    """Return names joined by commas, with the number of those beyond the first ``most``."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
 
@@ -73,7 +73,7 @@ def note_incomplete_turbulence(scenario: Scenario) -> list[str]:
         ]
     if severity and not wind:
         return [
-            f"no turbulence below {LOW_M:g} m: environment.turbulence_severity = {severity} switches it on, and "
+            f"no turbulence below {MAX_LOW_M:g} m: environment.turbulence_severity = {severity} switches it on, and "
             "its strength there is turbulence_wind_m_s, which is 0"
         ]
     return []
@@ -83,7 +83,7 @@ def note_varied_turbulence(scenario: Scenario, keys: Collection[str]) -> list[st
     """Return a note if varying these ``keys`` changes turbulence not at all or only on and off."""
     wind, severity = "environment.turbulence_wind_m_s", "environment.turbulence_severity"
     if severity in keys:
-        return [f"below {LOW_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
+        return [f"below {MAX_LOW_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
     if wind in keys and not scenario.environment.turbulence_severity:
         return [f"turbulence is off: {wind} acts with a {severity} of 1 to 7"]
     return note_incomplete_turbulence(scenario) if wind not in keys else []

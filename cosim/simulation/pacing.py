@@ -6,27 +6,27 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-# Chosen by us: s of wall time. Shorter stalls are caught up by stepping without pause, so that flight time follows the
+# Longest stall that is caught up, chosen by us: by stepping without pause, so that flight time follows the wall
 # clock; after longer ones the schedule moves. Otherwise a ground station would see the vehicle race, and sticks and
 # set-points would act a fifth of a second late.
 MAX_CATCH_UP_S = 0.1  # s of wall time
 
 
 class PaceReport(NamedTuple):
-    """The timing of a flight against the wall clock."""
+    """Timing of a flight against the wall clock."""
 
-    factor: float | None = None  # of real time; None: unlimited
+    factor: float | None = None  # real-time factor; None: unlimited
     steps: int = 0
     missed: int = 0  # steps not done when the next was due
     longest_delay: float = 0.0  # s, largest delay of a step
-    stalls: int = 0  # how often the schedule was moved
-    postponed: float = 0.0  # s of wall time by which it was moved
+    stalls: int = 0  # number of moves of the schedule
+    postponed: float = 0.0  # wall time of all moves, s
     reached_factor: float | None = None  # over the last second, or None
     load: float | None = None  # fraction of that second spent stepping
 
 
 class Pace:
-    """Absolute pacing: step ``k`` begins no sooner than ``k dt / factor`` after the start.
+    """Paces a flight by the wall clock: step ``k`` begins no sooner than ``k dt / factor`` after the start.
 
     ``step``: dt [s].  ``factor``: of real time; None lets every step begin at once and only measures.  A deadline is
     missed when a step is not done at the time at which the next one is due.  ``clock`` [s] and ``sleep`` are for tests.
@@ -47,7 +47,7 @@ class Pace:
         self.start(0)
 
     def start(self, k: int) -> None:
-        """Set the present as the due time of step ``k``."""
+        """Set the due time of step ``k`` to the present."""
         self._origin = self._clock()
         self._first = k
         self._k = k
@@ -63,7 +63,7 @@ class Pace:
         self._k = k
         now = self._clock()
         window_start, first_k = self._window_start
-        # The reached factor is measured over a second.
+        # The real-time factor is measured over a second.
         if now - window_start >= 1.0:
             self._reached = (k - first_k) * self._dt / (now - window_start)
             self._load = 1.0 - min(1.0, self._slept / (now - window_start))
@@ -85,7 +85,7 @@ class Pace:
 
     @property
     def report(self) -> PaceReport:
-        """The timing up to now."""
+        """Timing of the flight so far."""
         steps = self._k - self._first
         return PaceReport(
             self._factor, steps, self.missed, self._worst, self._stalls, self._lost, self._reached, self._load

@@ -18,8 +18,8 @@ from cosim.base.errors import FlightError, InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import KIND_GROUPS, find_entries
 from cosim.base.protocols import Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
-from cosim.simulation.controllers.guard import CallGuard, columns_from
-from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
+from cosim.simulation.controllers.guard import CallGuard, read_columns_of
+from cosim.simulation.controllers.source import PYTHON_NAME, Source, check_method, find_python
 from cosim.simulation.script.command_script import read_columns
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Scenario
@@ -29,15 +29,15 @@ from cosim.spec.vehicle.sensor_profile import profile_names
 if TYPE_CHECKING:
     import numpy as np
 
-PREFIX = "own."  # prefix of a custom metric's name
-TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")  # columns of a table of wind
-# Random streams of plug-ins; 0 and 1 are those of the built-in sensors.
-_KEYS = {"observer": 2, "sensors": 3, "wind": 4}
+METRIC_PREFIX = "own."  # prefix of a custom metric's name
+WIND_COLUMNS = ("time_s", "north_m_s", "east_m_s", "down_m_s")  # columns of a table of wind
+# Numbers of plug-ins' random streams; 0 and 1 are those of the built-in sensors.
+_RANDOM_STREAMS = {"observer": 2, "sensors": 3, "wind": 4}
 
 
 @dataclass(frozen=True)
 class BlockInfo:
-    """Data for the ``prepare`` of a plug-in, without the controller's."""
+    """Data for the ``prepare`` of a block other than a controller."""
 
     step_s: float
     vehicle: Vehicle  # the vehicle as stated
@@ -53,14 +53,14 @@ class BlockInfo:
 
 @dataclass(frozen=True)
 class CustomMetric:
-    """Custom metric: names, columns read (None: any), and the function."""
+    """User's metric: names, log columns that it reads (None: any), and source of its function."""
 
     source: Source
-    names: tuple[str, ...]  # metric names with PREFIX
+    names: tuple[str, ...]  # metric names with METRIC_PREFIX
     columns: tuple[str, ...] | None
 
     def compute(self, log: Columns, step_s: float) -> dict[str, float | None]:
-        """Return its numbers, None if undefined for this flight.  Raises FlightError."""
+        """Return the metric's numbers by name; None if undefined for this flight.  Raises FlightError."""
         where = f"metric {self.source.label}"
         try:
             answer = self.source.make()(log, step_s)
@@ -68,7 +68,7 @@ class CustomMetric:
             raise FlightError(f"{where}: {error}") from error
         except Exception as error:
             raise FlightError(f"{where}: raised {describe_error(error)}") from error
-        names = [name.removeprefix(PREFIX) for name in self.names]
+        names = [name.removeprefix(METRIC_PREFIX) for name in self.names]
         if not isinstance(answer, Mapping):
             if len(names) != 1:
                 raise FlightError(f"{where}: gave {answer!r}: must be a mapping with {', '.join(names)}")
@@ -82,7 +82,7 @@ class CustomMetric:
                 number = None if value is None else float(value)
             except (TypeError, ValueError) as error:
                 raise FlightError(f"{where}: {name} = {value!r}: must be a number or None") from error
-            values[PREFIX + name] = number if number is not None and isfinite(number) else None
+            values[METRIC_PREFIX + name] = number if number is not None and isfinite(number) else None
         return values
 
 
@@ -103,7 +103,7 @@ class Plugins:
 
 
 def find_block(kind: str, name: str, folder: Path) -> Source:
-    """Return the block of that name, a file seen from ``folder``.  Raises InputError."""
+    """Return the source of a block by name; a file is relative to ``folder``.  Raises InputError."""
     source = find_python(kind, name, folder)
     if source is None:
         entries = find_entries(kind)
@@ -115,7 +115,7 @@ def find_block(kind: str, name: str, folder: Path) -> Source:
 
 
 def load_plugins(scenario: Scenario) -> Plugins:
-    """Return the blocks of the user's that a scenario names beside its controller, ready to fly.
+    """Return the user's blocks that a scenario names besides its controller, ready to fly.
 
     Raises InputError for a name, a file or a table that does not do, and for another file than the one that flew.
     """
@@ -125,7 +125,7 @@ def load_plugins(scenario: Scenario) -> Plugins:
     }
     kinds = {"metrics": "metric", "observers": "observer"}
     sources = {
-        key: [_source(kinds.get(key, key), name, scenario) for name in names]
+        key: [_find_source(kinds.get(key, key), name, scenario) for name in names]
         for key, names in names_by_key.items()
         if names
     }
@@ -151,11 +151,11 @@ def load_plugins(scenario: Scenario) -> Plugins:
             block = _make_block(source, scenario, vehicle, 0)
             plugins["sensors"] = lambda inner: GuardedSensors(source, block, inner)  # noqa: B023  there is one
         for source in sources.get("wind", []):
-            plugins["wind"] = _wind(source, scenario, vehicle)
+            plugins["wind"] = _make_wind(source, scenario, vehicle)
     return Plugins(sources=sources, **plugins)
 
 
-def _source(kind: str, name: str, scenario: Scenario) -> Source:
+def _find_source(kind: str, name: str, scenario: Scenario) -> Source:
     if kind == "wind" and name.lower().endswith(".csv"):
         path = (scenario.folder / name).absolute()
         if not path.is_file():
@@ -169,18 +169,18 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
 
 
 def read_metric(source: Source) -> CustomMetric:
-    """Return a metric with the names and columns that it states.  Raises InputError."""
+    """Return a source's metric, with the names and columns that it declares.  Raises InputError."""
     where, block = f"metric {source.label}", source.make()
     default_name = getattr(block, "__name__", type(block).__name__).lower()
     names = getattr(block, "names", (default_name,))
-    if isinstance(names, str) or not names or not all(isinstance(n, str) and NAME.fullmatch(n) for n in names):
+    if isinstance(names, str) or not names or not all(isinstance(n, str) and PYTHON_NAME.fullmatch(n) for n in names):
         raise InputError(f"{where}: names = {names!r}: must be names of letters, digits and _, no digit first")
     if len({*names}) < len(names):
         raise InputError(f"{where}: names = {names!r}: one is there twice")
     columns = getattr(block, "columns", None)
     if columns is not None and (isinstance(columns, str) or not all(isinstance(column, str) for column in columns)):
         raise InputError(f"{where}: columns = {columns!r}: must be names of columns of the log")
-    return CustomMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
+    return CustomMetric(source, tuple(METRIC_PREFIX + n for n in names), None if columns is None else tuple(columns))
 
 
 def make_unavailable_metric(name: str) -> CustomMetric:
@@ -194,55 +194,55 @@ def make_unavailable_metric(name: str) -> CustomMetric:
 
 def load_metrics(scenario: Scenario) -> list[CustomMetric]:
     """Return the scenario's custom metrics.  Raises InputError."""
-    return [read_metric(_source("metric", name, scenario)) for name in scenario.metrics]
+    return [read_metric(_find_source("metric", name, scenario)) for name in scenario.metrics]
 
 
 def _make_block(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
     block = source.make()
     if hasattr(block, "prepare"):
         check_method(block, "prepare", ("told",), f"{source.level} {source.label}")
-        info = BlockInfo(scenario.step_s, vehicle, scenario.seed, (_KEYS[source.level], number))
+        info = BlockInfo(scenario.step_s, vehicle, scenario.seed, (_RANDOM_STREAMS[source.level], number))
         try:
-            _call(source, "prepare", block.prepare, info)
+            _call_guarded(source, "prepare", block.prepare, info)
         except FlightError as error:
             raise InputError(str(error)) from error
     return block
 
 
-def _call(source: Source, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
+def _call_guarded(source: Source, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
     return CallGuard(source.label, kind=source.level).call(what, method, *arguments)
 
 
 class GuardedObserver:
-    """A user's observer, whose errors name it."""
+    """User's observer, whose errors name it."""
 
     def __init__(self, source: Source, block: Any) -> None:
         self._source, self._block = source, block
 
     def observe(self, sample: Sample) -> None:
-        _call(self._source, "observe", self._block.observe, sample)
+        _call_guarded(self._source, "observe", self._block.observe, sample)
 
     def close(self) -> None:
-        """Tell the block that the flight is over and the log complete."""
+        """Call the observer's ``close``, as the flight is over and the log complete."""
         if hasattr(self._block, "close"):
-            _call(self._source, "close", self._block.close)
+            _call_guarded(self._source, "close", self._block.close)
 
 
 class GuardedSensors:
-    """A user's sensors, which get the true state and the built-in measurement."""
+    """User's sensors, which get the true state and the built-in measurement."""
 
     def __init__(self, source: Source, block: Any, inner: Sensors) -> None:
         self._source, self._block, self._inner = source, block, inner
-        self.columns = columns_from(block)
+        self.columns = read_columns_of(block)
 
     def reset(self, state: State) -> Measured:
-        return self._answer("reset", self._block.reset, state, self._inner.reset(state))
+        return self._check_measured("reset", self._block.reset, state, self._inner.reset(state))
 
     def sample(self, state: State) -> Measured:
-        return self._answer("sample", self._block.sample, state, self._inner.sample(state))
+        return self._check_measured("sample", self._block.sample, state, self._inner.sample(state))
 
-    def _answer(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
-        answer = _call(self._source, what, method, state, measured)
+    def _check_measured(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
+        answer = _call_guarded(self._source, what, method, state, measured)
         where = f"sensors {self._source.label}"
         if not isinstance(answer, Measured):
             raise FlightError(f"{where}: {what} gave {type(answer).__name__}: must be a Measured")
@@ -262,18 +262,18 @@ class GuardedSensors:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        return tuple([float(value) for value in _call(self._source, "shown", lambda: self._block.shown)])
+        return tuple([float(value) for value in _call_guarded(self._source, "shown", lambda: self._block.shown)])
 
 
-def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Vehicle, float, float], FieldWind]:
+def _make_wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Vehicle, float, float], FieldWind]:
     block = _make_block(source, scenario, vehicle, 0)
 
     def reset() -> None:
         if hasattr(block, "reset"):
-            _call(source, "reset", block.reset)
+            _call_guarded(source, "reset", block.reset)
 
     def velocity(time: float, north: float, east: float, height: float) -> Vector3:
-        answer = _call(source, "velocity", block.velocity, time, north, east, height)
+        answer = _call_guarded(source, "velocity", block.velocity, time, north, east, height)
         try:
             x, y, z = [float(value) for value in answer]
         except (TypeError, ValueError):
@@ -289,7 +289,7 @@ def _wind(source: Source, scenario: Scenario, vehicle: Vehicle) -> Callable[[Veh
 
 
 class WindTable:
-    """A wind that is the same everywhere: rows of time [s] and velocity [m/s, NED], straight lines between them.
+    """Wind that is equal everywhere: rows of time [s] and velocity [m/s, NED], interpolated linearly.
 
     Before the first row the first holds, after the last the last.
     """
@@ -299,13 +299,13 @@ class WindTable:
 
     @classmethod
     def read(cls, path: Path) -> WindTable:
-        """Read a file with header :data:`TABLE`.  Raises InputError with file, line and allowed values."""
-        times, columns = read_columns(path, TABLE[1:], f"wind {path.name}", all_of_them=True)
+        """Return the wind of a file with header :data:`WIND_COLUMNS`.  Raises InputError with file and line."""
+        times, columns = read_columns(path, WIND_COLUMNS[1:], f"wind {path.name}", all_of_them=True)
         north, east, down = columns.values()
         return cls(times, list(zip(north, east, down, strict=True)))
 
     def velocity(self, time: float, north: float, east: float, height: float) -> Vector3:
-        """Return the velocity of the air at that time, wherever."""
+        """Return the velocity of the air [m/s, NED] at ``time``, at any position."""
         after = bisect_right(self._times, time)
         if after == 0:
             return self._velocities[0]

@@ -30,14 +30,14 @@ _FLY: Final = EngineState.FLY  # direct access in compiled code
 _OFF: Final = EngineState.OFF
 _IDLE: Final = EngineState.IDLE
 _START: Final = EngineState.START
-_NOTHING: Final[tuple[float, ...]] = ()  # shared empty tuple
+_NO_SIGNALS: Final[tuple[float, ...]] = ()  # shared empty tuple
 _SAMPLE: Final = Sample  # direct access in compiled code
 
 Between = Callable[[int], Ending | None]  # called with the number of the next step
 
 
 class Blocks(NamedTuple):
-    """Blocks and constant data of a flight.
+    """Blocks of a flight, with its constant data.
 
     ``specs``: the scenario's engine, then the one at each station; ``plugged``: a controller from outside, which flies
     in place of the cascade if it is a whole one; ``plugins``: the user's blocks beside that.
@@ -86,7 +86,7 @@ class Simulation:
         self.reset()
 
     def reset(self) -> None:
-        """Return to ``t = 0``: at rest, with engines settled at the throttle that holds the vehicle.
+        """Reset the flight to ``t = 0``: at rest, with engines settled at the throttle that holds the vehicle.
 
         Faults that were given by command are forgotten.
         """
@@ -129,7 +129,7 @@ class Simulation:
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
         self.k += 1
-        return self._sample(k, command, state, measured, actuation, disturbance, health)
+        return self._make_sample(k, command, state, measured, actuation, disturbance, health)
 
     def _command(self, k: int, override: Command | None) -> tuple[Command, Measured, EngineState]:
         """Return the command, the measurement for the controller, and the engine state."""
@@ -140,7 +140,7 @@ class Simulation:
             command = self.command_script.at(k)
         else:
             controller = self.controller
-            starting = self._restarting(pilot)
+            starting = self._find_restarting_engines(pilot)
             report = Report(
                 self.state.on_ground,
                 controller.signals.allocated,
@@ -154,8 +154,8 @@ class Simulation:
                 engines = _START
         return command, measured, engines
 
-    def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
-        """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
+    def _find_restarting_engines(self, pilot: Pilot) -> tuple[int, ...]:
+        """Return the engines, counted from 1, that the pilot has switched on and that do not run yet."""
         off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
         # Engines are running once they reach their thrust at the start, which is idle thrust only on the ground.
         self._engines_restart |= self._engines_were_off and self.scenario.initial.on_ground
@@ -164,14 +164,14 @@ class Simulation:
         return self._all_engines if off else self.propulsion.engines.restarting_engines
 
     def _disturbance(self, k: int) -> Disturbance:
-        """Return external disturbances including wind, and signals added to the controller's own."""
+        """Return the disturbance of step ``k``: external ones including wind, and signals added in the controller."""
         disturbance = self.disturbances.at(k)
         if self._field is not None:
             disturbance = self._field.add_wind(k, self.state, disturbance)
             self.propulsion.gusts = self._field.at_jets
         return disturbance
 
-    def _sample(
+    def _make_sample(
         self,
         k: int,
         command: Command,
@@ -181,7 +181,7 @@ class Simulation:
         disturbance: Disturbance,
         health: PerJet,
     ) -> Sample:
-        """Return what was on the wires during step ``k``, for the observers."""
+        """Return all signals of step ``k``, for the observers."""
         propulsion = self.propulsion
         return _SAMPLE(
             k,
@@ -198,11 +198,11 @@ class Simulation:
             propulsion.spool_moment,
             self.faults.flags,
             health,
-            self._block_signals() if self._logged_blocks else _NOTHING,
+            self._block_signals() if self._logged_blocks else _NO_SIGNALS,
         )
 
     def _block_signals(self) -> tuple[float, ...]:
-        """Return the blocks' log values.  Raises FlightError for a wrong number of them."""
+        """Return the values of the blocks' log columns.  Raises FlightError for a wrong number of them."""
         signals: list[float] = []
         for block, columns in self._logged_blocks:
             shown = block.shown
@@ -218,7 +218,7 @@ class Simulation:
 
     @property
     def cascade(self) -> Cascade:
-        """Built-in controller, for tuning and analysis.  Raises InputError if another one flies."""
+        """Built-in controller, for tuning and analysis.  Raises InputError if another controller flies."""
         if not isinstance(self.controller, Cascade):
             raise InputError(f"{type(self.controller).__name__} flies, and has not the parts of the built-in cascade")
         return self.controller
@@ -280,7 +280,7 @@ class Simulation:
         return Ending("completed", f"flew {self.k} steps{late}")
 
     def make_failure(self, error: FlightError) -> Ending:
-        """Return the ending for an error in this step; engine errors state their own time."""
+        """Return the ending "failed" for an error in this step; engine errors state their own time."""
         when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
         return Ending("failed", f"{error}{when}")
 

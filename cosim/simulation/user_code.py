@@ -33,7 +33,7 @@ def list_scenario_code(scenario: Scenario) -> list[Code]:
 
 
 def list_aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> list[Code]:
-    """Return the code of the engines at single jets of an aircraft; ``with_engine``: and of the one for all."""
+    """Return the code of the engines at single jets of an aircraft; ``with_engine``: also of its common engine."""
     if not is_aircraft_path(aircraft):
         return []
     try:

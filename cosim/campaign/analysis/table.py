@@ -17,7 +17,7 @@ from cosim.campaign.study.plan import controllers as controllers_of
 from cosim.campaign.workers.flight_row import MARGIN_OF
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
-from cosim.simulation.plugins import PREFIX
+from cosim.simulation.plugins import METRIC_PREFIX
 from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def read_flight_table(campaign: Campaign) -> FlightTable:
     controllers = list(named or dict.fromkeys(row_controllers) or study.controller_names)
     code_of = {name: code for code, name in enumerate(controllers)}
     completed = kind <= KINDS.index("missed")
-    names = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
+    names = [*metric_names(), *(name for name in columns if name.startswith(METRIC_PREFIX))]
     required = ["margin"] if study.base().require else []
     names += required
     values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in names if name in columns}
@@ -225,7 +225,7 @@ def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list
     stepped = [axis for axis in AXES if np.isfinite(values.get(f"{axis}.overshoot_percent", np.empty(0))).any()]
     order = [
         *required,
-        *(name for name in values if name.startswith(PREFIX)),
+        *(name for name in values if name.startswith(METRIC_PREFIX)),
         *(f"{axis}.{last}" for axis in stepped for last in AXIS_METRICS),
         *(f"{axis}.max_abs_error_rad" for axis in AXES),
         "altitude.max_abs_error_m",

@@ -22,7 +22,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.model_file import read_model
 
-_models: RecentCache[Any] = RecentCache(32)  # surfaces and wings of JSBSim models
+_models: RecentCache[Any] = RecentCache(32)  # results of queries by model
 T = TypeVar("T")  # type of a query's result
 
 
@@ -34,10 +34,10 @@ def make_allocator(
     hover: float,
     catch: Recovery | None,
 ) -> Allocator:
-    """Return the allocator for what the vehicle has, or states."""
+    """Return the allocator of a vehicle, by its actuators or by the allocation that it states."""
     limits = vehicle.control.allocation
     if vehicle.allocation == "effectiveness":
-        return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+        return _make_effectiveness_allocator(scenario, vehicle, stations, thrust_map)
     if vehicle.servo is None:
         return RotorAllocator(vehicle.jets, limits, hover)
     lift = _throttle_rise(scenario, vehicle, stations) if scenario.monitored and catch is None else inf
@@ -45,13 +45,13 @@ def make_allocator(
 
 
 def make_effectiveness(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
-    """Return the allocation of a vehicle with this engine at every station.  Raises InputError as a flight."""
+    """Return the allocator by effectiveness of a vehicle with one engine at every station.  Raises InputError."""
     stations = [engine] * len(vehicle.jets)
     thrust_map, _ = make_thrust_map(vehicle, engine, stations)
-    return _by_effectiveness(scenario, vehicle, stations, thrust_map)
+    return _make_effectiveness_allocator(scenario, vehicle, stations, thrust_map)
 
 
-def _by_effectiveness(
+def _make_effectiveness_allocator(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> EffectivenessAllocator:
     limits, step = vehicle.control.allocation, scenario.step_s
@@ -93,12 +93,12 @@ def _by_effectiveness(
         effectors,
         limits.horizontal,
     )
-    lag = _catch_lag(scenario, vehicle, stations)
+    lag = _recovery_lag(scenario, vehicle, stations)
     return EffectivenessAllocator(model) if lag is None else HingedRecovery(model, lag)
 
 
-def _catch_lag(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
-    """Return the engines' lag, if the vehicle is to be caught after an engine loss.
+def _recovery_lag(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> EngineLag | None:
+    """Return the engines' lag for the recovery after an engine loss; None if the vehicle has none.
 
     A throttle has acted after the delay and a third of the lag, by when an engine is well on its way: chosen by us.
     """
@@ -115,14 +115,14 @@ def query_model(what: str, scenario: Scenario, vehicle: Vehicle, query: Callable
     _, folder = scenario.resolved_vehicle()
     model = None if vehicle.model is None else read_model(folder / vehicle.model)
 
-    def make() -> T:
+    def query_airframe() -> T:
         frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
         try:
             return query(frame)
         finally:
             frame.close()
 
-    answer: T = _models.get((what, model, vehicle.model_dump_json(), scenario.step_s), make)
+    answer: T = _models.get((what, model, vehicle.model_dump_json(), scenario.step_s), query_airframe)
     return answer
 
 
@@ -135,7 +135,7 @@ def _thrust_at(curve: StaticCurve, throttle: float) -> float:
 
 
 def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> float:
-    """Return the throttle rise per step allowed to make up for height lost with an engine.
+    """Return the largest throttle rise per step with which height lost with an engine is recovered.
 
     From least to most in no less than the longest lag of the engines: told to go faster they are at the limit of their
     acceleration, all alike, and what roll asks for between them is lost.

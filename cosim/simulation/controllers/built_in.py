@@ -51,8 +51,8 @@ def make_cascade(
             f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
             f"outside {gains.allocation.throttle_min:g} to {gains.allocation.throttle_max:g}"
         )
-    _need_lift(vehicle, stations)
-    catch = _catch(scenario, vehicle, stations, thrust_map) if plugged is None else None
+    _check_lift(vehicle, stations)
+    catch = _make_recovery(scenario, vehicle, stations, thrust_map) if plugged is None else None
     loops = Loops(
         AttitudeController(gains.attitude),
         RateController(
@@ -83,7 +83,7 @@ def make_cascade(
                 loops,
                 vehicle,
                 thrust_map,
-                _reduced_attitude(scenario, vehicle, stations, thrust_map) if plugged is None else None,
+                _make_reduced_attitude(scenario, vehicle, stations, thrust_map) if plugged is None else None,
                 catch,
             ),
             *_effectiveness_laws(scenario, vehicle, loops),
@@ -97,7 +97,7 @@ def make_cascade(
 def _engine_loss_laws(
     loops: Loops, vehicle: Vehicle, thrust_map: ThrustMap, reduced: ReducedAttitude | None, catch: Recovery | None
 ) -> list[FlightLaw]:
-    """Return the laws for an engine loss, for vehicles whose allocation does not handle it."""
+    """Return the flight laws for an engine loss, of a vehicle whose allocation does not handle it."""
     monitor = vehicle.control.monitor
     opposite = find_opposite_jets(vehicle) if monitor is not None and monitor.shut_opposite else ()
     if reduced is not None:
@@ -106,13 +106,13 @@ def _engine_loss_laws(
 
 
 def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> list[FlightLaw]:
-    """Return the laws of wings, hinges and surfaces, of vehicles that are flown by effectiveness."""
+    """Return the flight laws for wings, hinges and surfaces of a vehicle that is allocated by effectiveness."""
     allocator = loops.allocator
     if not isinstance(allocator, EffectivenessAllocator):
         return []
     laws: list[FlightLaw] = []
     settings = vehicle.control.wing
-    wing = None if settings is None else _wing(scenario, vehicle, settings, loops, allocator)
+    wing = None if settings is None else _make_wing_law(scenario, vehicle, settings, loops, allocator)
     if isinstance(allocator, HingedRecovery):
         laws.append(HingedLean(loops, allocator, wing))
     if wing is not None:
@@ -122,7 +122,7 @@ def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> l
     return laws
 
 
-def _wing(
+def _make_wing_law(
     scenario: Scenario,
     vehicle: Vehicle,
     settings: WingControl,
@@ -131,7 +131,7 @@ def _wing(
     rows: int = 16,
     at_m_s: float = 20.0,
 ) -> WingFlight:
-    """Return the wing flight law, with its wing measured in the vehicle's JSBSim model."""
+    """Return the wing flight law, with the wing's coefficients measured in the vehicle's JSBSim model."""
     least, most = settings.alpha_rad
     alphas = [least + (most - least) * row / rows for row in range(rows + 1)]
     lift, drag, moment = query_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, at_m_s))
@@ -143,10 +143,10 @@ def _wing(
     return WingFlight(loops, allocator, settings, table, tilts, vehicle.mass_kg, scenario.step_s, attitude_lag)
 
 
-def _reduced_attitude(
+def _make_reduced_attitude(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> ReducedAttitude | None:
-    """Return the reduced attitude law, if rotors do not tilt and a failed one is to be caught."""
+    """Return the controller after a rotor loss, if rotors do not tilt and the vehicle states a recovery; else None."""
     monitor = vehicle.control.monitor
     if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
@@ -156,10 +156,10 @@ def _reduced_attitude(
     return ReducedAttitude(vehicle, find_opposite_jets(vehicle), thrust_map, lag, delay, scenario.step_s, added)
 
 
-def _catch(
+def _make_recovery(
     scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec], thrust_map: ThrustMap
 ) -> Recovery | None:
-    """Return the recovery that shuts off the opposite of a lost engine, with the engine the vehicle is made for.
+    """Return the recovery that shuts off the jet opposite a lost one, if the vehicle flies with its own engine.
 
     With that one its constants were chosen; slower ones stay longer at their limits, which it does not know.
     """
@@ -180,7 +180,7 @@ def _catch(
 
 
 def find_opposite_jets(vehicle: Vehicle) -> tuple[int, ...]:
-    """Return the opposite jet of each jet, from 0.  Raises InputError if one has none."""
+    """Return the index of the jet opposite each jet, from 0.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
     opposite_jets = []
     for number, (x, y, _) in enumerate(places, 1):
@@ -196,7 +196,7 @@ def _make_lead(vehicle: Vehicle, command: str, step: float) -> Lead | None:
     return Lead(settings, step) if settings else None
 
 
-def _need_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
+def _check_lift(vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
     """Refuse engines at the stations that cannot lift the vehicle together."""
     weight, most = vehicle.mass_kg * GRAVITY, sum(station.curve.thrust[-1] for station in stations)
     if most <= weight:

@@ -20,26 +20,26 @@ from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 NO_PROOF = "has no proof flights: made without one, or for another autopilot, or before designs had them"
-LAW = "optimal"  # entry point of a design at the limit
+LAW = "optimal"  # name of the law by convex optimisation
 
 
 class Requirements(Model):
     """The requirements that a design must meet."""
 
     max_sensitivity: float = 1.7
-    delay_tolerance: NotNegative = 0.3  # of the delay; at least one sample
+    delay_tolerance: NotNegative = 0.3  # fraction of the delay, or one sample
     gain_tolerance: NotNegative = 0.3
     # Relative error of one engine's gain and lag in the proof; None: 0.3, or a smaller gain tolerance.
     engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
-    # Hz, of roll and pitch: a loop of 1 rad/s settles within 5 % in 3 s, one side of the roll doublet.
+    # Least bandwidth [Hz] of roll and pitch: a loop of 1 rad/s settles within 5 % in 3 s, half of the roll doublet.
     min_bandwidth_hz: NotNegative = 0.16
-    max_overshoot: float = 0.2  # of a step, with an oscillatory engine
-    # Of the command's range: three standard deviations of noise take a quarter of it.
+    max_overshoot: float = 0.2  # step's overshoot, oscillatory engine
+    # Deviation of the command by noise, over its range: three standard deviations take a quarter of it.
     noise_share: float = 0.0833
     step_rad: float = 0.1745  # roll doublet that must not saturate
 
     def delay_samples(self, transport: float) -> float:
-        """Return the tolerance, in samples, of a transport delay of so many."""
+        """Return the tolerance of a transport delay, both in samples."""
         return max(1.0, self.delay_tolerance * transport) if self.delay_tolerance else 0.0
 
 
@@ -54,18 +54,18 @@ class AxisRecord(Model):
     delay_margin_s: float | None = None
     bandwidth_hz: float
     tolerated: float  # stable up to this times the tolerances
-    overshoot: float | None = None  # of a step; None: older file
-    settling_s: float | None = None  # s to within 5 % of a step
+    overshoot: float | None = None  # overshoot of a step; None: older file
+    settling_s: float | None = None  # time to within 5 % of a step
     candidates: dict[str, float] = Field(default_factory=dict)  # acceptable ones by minimised objective
 
 
 class LevelRecord(Model):
-    """The results for the channels that engines answer, with a part of the fuel."""
+    """Design results at one level of fuel, of the channels that engines drive."""
 
     fuel: float  # fraction of the tank
     mass_kg: float
     share: float  # hover thrust in the engines' range
-    designed: bool  # False: between two designed levels
+    designed: bool  # False: interpolated between two levels
     held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity with full-tank gains
     axes: dict[str, AxisRecord]
 
@@ -83,7 +83,7 @@ class FlownRecord(Model):
 
 
 class ProofRecord(Model):
-    """Flights that proved a design: a record, without effect on later flights."""
+    """Record of the flights that proved a design, without effect on later flights."""
 
     flights: int  # flights that met the requirements
     failed: str | None = None  # why an earlier proof failed
@@ -110,7 +110,7 @@ class Purpose(Model):
     added_delay_samples: int = 0
     bank_inertia_kg_m2: float | None = None  # of a tilting bank; None: older file
     model: str  # origin of the model
-    misfit: float | None = None  # of the engine's model; None: negligible
+    misfit: float | None = None  # engine model's misfit; None: negligible
     # (Hz, ratio): relative error bound of the engine model.
     unsure: list[tuple[float, float]] | None = None
     requirements: Requirements
@@ -138,7 +138,7 @@ class Purpose(Model):
 
 
 class ControllerFile(Model):
-    """The file as a whole."""
+    """Contents of a controller file."""
 
     controller: str
     controller_parameters: dict[str, float] = Field(default_factory=dict)  # parameters of a law at the limit
@@ -146,18 +146,18 @@ class ControllerFile(Model):
     design: Purpose
 
     def check_step(self, path: Path, step: float) -> None:
-        """Raise InputError if it was made for another control step [s]."""
+        """Raise InputError if the controller was designed for another control step [s]."""
         if abs(step - self.design.step_s) > 1e-9:
             raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
 
 def read_purpose(path: Path) -> Purpose:
-    """Return what a controller file was made for.  Raises InputError as :func:`read_controller`."""
+    """Return the vehicle, engine and step that a controller file was made for.  Raises InputError."""
     return validate(ControllerFile, read_toml(path), str(path)).design
 
 
 def describe_proof(purpose: Purpose) -> str:
-    """Describe a design's proof, and measures worse than with shipped gains."""
+    """Return lines on a design's proof, and on measures that are worse than with shipped gains."""
     proof = purpose.proof
     if proof is None:
         return NO_PROOF
@@ -188,7 +188,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
         # them.
         without = merge(file.vehicle, {"control": {"schedule": False}})
         file = file.model_copy(update={"vehicle": without})
-    if _older_than_banks(file, original):
+    if _predates_bank_reaction(file, original):
         raise InputError(f"{path}: {WRITTEN_BEFORE}")
     return file
 
@@ -209,7 +209,7 @@ def _check_controller(file: ControllerFile, path: Path) -> None:
         raise InputError(f"{path}: controller_parameters: of controller {LAW!r} alone, not of {file.controller!r}")
 
 
-def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
+def _predates_bank_reaction(file: ControllerFile, original: Vehicle) -> bool:
     """Return whether a file predates the model of the banks' reaction, which version 0.2.0 has."""
     servo = original.servo
     stated = any(
@@ -221,7 +221,7 @@ def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
 def apply_controller(
     scenario: Scenario | str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
 ) -> Scenario:
-    """Return a scenario, or that of a name or a file, with a controller file over it, and settings over both.
+    """Return a scenario with a controller file applied, and then settings; a scenario is given as such or by name.
 
     What it expects was stated with other gains and is left out.  ``settings``: ``KEY=VALUE``, the value as TOML has it.
     ``aircraft``: who flies it; None: the scenario's, or the design's with its engine where the scenario's file names
@@ -258,7 +258,7 @@ def apply_controller(
 
 
 def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]:
-    """List how a flight differs from what its controller file was designed for.
+    """Return lines on how a flight differs from what its controller file was designed for.
 
     Without ``noted`` those are left out that the flight's own record has (:func:`list_design_notes`).
     """
@@ -267,7 +267,7 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
     source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters
     unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
-    lines = _proof_and_engine(made, spec) if noted else []
+    lines = _note_proof_and_engine(made, spec) if noted else []
     if made.engine_sha256 in (spec.identity, spec.sha256) and (
         any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items())
         or any(made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items())
@@ -276,7 +276,7 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
             f"designed for engine parameters {made.engine_parameters or 'of its own'}, flown with "
             f"{dict(scenario.engine_parameters) or 'its own'}"
         )
-    flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
+    flown, given = _airframe_changes(scenario.vehicle), _airframe_changes(made.vehicle_changes)
     if flown != given:
         lines.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
     for key in ("substeps", "added_delay_samples"):
@@ -286,7 +286,7 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
 
 
 def list_design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
-    """List notes on a flight's design from its record: failed or missing proof, or another engine.
+    """Return notes on the design in a flight's record: failed or missing proof, or another engine.
 
     Empty where no design is among ``parameters``.  Raises InputError for one that is none.
     """
@@ -294,13 +294,13 @@ def list_design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec)
         f"{Path(each.file).name}: {line}"
         for each in parameters
         if each.kind == "design"
-        for line in _proof_and_engine(
+        for line in _note_proof_and_engine(
             validate(ControllerFile, parse_table(each.content, each.file), each.file).design, engine
         )
     ]
 
 
-def _proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
+def _note_proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
     lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
     if made.proof is None:
         lines.append(NO_PROOF)
@@ -310,6 +310,6 @@ def _proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
     return lines
 
 
-def _airframe(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changes of a vehicle that are not its controller."""
+def _airframe_changes(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changes of a vehicle other than those of its controller."""
     return {key: value for key, value in changes.items() if key not in ("control", "identified")}

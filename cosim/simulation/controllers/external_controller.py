@@ -46,7 +46,7 @@ def resolve_parameters(scenario: Scenario, source: Source | None) -> dict[str, f
 
 
 class ExternalController:
-    """A user's controller at its level, with the models that it is told."""
+    """A user's controller at its level, with the models that it receives."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class ExternalController:
         self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
 
     def make_block(self) -> None:
-        """Make the block, except predictors.  Raises InputError; :meth:`close` frees it."""
+        """Return the user's block, except predictors.  Raises InputError; :meth:`close` frees it."""
         if self.source.level == "controller":
             self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
         elif self.source.level == "rate":
@@ -87,7 +87,7 @@ class ExternalController:
             self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
 
     def make_predictors(self) -> list[Predictor]:
-        """Return the predictors before the rate loop: the user's, or built-in ones."""
+        """Return the predictors that feed the rate loop: the user's, or built-in ones."""
         belief = self._belief
         if self.source.level != "predictor":
             return belief.predictors(self.source.predictor)
@@ -98,7 +98,7 @@ class ExternalController:
         ]
 
     def _make_block(self, belief: Belief) -> Any:
-        """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
+        """Return a new block after its ``prepare`` with the belief.  Raises InputError if that fails."""
         block = self.source.make()
         self._blocks.append(block)
         if isinstance(block, ProcessBlock):  # a process has its own time limit
@@ -113,7 +113,7 @@ class ExternalController:
         return block
 
     def check_repeatable(self) -> bool | None:
-        """Whether processes repeat their answers; None: code of this process."""
+        """Return whether the controller's processes repeat their answers; None: it runs in this process."""
         answers = [block.check_repeatable() for block in self._blocks if isinstance(block, ProcessBlock)]
         return all(answers) if answers else None
 

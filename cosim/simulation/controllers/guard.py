@@ -34,14 +34,14 @@ from cosim.base.signals import (
 )
 from cosim.control.belief import Belief
 
-_AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])  # names of answers in errors
-_TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")  # names of tilts in errors
+_ANSWER_NAMES: Final = tuple([f"the answer for {axis}" for axis in AXES])  # names of answers in errors
+_TILT_NAMES: Final = ("the tilt of the left servo", "the tilt of the right servo")  # names of tilts in errors
 _FLY: Final = EngineState.FLY  # direct access in compiled code
 
 
 @dataclass(frozen=True)
 class CallGuard:
-    """A block's name in messages."""
+    """Calls methods of a user's block, and names the block in errors."""
 
     label: str
     kind: str = "controller"
@@ -64,11 +64,11 @@ class CallGuard:
             raise self.make_error(f"{what} raised {describe_error(error)}") from error
 
     def check_numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
-        """Return an answer as so many finite numbers.  Raises FlightError."""
+        """Return an answer as finite numbers, one per name.  Raises FlightError."""
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
-            raise self.make_error(f"{what} gave {_short(answer)}: must be {len(names)} numbers") from None
+            raise self.make_error(f"{what} gave {_shorten(answer)}: must be {len(names)} numbers") from None
         if len(values) != len(names):
             raise self.make_error(f"{what} gave {len(values)} numbers: must be {len(names)}")
         for value, name in zip(values, names, strict=True):
@@ -84,22 +84,22 @@ class CallGuard:
             raise self.make_error(f"shown raised {describe_error(error)}") from error
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def columns_from(block: Any) -> tuple[Column, ...]:
-    """Return the columns that a block shows, each as it is or as four texts."""
+def read_columns_of(block: Any) -> tuple[Column, ...]:
+    """Return the log columns that a block declares, each as a Column or as four texts."""
     return tuple([Column(*column) for column in getattr(block, "columns", ())])
 
 
 class Guarded:
-    """A user's ``block`` with guarded calls and logged columns."""
+    """User's ``block`` with guarded calls and logged columns."""
 
     def __init__(self, block: Any, guard: CallGuard) -> None:
         self.block, self._guard = block, guard
-        self.columns = columns_from(block)
+        self.columns = read_columns_of(block)
 
     @property
     def shown(self) -> tuple[float, ...]:
@@ -131,7 +131,7 @@ class GuardedPredictor(Guarded):
 
 
 class GuardedRate(Guarded):
-    """A rate loop of the user's: see :class:`cosim.control.phases.law.CustomRate`."""
+    """User's rate loop as a :class:`cosim.control.phases.law.CustomRate`."""
 
     def __init__(self, block: Any, guard: CallGuard) -> None:
         super().__init__(block, guard)
@@ -146,7 +146,7 @@ class GuardedRate(Guarded):
         roll, pitch, yaw = self._torque
         applied = (roll - unallocated.roll, pitch - unallocated.pitch, yaw - unallocated.yaw)
         answer = self._guard.call("update", self.block.update, setpoint, measured, applied)
-        roll, pitch, yaw = self._guard.check_numbers(answer, _AXIS_ANSWERS)
+        roll, pitch, yaw = self._guard.check_numbers(answer, _ANSWER_NAMES)
         self._torque = (roll, pitch, yaw)
         predicted = getattr(self.block, "predicted", None)
         if predicted is not None:
@@ -160,7 +160,7 @@ class GuardedRate(Guarded):
 
 
 class GuardedAttitude(Guarded):
-    """An attitude loop of the user's: see :class:`cosim.base.protocols.AttitudeLoop`."""
+    """User's attitude loop as a :class:`cosim.base.protocols.AttitudeLoop`."""
 
     def reset(self) -> None:
         self._guard.call("reset", self.block.reset)
@@ -174,7 +174,7 @@ class GuardedAttitude(Guarded):
 
 
 class GuardedController(Guarded):
-    """A whole controller of the user's as a :class:`cosim.base.protocols.Controller`."""
+    """User's whole controller as a :class:`cosim.base.protocols.Controller`."""
 
     def __init__(self, block: Any, guard: CallGuard, belief: Belief) -> None:
         super().__init__(block, guard)
@@ -185,12 +185,12 @@ class GuardedController(Guarded):
         self._tilt_limit = vehicle.servo.range_rad if vehicle.servo else 0.0
         ranges: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
         self._ranges = ranges  # ranges of hinges and surfaces, if any
-        self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if ranges else _TILTS
+        self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if ranges else _TILT_NAMES
         self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])
         self._all_jets = frozenset(range(jets))
         self._flying = True
-        # What the previous step applied, for the next update.
+        # Throttles, tilts and engine output of the previous step, for the next update.
         self._throttle, self._tilt = self._idle, self._rest
         self._engines, self._burnt = EngineOutput((), (), (), ()), 0.0
         self.signals = self._control_signals(self._idle)
@@ -210,18 +210,18 @@ class GuardedController(Guarded):
         return throttle
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
-        """Return the block's checked answer; while the engines do not fly, idle throttle without asking the block."""
+        """Return the block's checked answer; while the engines do not fly, idle throttle without calling the block."""
         if engines is not _FLY:
             self._flying = False
             off = self._all_jets if engines is EngineState.OFF else NO_JETS
-            return self._record(Actuation(self._idle, self._rest, Unallocated(), off))
+            return self._store(Actuation(self._idle, self._rest, Unallocated(), off))
         if not self._flying:
             self._guard.call("reset", self.block.reset)
             self._flying = True
         applied = Applied(self._throttle, self._tilt, self._engines, self._burnt)
-        return self._record(self._checked(self._guard.call("update", self.block.update, command, measured, applied)))
+        return self._store(self._check(self._guard.call("update", self.block.update, command, measured, applied)))
 
-    def _record(self, answer: Actuation) -> Actuation:
+    def _store(self, answer: Actuation) -> Actuation:
         self._throttle, self._tilt = answer.throttle, answer.tilt
         self.signals = self._control_signals(answer.throttle)
         return answer
@@ -234,7 +234,7 @@ class GuardedController(Guarded):
         mean = sum(throttle) / len(throttle)
         return ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
 
-    def _checked(self, answer: Any) -> Actuation:
+    def _check(self, answer: Any) -> Actuation:
         guard = self._guard
         is_actuation = isinstance(answer, Actuation)
         if is_actuation:
@@ -243,14 +243,14 @@ class GuardedController(Guarded):
             try:
                 throttles, tilts = answer if self._tilt_limit or self._ranges else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
-                raise guard.make_error(f"update gave {_short(answer)}: must be throttles and tilts") from None
+                raise guard.make_error(f"update gave {_shorten(answer)}: must be throttles and tilts") from None
         throttle = self._round_to_limits(throttles)
         tilt: PerServo
         if self._ranges:
             asked = guard.check_numbers(tilts, self._servos, "tilts: update")
             tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ranges)])
         else:
-            left, right = guard.check_numbers(tilts, _TILTS, "tilts: update")
+            left, right = guard.check_numbers(tilts, _TILT_NAMES, "tilts: update")
             tilt = (clamp(left, self._tilt_limit), clamp(right, self._tilt_limit))
         return Actuation(
             throttle,
@@ -260,7 +260,7 @@ class GuardedController(Guarded):
         )
 
     def _round_to_limits(self, throttles: Any) -> PerJet:
-        """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
+        """Return the throttles clipped to 0 to 1.  Raises FlightError for one that is outside by more than rounding."""
         throttle = self._guard.check_numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
             # An excess of 1e-9 is rounding in the user's arithmetic.
@@ -274,7 +274,7 @@ class GuardedController(Guarded):
         return ALL_HEALTHY
 
     def forgive(self) -> None:
-        """Do nothing, as engines are not monitored."""
+        """Do nothing, because engines are not monitored."""
 
     @property
     def lost(self) -> tuple[int, ...]:

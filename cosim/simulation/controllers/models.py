@@ -20,7 +20,7 @@ from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from
 
 
 def make_scenario_belief(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
-    """Return the models that a controller with these parameters would get in a scenario.  Raises InputError."""
+    """Return the belief that a controller with these parameters would get in a scenario.  Raises InputError."""
     vehicle, _ = scenario.resolved_vehicle()
     engine, *stations = load_engines(scenario, vehicle)
     return make_belief(scenario, vehicle, engine, stations, parameters)
@@ -51,7 +51,7 @@ def make_belief(
 
 
 def find_models(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
-    """Return the models, by axis, that the vehicle states for an engine.
+    """Return the identified models by axis that the vehicle states for an engine.
 
     Those of an engine that is a file are filed under its name and its hash: with a note, one whose hash is of another
     file of that name is left out, and one without a hash is taken.
@@ -81,7 +81,7 @@ def find_step_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -
 
 
 def make_thrust_map(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
-    """Return the way from shares of thrust to throttles, and the share in hover."""
+    """Return the map from thrust fractions to throttles, and the fraction in hover."""
     distinct = {id(station): station for station in (engine, *stations)}
     curves = {number: StaticCurve(station.name, *station.rising_curve) for number, station in distinct.items()}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])

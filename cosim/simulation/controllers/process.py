@@ -25,22 +25,22 @@ from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
 
-# Chosen by us: s until it describes itself; an interpreter on a busy machine takes seconds.
+# Time until a process describes itself, chosen by us: an interpreter on a busy machine takes seconds.
 MAX_START_S = 60.0
-MAX_END_S = 1.0  # s to end after its input was closed
-_MAX_LINE_BYTES = 1_000_000  # bytes of a description
+MAX_END_S = 1.0  # time to end after its input was closed
+_MAX_LINE_BYTES = 1_000_000  # length of a description
 _STEP_HEADER = wire.frame_layout(0)  # step number at the start of a frame
 
 Command = Callable[[], Sequence[str]]
 
 
 def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
-    """Return a process's description of itself.  Raises InputError."""
+    """Start a controller process, and return the description that it prints of itself.  Raises InputError."""
     # Discards the error output of a program that is ended right after its description.
     with tempfile.TemporaryFile() as errors:
         host = _start_process(command, folder, label, errors)
         try:
-            return _description(host, label)
+            return _receive_description(host, label)
         except InputError as error:
             host.end(MAX_END_S)
             errors.seek(0)
@@ -61,7 +61,7 @@ def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes]
         raise InputError(f"controller {label}: cannot be started: {error.strerror or error}") from error
 
 
-def _description(host: Host, label: str) -> dict[str, Any]:
+def _receive_description(host: Host, label: str) -> dict[str, Any]:
     try:
         line = host.read_line(_MAX_LINE_BYTES, MAX_START_S)
         description = json.loads(line)
@@ -77,9 +77,9 @@ def _description(host: Host, label: str) -> dict[str, Any]:
 
 
 class ProcessBlock:
-    """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s per answer."""
+    """User's block in a process of its own, which answers a frame per step within ``limit`` seconds."""
 
-    # Frames recorded to check that answers repeat: 200 s at 4 ms.
+    # Number of frames recorded to check that answers repeat: 200 s at 4 ms.
     max_frames = 50_000
     shown: tuple[float, ...] = ()
 
@@ -137,7 +137,7 @@ class ProcessBlock:
     def _start(self) -> Host:
         host = _start_process(self._command, self._folder, self._label)
         try:
-            _description(host, self._label)
+            _receive_description(host, self._label)
             host.send(self._belief, MAX_START_S)
         except FlightError as error:
             host.end(MAX_END_S)
@@ -148,11 +148,11 @@ class ProcessBlock:
         return host
 
     def reset(self) -> None:
-        """Start the numbers of frames at 0 again."""
+        """Restart the numbering of frames at 0."""
         self._k = 0
 
     def update(self, *arguments: Any) -> Any:
-        """Exchange one frame.  Raises FlightError."""
+        """Send one frame and return the process's answer.  Raises FlightError."""
         assert self._host is not None
         frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
         answer = self._exchange(self._host, frame, self._k)
@@ -181,7 +181,7 @@ class ProcessBlock:
         return answer
 
     def check_repeatable(self) -> bool:
-        """Whether another process gives the same answers, bit for bit."""
+        """Return whether another process of the program gives the same answers, bit for bit."""
         try:
             host = self._start()
         except (InputError, FlightError):

@@ -16,9 +16,9 @@ from cosim.base.protocols import Applied, Column
 from cosim.base.signals import Actuation, Command, Measured, PerJet, Unallocated
 from cosim.base.storage.files import read_text
 
-ACTUATORS = "actuators.csv"  # file in a run's folder
-TILTS = ("tilt_left_rad", "tilt_right_rad")  # columns of the tilt servos
-COLUMNS = (  # optional columns
+ACTUATORS = "actuators.csv"  # table in a run's folder
+TILT_COLUMNS = ("tilt_left_rad", "tilt_right_rad")  # columns of the tilt servos
+COLUMNS = (  # optional columns of the table
     Column("autopilot_armed", "1", "", "the autopilot drives the engines: 1; they stand at what it gives disarmed: 0"),
     Column("autopilot_time_s", "s", "", "time since the autopilot was told of its first state, before the flight"),
 )
@@ -27,12 +27,12 @@ Row = tuple[PerJet, tuple[float, float], tuple[float, ...]]  # throttles, tilts 
 
 def format_header(jets: int, servo: bool) -> str:
     """Return the header line of a table of actuator commands."""
-    tilts = TILTS if servo else ()
+    tilts = TILT_COLUMNS if servo else ()
     return ",".join([*(f"throttle_{number}" for number in range(1, jets + 1)), *tilts, *[c.name for c in COLUMNS]])
 
 
 def format_row(row: Row, servo: bool) -> str:
-    """Return the line of one step."""
+    """Return one step's line of a table of actuator commands."""
     throttle, tilt, shown = row
     return ",".join([repr(value) for value in (*throttle, *(tilt if servo else ()), *shown)])
 
@@ -47,17 +47,17 @@ def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     jets = 0
     while jets < len(names) and names[jets] == f"throttle_{jets + 1}":
         jets += 1
-    servo = tuple(names[jets : jets + 2]) == TILTS
+    servo = tuple(names[jets : jets + 2]) == TILT_COLUMNS
     extra_names = names[jets + (2 if servo else 0) :]
     columns_by_name = {column.name: column for column in COLUMNS}
     if not jets:
         raise InputError(f"{where}: {path}, line 1: {names[0]!r}: must be throttle_1, throttle_2 and on, then tilts")
     for name in extra_names:
         if name not in columns_by_name:
-            raise InputError(f"{where}: {path}, line 1: {name!r}: {nearest(name, [*TILTS, *columns_by_name])}")
+            raise InputError(f"{where}: {path}, line 1: {name!r}: {nearest(name, [*TILT_COLUMNS, *columns_by_name])}")
     rows: list[Row] = []
     for number, text in enumerate(lines, 2):
-        values = _numbers(text)
+        values = _parse_numbers(text)
         if len(values) != len(names):
             if number == len(lines) + 1:  # the last line of a killed process
                 break
@@ -67,8 +67,8 @@ def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     return rows, tuple([columns_by_name[name] for name in extra_names])
 
 
-def _numbers(text: str) -> list[float]:
-    """Return the cells as numbers; None if one is not."""
+def _parse_numbers(text: str) -> list[float]:
+    """Return the cells of a line as numbers; empty if one is not a finite number."""
     try:
         values = [float(cell) for cell in text.split(",")]
     except ValueError:
@@ -77,7 +77,7 @@ def _numbers(text: str) -> list[float]:
 
 
 class RecordedController:
-    """Repeats recorded commands, whatever is measured."""
+    """Controller that repeats recorded actuator commands, whatever is measured."""
 
     level = "controller"
 

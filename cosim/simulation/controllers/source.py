@@ -33,28 +33,28 @@ from cosim.base.storage.files import read_file
 from cosim.base.trust import Code, CodeRefusedError, need_trust, program_code
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
-from cosim.simulation.controllers.guard import columns_from
+from cosim.simulation.controllers.guard import read_columns_of
 from cosim.simulation.controllers.process import Command, ProcessBlock, make_program_command, request_description
 from cosim.spec.controller_name import is_design, split_file_name
 from cosim.spec.controller_name import label as label_of
 
-# Levels of a controller, and the arguments of update at each.
-LEVELS: dict[str, tuple[str, ...]] = {
+# Arguments of ``update`` by the level of a controller.
+UPDATE_ARGUMENTS: dict[str, tuple[str, ...]] = {
     "predictor": ("measured", "applied"),
     "rate": ("setpoint", "measured", "applied"),
     "attitude": ("command", "measured"),
     "controller": ("command", "measured", "applied"),
 }
-# Methods that blocks of other kinds must have, and their arguments; a metric is called itself.
-METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+# Methods that blocks of other kinds must have, with their arguments; a metric is itself called.
+REQUIRED_METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "metric": (("__call__", ("log", "step_s")),),
     "observer": (("observe", ("sample",)),),
     "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
     "wind": (("velocity", ("time", "north", "east", "height")),),
 }
 IN_MEMORY_PREFIX = "python:"  # marks the name of an object in memory
-_MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # form of module:Name
-NAME = re.compile(r"[A-Za-z_]\w*")  # form of a Python name
+_MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # form of module:Name
+PYTHON_NAME = re.compile(r"[A-Za-z_]\w*")  # form of a Python name
 
 
 def _sha256(path: Path) -> str:
@@ -63,7 +63,7 @@ def _sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class Source:
-    """A user's block before its flight: a controller of some level, or another kind.
+    """Source of a user's block, from which each flight makes it: a controller of some level, or another kind.
 
     ``files``: what it is made of, the first being the one that its name names, under the names that they have in a
     run's folder.  ``make`` makes a block, at rest.
@@ -83,19 +83,19 @@ class Source:
 
     @property
     def label(self) -> str:
-        """The name in messages and rows."""
+        """Short name of the block in messages and rows."""
         return label_of(self.name)
 
     @cached_property
     def hashes(self) -> dict[str, str]:
-        """The SHA-256 of each file, or of a text that is in none."""
+        """SHA-256 of each file of the block, or of its text if it is in no file."""
         if self.text:
             return {f"{self.label}, its source": hashlib.sha256(self.text.encode()).hexdigest()}
         return {name: _sha256(path) for name, path in self.files.items()}
 
     @property
     def sha256(self) -> str:
-        """One hash of all its files, the file's own if there is one; empty if unavailable."""
+        """SHA-256 of all files of the block together, or of its only one; empty if unavailable."""
         if not self.hashes:
             return ""
         if len(self.hashes) == 1:
@@ -103,7 +103,7 @@ class Source:
         return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
 
     def resolve_values(self, specified: Mapping[str, float], where: str) -> dict[str, float]:
-        """Return its parameters' values.  Raises InputError with the key and allowed values."""
+        """Return the values of the block's parameters.  Raises InputError with the key and allowed values."""
         parameters = {parameter.name: parameter for parameter in self.parameters}
         for name, value in specified.items():
             if name not in parameters:
@@ -117,7 +117,7 @@ class Source:
     def check_hash(
         self, sha256: str | None, where: str, kind: str = "controller", key: str = "controller_sha256"
     ) -> None:
-        """Refuse a file other than the one with the hash stated in ``key``.  Raises InputError."""
+        """Raise InputError if the block's hash is not ``sha256``, which the scenario states in ``key``."""
         if sha256 is not None and sha256 != self.sha256:
             raise InputError(
                 f"{where}: {kind} {self.label} is not the one that was flown: its sha256 is {self.sha256[:12]}, "
@@ -126,7 +126,7 @@ class Source:
 
 
 def find_controller_source(controller: str, folder: Path, complaint: str) -> Source | None:
-    """Return the controller of that name, a file seen from ``folder``; None for a built-in one.
+    """Return the source of a controller by name; a file is relative to ``folder``.  None for a built-in one.
 
     Raises InputError: ``complaint`` and what there is, or what is wrong with it.
     """
@@ -136,8 +136,8 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
         if named.before:
-            return _from_process(controller, path, named.after)
-        return _from_record(controller, path) if path.suffix.lower() == ".csv" else _from_fmu(controller, path)
+            return _find_process(controller, path, named.after)
+        return _find_record(controller, path) if path.suffix.lower() == ".csv" else _find_fmu(controller, path)
     if named is None and controller in PREDICTORS:
         return None
     if controller.startswith(IN_MEMORY_PREFIX):
@@ -156,27 +156,27 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
 
 
 def find_python(kind: str, name: str, folder: Path) -> Source | None:
-    """Return the Python block of that name, a file seen from ``folder``; None for another name.  Raises InputError."""
+    """Return the source of a Python block by name; a file is relative to ``folder``.  None: no such form of name."""
     named, where = split_file_name(name), f"{kind} {name}"
     if named is not None and named.after and not named.before:
-        return _from_file(kind, name, Path(named.resolve(folder).file), named.after[1:])
-    if named is None and _MODULE.fullmatch(name):
+        return _find_in_file(kind, name, Path(named.resolve(folder).file), named.after[1:])
+    if named is None and _MODULE_NAME.fullmatch(name):
         module_name, _, attribute = name.partition(":")
         module, path, files = import_installed(module_name, where)
-        block = _attribute(module, attribute, kind, where, path)
-        return _from_attributes(kind, name, block, None, files, find_package_version(module_name), copied=False)
+        block = _get_member(module, attribute, kind, where, path)
+        return _make_source(kind, name, block, None, files, find_package_version(module_name), copied=False)
     entry = find_entries(kind).get(name)
-    return None if entry is None else _from_entry(kind, name, entry)
+    return None if entry is None else _load_entry_point(kind, name, entry)
 
 
 def list_installed() -> Iterator[tuple[str, str]]:
-    """Yield controllers of installed packages with descriptions.  Raises InputError if one fails to load.
+    """Yield names and descriptions of controllers of installed packages.  Raises InputError if one fails to load.
 
     One that only says that it is installed is not run for that.
     """
     for name, entry in find_entries("controller").items():
         try:
-            level = _from_entry("controller", name, entry).level
+            level = _load_entry_point("controller", name, entry).level
         except CodeRefusedError:
             yield name, f"{entry.value} (not where packages are installed, and not run to look at it)"
             continue
@@ -184,8 +184,8 @@ def list_installed() -> Iterator[tuple[str, str]]:
         yield name, f"{description or entry.value} ({level})"
 
 
-def from_object(value: Any) -> Source:
-    """Return the source of a class or an object of a program.  Raises InputError for one that is no controller.
+def make_object_source(value: Any) -> Source:
+    """Return the source of a controller's class or object in memory.  Raises InputError for what is no controller.
 
     A class of a file flies again from that file, and so does an object that is as its class makes it without being told
     anything.  Of one of a notebook's cell the text is hashed, where it is to be had.
@@ -197,12 +197,12 @@ def from_object(value: Any) -> Source:
     make = None if isinstance(value, type) else partial(copy.deepcopy, value)
     check_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
     if check_repeatable and (isinstance(value, type) or _is_default(value, cls)):
-        return _from_attributes("controller", f"{path}:{cls.__name__}", value, make, files)
-    source = _from_attributes("controller", f"{IN_MEMORY_PREFIX}{label}", value, make, files, copied=False)
+        return _make_source("controller", f"{path}:{cls.__name__}", value, make, files)
+    source = _make_source("controller", f"{IN_MEMORY_PREFIX}{label}", value, make, files, copied=False)
     return source if files else replace(source, text=_source_text(cls))
 
 
-def _constant(value: Any) -> Callable[[], Any]:
+def _make_constant_function(value: Any) -> Callable[[], Any]:
     return lambda: value
 
 
@@ -227,7 +227,7 @@ def find_source_file(cls: Any) -> Path | None:
 
 
 def _code_objects(cls: type) -> list[CodeType]:
-    """Return the code objects of the functions that its own text defines."""
+    """Return the code objects of the functions that a class itself defines."""
     return [inspect.unwrap(function).__code__ for function in vars(cls).values() if inspect.isfunction(function)]
 
 
@@ -250,39 +250,39 @@ def _source_text(cls: type) -> str:
 _sources: RecentCache[Source] = RecentCache(32)
 
 
-def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
-    """Return the block of a file, reloaded if it or a neighbour that it imports has changed."""
+def _find_in_file(kind: str, name: str, path: Path, attribute: str) -> Source:
+    """Return the source of a block in a file, reloaded if the file or a neighbour that it imports has changed."""
     where = f"{kind} {name}"
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     need_trust([Code(path)], where)
     file_hashes = [(file, _sha256(file)) for file in _files_by_path.get(path, [path]) if file.is_file()]
 
-    def load() -> Source:
+    def load_file() -> Source:
         module, neighbours = execute_file(path, where)
         _files_by_path[path] = [path, *neighbours]
         files = {file.name: file for file in (path, *neighbours)}
-        return _from_attributes(kind, name, _attribute(module, attribute, kind, where, path), None, files)
+        return _make_source(kind, name, _get_member(module, attribute, kind, where, path), None, files)
 
-    return _sources.get((kind, name, str(path), tuple(file_hashes)), load)
-
-
-_files_by_path: dict[Path, list[Path]] = {}  # as they were when last read
+    return _sources.get((kind, name, str(path), tuple(file_hashes)), load_file)
 
 
-def _from_process(controller: str, path: Path, arguments: str) -> Source:
+_files_by_path: dict[Path, list[Path]] = {}  # files that were last read
+
+
+def _find_process(controller: str, path: Path, arguments: str) -> Source:
     need_trust([program_code(path, arguments)], f"controller {label_of(controller)}")
     command = make_program_command(path, arguments)
     key = (controller, str(path), _sha256(path))
 
-    def load() -> Source:
+    def load_process() -> Source:
         description = request_description(command, path.parent, label_of(controller))
-        return _from_description(controller, description, {path.name: path}, command, path.parent)
+        return _process_source(controller, description, {path.name: path}, command, path.parent)
 
-    return _sources.get(key, load)
+    return _sources.get(key, load_process)
 
 
-def _from_fmu(controller: str, path: Path) -> Source:
+def _find_fmu(controller: str, path: Path) -> Source:
     from cosim.engine.make.controller_fmu import describe_controller, make_command, read_controller_fmu
 
     try:
@@ -294,11 +294,11 @@ def _from_fmu(controller: str, path: Path) -> Source:
     command_line = make_command(path)
     return _sources.get(
         key,
-        lambda: _from_description(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent),
+        lambda: _process_source(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent),
     )
 
 
-def _from_record(controller: str, path: Path) -> Source:
+def _find_record(controller: str, path: Path) -> Source:
     rows, columns = recorded.read_rows(path, f"controller {label_of(controller)}")
     source = Source(
         controller, "controller", lambda: recorded.RecordedController(rows, columns), {path.name: path}, columns=columns
@@ -307,7 +307,7 @@ def _from_record(controller: str, path: Path) -> Source:
     return source
 
 
-def _from_description(
+def _process_source(
     controller: str, description: Mapping[str, Any], files: Mapping[str, Path], command: Command, folder: Path
 ) -> Source:
     """Return the source of a process or an FMU from its description.  Raises InputError for what does not fit."""
@@ -342,12 +342,12 @@ def _from_description(
     return source
 
 
-def _from_entry(kind: str, name: str, entry: EntryPoint) -> Source:
+def _load_entry_point(kind: str, name: str, entry: EntryPoint) -> Source:
     if kind == "controller" and name in PREDICTORS:
         raise InputError(f"{describe_entry(entry)}: there is a predictor of this name already")
     member, package = load_entry(entry)
     path = find_source_file(member)
-    return _from_attributes(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
+    return _make_source(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
 @cache
@@ -362,7 +362,7 @@ def find_package_version(module: str) -> str:
     return ""
 
 
-def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path) -> Any:
+def _get_member(module: ModuleType, name: str, kind: str, where: str, path: Path) -> Any:
     """Return a module's attribute: a controller's class, or anything for other kinds.  Raises InputError."""
     member, members = getattr(module, name, None), vars(module).items()
     if kind != "controller":
@@ -376,7 +376,7 @@ def _attribute(module: ModuleType, name: str, kind: str, where: str, path: Path)
     return member
 
 
-def _from_attributes(
+def _make_source(
     kind: str,
     name: str,
     block: Any,
@@ -385,21 +385,21 @@ def _from_attributes(
     package: str = "",
     copied: bool = True,
 ) -> Source:
-    """Return a block's source with its attributes.  Raises InputError for invalid ones."""
+    """Return the source of a block, checked and with its attributes.  Raises InputError for invalid ones."""
     if kind == "controller":
         where = f"controller {label_of(name)}"
         level, predictor, columns, parameters = _read_attributes(block, where, "Column(name, unit, frame, meaning)")
-        methods: Any = [("reset", ()), ("update", LEVELS[level])]
+        methods: Any = [("reset", ()), ("update", UPDATE_ARGUMENTS[level])]
         methods += [("prepare", ("belief",))] if hasattr(block, "prepare") else []
-        make = make or _maker(block, where)
+        make = make or _make_factory(block, where)
         source = Source(name, level, make, files, package, predictor, parameters, columns, copied)
     else:
-        where, methods = f"{kind} {name}", METHODS[kind]
+        where, methods = f"{kind} {name}", REQUIRED_METHODS[kind]
         if kind == "metric" and callable(block) and not isinstance(block, type):
-            make, block = _constant(block), SimpleNamespace(__call__=block)
+            make, block = _make_constant_function(block), SimpleNamespace(__call__=block)
         elif not isinstance(block, type):
             raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
-        source = Source(name, kind, make or _maker(block, where), files, package, is_copied=copied)
+        source = Source(name, kind, make or _make_factory(block, where), files, package, is_copied=copied)
     for method, arguments in methods:
         check_method(block, method, arguments, where)
     source.hashes  # noqa: B018  of what was read just now
@@ -412,19 +412,19 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
     Raises InputError for what does not fit.
     """
     level, predictor = getattr(block, "level", None), BASELINE.name
-    if not isinstance(level, str) or level not in LEVELS:
-        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
+    if not isinstance(level, str) or level not in UPDATE_ARGUMENTS:
+        raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(UPDATE_ARGUMENTS)}")
     if level == "attitude":  # other levels have no predictor to check
         predictor = getattr(block, "predictor", predictor)
         PREDICTORS.find(str(predictor), f"{where}: predictor = {predictor!r}: there is none of that name")
     try:
-        columns = columns_from(block)
+        columns = read_columns_of(block)
     except TypeError as error:
         raise InputError(f"{where}: columns: must be {column}: {error}") from error
     return level, predictor, columns, read_block_parameters(block, where)
 
 
-def _maker(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
+def _make_factory(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
     def make() -> Any:
         try:
             return make_block()
@@ -435,7 +435,7 @@ def _maker(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
 
 
 def check_method(block: Any, method: str, arguments: Sequence[str], where: str) -> None:
-    """Refuse a block without a method or with other arguments.  Raises InputError."""
+    """Raise InputError for a block without a method, or with other arguments of it."""
     function = getattr(block, method, None)
     if not callable(function):
         raise InputError(f"{where}: has no {method}({', '.join(arguments)})")
@@ -450,7 +450,7 @@ def check_method(block: Any, method: str, arguments: Sequence[str], where: str) 
 
 
 def read_block_parameters(block: Any, where: str) -> tuple[Parameter, ...]:
-    """Return the parameters that a block states.  Raises InputError."""
+    """Return the parameters that a block declares.  Raises InputError."""
     parameters: list[Parameter] = []
     stated = getattr(block, "parameters", ())
     if not isinstance(stated, (list, tuple)):
@@ -463,7 +463,7 @@ def read_block_parameters(block: Any, where: str) -> tuple[Parameter, ...]:
             raise InputError(
                 f"{where}: parameters: {item!r}: must be Parameter(name, default, ...): {error}"
             ) from error
-        if not NAME.fullmatch(str(parameter.name)):
+        if not PYTHON_NAME.fullmatch(str(parameter.name)):
             raise InputError(
                 f"{where}: parameter {parameter.name!r}: a name is of letters, digits and _, no digit first"
             )

@@ -25,12 +25,12 @@ from cosim.spec.scenario import (
 )
 
 Waveform = Callable[[int], float]
-STICKS = ("roll", "pitch", "yaw", "throttle")  # columns of a file of sticks
-_IN_DEGREES = frozenset(index for index, signal in enumerate(SIGNALS) if "deg" in signal)  # indices of angles
+STICK_COLUMNS = ("roll", "pitch", "yaw", "throttle")  # columns of a file of sticks
+_ANGLES = frozenset(index for index, signal in enumerate(SIGNALS) if "deg" in signal)  # indices of signals in deg
 
 
 class CommandScript:
-    """The sum of a scenario's commands at every control step.
+    """Sum of a scenario's commands at every control step.
 
     Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
     body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
@@ -49,13 +49,13 @@ class CommandScript:
                 continue
             before = len(self._waves)
             if isinstance(entry, TableCommand):
-                self._waves += _table(entry, scenario, start, where)
+                self._waves += _read_table(entry, scenario, start, where)
             elif isinstance(entry, SticksCommand):
-                self._waves += _sticks(entry, scenario, start, where)
+                self._waves += _read_sticks(entry, scenario, start, where)
             else:
                 signal = SIGNALS.index(entry.signal)
-                wave = _waveform(entry, scenario, start, where)
-                self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
+                wave = _make_waveform(entry, scenario, start, where)
+                self._waves.append((signal, _scale(wave, radians(1.0)) if signal in _ANGLES else wave))
             if any(SIGNALS[signal] == "collective" for signal, _ in self._waves[before:]):
                 collective.append(start)
         self.signals = [SIGNALS[signal] for signal in sorted({signal for signal, _ in self._waves})]
@@ -130,7 +130,7 @@ def make_pulse(start: int, end: int | None, amplitude: float) -> Waveform:
     return wave
 
 
-def _waveform(
+def _make_waveform(
     entry: StepCommand | DoubletCommand | RampCommand | SweepCommand, scenario: Scenario, start: int, where: str
 ) -> Waveform:
     if isinstance(entry, StepCommand):
@@ -144,31 +144,31 @@ def _waveform(
     return lambda k: amplitude * min(1.0, max(0.0, (k - start) / length))
 
 
-def _scaled(wave: Waveform, factor: float) -> Waveform:
+def _scale(wave: Waveform, factor: float) -> Waveform:
     return lambda k: factor * wave(k)
 
 
-def _table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+def _read_table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
     path = scenario.folder / entry.file
     times, columns = read_columns(path, SIGNALS, f"{where}.file")
     waves = []
     for name, values in columns.items():
         signal = SIGNALS.index(name)
-        factor = radians(1.0) if signal in _IN_DEGREES else 1.0
+        factor = radians(1.0) if signal in _ANGLES else 1.0
         waves.append(
-            (signal, _interpolated(times, [factor * v for v in values], entry.interpolate, scenario.step_s, start))
+            (signal, _interpolate(times, [factor * v for v in values], entry.interpolate, scenario.step_s, start))
         )
     return waves
 
 
-def _interpolated(
+def _interpolate(
     times: Sequence[float], values: Sequence[float], interpolation: str, step: float, start: int
 ) -> Waveform:
     """Return the waveform of table rows: 0 before the first, constant after the last."""
     linear = interpolation == "linear"
 
     def wave(k: int) -> float:
-        # A billionth of a step of tolerance for rounding, so that a row on the grid counts from its own step on.
+        # A tolerance of a billionth of a step for rounding, so that a row on the grid counts from its own step on.
         t = (k - start) * step + 1e-9 * step
         i = bisect_right(times, t) - 1
         if i < 0:
@@ -181,9 +181,9 @@ def _interpolated(
     return wave
 
 
-def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+def _read_sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
     path = scenario.folder / entry.file
-    times, columns = read_columns(path, STICKS, f"{where}.file")
+    times, columns = read_columns(path, STICK_COLUMNS, f"{where}.file")
     for name, values in columns.items():
         worst = max(values, key=abs)
         if abs(worst) > 1.0:
@@ -191,12 +191,12 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
     step = scenario.step_s
     tilt = radians(entry.tilt_deg)
     zeros = [0.0] * len(times)
-    position = {name: _interpolated(times, columns.get(name, zeros), "linear", step, start) for name in STICKS}
+    position = {name: _interpolate(times, columns.get(name, zeros), "linear", step, start) for name in STICK_COLUMNS}
     end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
     waves = (
-        _scaled(position["roll"], tilt),
+        _scale(position["roll"], tilt),
         # Stick forward is positive and commands nose down.
-        _scaled(position["pitch"], -tilt),
+        _scale(position["pitch"], -tilt),
         _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end),
         _running_sum(position["throttle"], entry.climb_m_s * step, start, end),
     )
@@ -214,7 +214,7 @@ def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Wavefor
 def read_columns(
     path: Path, allowed: Sequence[str], where: str, all_of_them: bool = False
 ) -> tuple[list[float], dict[str, list[float]]]:
-    """Read times and named columns of a CSV with a header line ``time_s,...``.
+    """Return times and named columns of a CSV file with a header line ``time_s,...``.
 
     ``all_of_them``: every allowed column must be there, in this order; times may then begin below 0.
     Raises InputError that names the file and the line: unknown column, a cell that is no finite number, times that
@@ -235,7 +235,7 @@ def read_columns(
             continue
         if len(row) != len(header):
             raise InputError(f"{path}: line {number}: {len(row)} cells, the header has {len(header)}")
-        table.append([_number(cell, path, number) for cell in row])
+        table.append([_parse_number(cell, path, number) for cell in row])
         if len(table) > 1 and table[-1][0] <= table[-2][0]:
             raise InputError(
                 f"{path}: line {number}: time_s does not grow ({table[-2][0]:g} s, then {table[-1][0]:g} s)"
@@ -261,7 +261,7 @@ def _read_header(rows: Sequence[Sequence[str]], path: Path, allowed: Sequence[st
     return header
 
 
-def _number(cell: str, path: Path, line: int) -> float:
+def _parse_number(cell: str, path: Path, line: int) -> float:
     try:
         value = float(cell)
     except ValueError:

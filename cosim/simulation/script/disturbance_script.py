@@ -21,7 +21,7 @@ Payload = tuple[float, float, float, float]
 
 
 class DisturbanceScript:
-    """Sum of a scenario's disturbances per control step; the same object while unchanged."""
+    """Sum of a scenario's disturbances at every control step; the same object while unchanged."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._forces: list[tuple[Waveform, Vector3]] = []
@@ -55,7 +55,7 @@ class DisturbanceScript:
                 self._payloads.append((on, (entry.mass_kg, x, y, z)))
             else:
                 assert end is not None
-                torque = AXES.index(entry.axis), _torque(entry, scenario, start, end - start, where)
+                torque = AXES.index(entry.axis), _torque_wave(entry, scenario, start, end - start, where)
                 (self._torques if entry.at == "actuators" else self._outputs).append(torque)
                 if entry.seen:
                     self._seen.append(torque)
@@ -73,21 +73,21 @@ class DisturbanceScript:
         if self._calm and self._parts:
             return self._last
         parts = (
-            _total(self._forces, k),
-            _total(self._moments, k),
-            _torques(self._torques, k),
-            _total(self._winds, k, self._steady_wind),
-            self._payload(k),
+            _total_vector(self._forces, k),
+            _total_vector(self._moments, k),
+            _total_torque(self._torques, k),
+            _total_vector(self._winds, k, self._steady_wind),
+            self._total_payload(k),
             self._gusts.get(k),
-            _torques(self._outputs, k),
-            _torques(self._seen, k),
+            _total_torque(self._outputs, k),
+            _total_torque(self._seen, k),
         )
         if parts != self._parts:
             self._parts = parts
             self._last = Disturbance(*parts)
         return self._last
 
-    def _payload(self, k: int) -> Payload:
+    def _total_payload(self, k: int) -> Payload:
         """Return all payloads on board as one point mass at their common centre."""
         mass = x = y = z = 0.0
         for on, (m, px, py, pz) in self._payloads:
@@ -96,7 +96,7 @@ class DisturbanceScript:
         return (mass, x / mass, y / mass, z / mass) if mass else (0.0, 0.0, 0.0, 0.0)
 
 
-def _torques(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
+def _total_torque(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
     if not entries:
         return ZERO3
     total = [0.0, 0.0, 0.0]
@@ -105,7 +105,7 @@ def _torques(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
     return (total[0], total[1], total[2])
 
 
-def _total(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZERO3) -> Vector3:
+def _total_vector(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZERO3) -> Vector3:
     if not entries:
         return start
     x, y, z = start
@@ -115,7 +115,7 @@ def _total(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZER
     return (x, y, z)
 
 
-def _torque(entry: TorqueCommandDisturbance, scenario: Scenario, start: int, length: int, where: str) -> Waveform:
+def _torque_wave(entry: TorqueCommandDisturbance, scenario: Scenario, start: int, length: int, where: str) -> Waveform:
     if entry.shape == "sweep":
         return make_sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
     if entry.shape == "doublet":

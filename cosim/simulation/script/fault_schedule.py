@@ -22,7 +22,7 @@ NEVER = sys.maxsize  # a step after the last one
 
 
 class FaultSchedule:
-    """Faults of a flight by time; ``next`` is the step of the next change.
+    """Schedule of a flight's faults; ``next`` is the step of the next change.
 
     ``laws[i]``: how engine ``i``, from 0, goes out.  ``flags``: 1 where a fault acts, in the order of the log's
     columns.  ``commanded``: not all of them are the scenario's.
@@ -57,9 +57,9 @@ class FaultSchedule:
         self.commanded = False
         self.next = NEVER
         for index, fault in enumerate(self._scenario.fault):
-            self._add(fault, f"fault.{index}")
+            self._schedule(fault, f"fault.{index}")
 
-    def _add(self, fault: Fault, where: str) -> None:
+    def _schedule(self, fault: Fault, where: str) -> None:
         self._check_fault(fault, where)
         scenario = self._scenario
         start = scenario.count(fault.start_s, f"{where}.start_s")
@@ -97,7 +97,7 @@ class FaultSchedule:
 
     def inject(self, fault: Fault, k: int) -> None:
         """Begin ``fault`` at step ``k``, whatever its ``start_s``."""
-        self._add(fault.model_copy(update={"start_s": k * self._scenario.step_s}), "inject")
+        self._schedule(fault.model_copy(update={"start_s": k * self._scenario.step_s}), "inject")
         self.next, self.commanded = min(self.next, k), True
 
     def clear(self, k: int) -> None:
@@ -109,7 +109,7 @@ class FaultSchedule:
 
     @property
     def flown_faults(self) -> list[Fault]:
-        """The faults with their actual times so far, or planned ones."""
+        """Faults with their times, those of commanded faults included."""
         dt = self._scenario.step_s
         return [
             fault if end == NEVER else fault.model_copy(update={"duration_s": (end - start) * dt})
@@ -119,35 +119,35 @@ class FaultSchedule:
     def update(self, k: int, measured: Measured) -> None:
         """Begin and end the faults due at step ``k``; ``measured`` is the last measurement."""
         if k >= self.next:
-            self._change(k, measured)
+            self._update_active_faults(k, measured)
 
-    def _change(self, k: int, measured: Measured) -> None:
+    def _update_active_faults(self, k: int, measured: Measured) -> None:
         due = [fault for start, end, fault in self._spans if start <= k < end]
         for fault in [fault for fault in self._acting if not any(fault is other for other in due)]:
-            self._end(fault)
+            self._end_fault(fault)
         for fault in due:
             if not any(fault is other for other in self._acting):
-                self._begin(fault, measured)
+                self._begin_fault(fault, measured)
         self._acting = due
         self._update_jams()
         self.flags = self._flags_of(due) if due else self._no_flags
         times = [time for start, end, _ in self._spans for time in (start, end) if time > k]
         self.next = min(times, default=NEVER)
 
-    def _begin(self, fault: Fault, measured: Measured) -> None:
+    def _begin_fault(self, fault: Fault, measured: Measured) -> None:
         if isinstance(fault, (SensorBias, SensorDropout)):
             self._sensors.begin(fault, measured)
         elif not isinstance(fault, ServoJam):
             self._engines.begin_fault(fault)
 
-    def _end(self, fault: Fault) -> None:
+    def _end_fault(self, fault: Fault) -> None:
         if isinstance(fault, (SensorBias, SensorDropout)):
             self._sensors.end(fault)
         elif not isinstance(fault, ServoJam):
             self._engines.end_fault(fault)
 
     def _update_jams(self) -> None:
-        """Jam servos by their first active fault, and release others where they are."""
+        """Jam each servo by its first active fault, and release the others at their present angles."""
         for i, servo in enumerate(self._servos):
             jams = [
                 fault for fault in self._acting if isinstance(fault, ServoJam) and fault.servo == self._servo_names[i]

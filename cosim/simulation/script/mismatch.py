@@ -13,7 +13,7 @@ from cosim.spec.vehicle import Vehicle
 
 
 def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
-    """Return the vehicle that flies where the controller assumes ``vehicle``; the same object without a mismatch.
+    """Return the vehicle that really flies where the controller assumes ``vehicle``; without a mismatch the same.
 
     Its body axes start from the true centre of gravity, to which the moments of inertia stated belong then.
     Raises InputError if there is more fuel than mass, or more inertia in a part than in the whole.
@@ -60,7 +60,7 @@ def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
 
 
 def _check_inertia(vehicle: Vehicle, factor: float) -> None:
-    """Refuse inertia that leaves nothing for the structure without fuel and banks."""
+    """Raise InputError if an inertia factor leaves no inertia for the structure without fuel and banks."""
     a, b, c = sorted(vehicle.with_fuel(0.0).inertia_kg_m2)
     banks = 2.0 * vehicle.servo.bank_inertia_kg_m2 if vehicle.servo else 0.0
     if a <= 0.0 or a + b < c or banks >= vehicle.inertia_kg_m2[1]:
@@ -71,7 +71,7 @@ def _check_inertia(vehicle: Vehicle, factor: float) -> None:
 
 
 def compute_engine_mismatch(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
-    """Return thrust over the nominal engines' thrust, None where equal, and the added delays in steps.
+    """Return the factors on the engines' thrusts, None if all are 1, and their added delays in steps.
 
     Raises InputError for a factor of a jet that the vehicle has not.
     """

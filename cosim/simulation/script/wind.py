@@ -11,7 +11,7 @@ Velocity = Callable[[float, float, float, float], Vector3]  # (s, north, east, h
 
 
 class FieldWind:
-    """Wind of a field over a step: at the vehicle, and the difference at each engine.
+    """Wind of a spatial field in a step: at the vehicle, and its difference at each engine.
 
     The airframe flies in the air at its centre of gravity; an engine's intake, and what its stream does to the
     vehicle, in the air at its station.  ``positions``: the stations [m, body], none if the wind is the same everywhere.
@@ -25,7 +25,7 @@ class FieldWind:
         self.at_jets: list[Vector3] = []  # m/s NED, relative to that at the centre
 
     def reset(self, wind: Vector3) -> Vector3:
-        """Return the wind at the start, m/s, where the disturbances blow ``wind``."""
+        """Start a flight, and return its initial wind [m/s]: the field's plus ``wind`` of the disturbances."""
         self._reset()
         self.at_jets = []
         x, y, z = self._velocity(0.0, 0.0, 0.0, self._height)

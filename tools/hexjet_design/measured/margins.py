@@ -13,7 +13,7 @@ from cosim.base.signals import AXES
 from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.simulation.build import build
 from cosim.simulation.controllers.external_controller import find_controller
-from cosim.simulation.controllers.source import Source, from_object
+from cosim.simulation.controllers.source import Source, make_object_source
 from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.controller_name import label, resolve_controller
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
@@ -159,7 +159,7 @@ def measure_margins(
     if isinstance(controller, str):
         scenario = scenario.replace(controller=resolve_controller(controller, scenario.folder))
     elif controller is not None:
-        own = from_object(controller)
+        own = make_object_source(controller)
         scenario = scenario.replace(controller=own.name)
     scenario = still(scenario)
     own = own or find_controller(scenario)
