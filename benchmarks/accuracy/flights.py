@@ -122,8 +122,8 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
 
     def use() -> None:
         for kind, method in zip(("rotational", "translational"), scheme.rates, strict=True):
-            frame._set(f"simulation/integrator/rate/{kind}", method)
-        frame._set("simulation/integrator/position/rotational", scheme.attitude)
+            frame._set_property(f"simulation/integrator/rate/{kind}", method)
+        frame._set_property("simulation/integrator/position/rotational", scheme.attitude)
         frame._extrapolation = scheme.make_up
 
     def step(inputs: StepInputs) -> Motion:
@@ -135,7 +135,7 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
                 frame.burn(inputs.burnt)
             if spins:
                 frame.set_momentum(inputs.momentum)
-            frame._apply(inputs.disturbance)
+            frame._apply_disturbance(inputs.disturbance)
         state = frame.step(list(inputs.forces), inputs.disturbance, inputs.moment)
         if changed:
             use()

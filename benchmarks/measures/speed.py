@@ -194,14 +194,14 @@ def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
     frame = simulation.airframe
     if plain:
         for name, method in JSBSIM_MODELS.items():
-            frame._set(f"simulation/integrator/{name}", method)
+            frame._set_property(f"simulation/integrator/{name}", method)
     run, more = frame.jsbsim_run(), frame.substeps - 1
     twice = more > 0 and not plain
     fraction, write, write_ahead, read = (
         FORCE_EXTRAPOLATION[AIR_METHOD],
-        frame._act,
+        frame._write_loads,
         frame._write_extrapolated,
-        frame._read,
+        frame._read_state,
     )
 
     def action() -> None:

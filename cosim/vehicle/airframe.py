@@ -34,7 +34,7 @@ from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle._properties import Properties
 from cosim.vehicle.executive import Complaint, Executive, Property
-from cosim.vehicle.jsbsim_model import MOMENTUM, PRODUCT_SIGN, PRODUCTS, render, to_structural
+from cosim.vehicle.jsbsim_model import MOMENTUM_PROPERTY, PRODUCT_SIGN, PRODUCTS_OF_INERTIA, render, to_structural
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 from cosim.vehicle.mass_change import MassChange, PointMass, find_centre
 from cosim.vehicle.model_file import read_model
@@ -45,27 +45,27 @@ RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
 ADAMS_BASHFORTH_3: Final = 4.0
 BUSS_2: Final = 7.0  # exact for a constant rate
-METHODS: Final = {  # names in summary and report
+METHOD_NAMES: Final = {  # method names in summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
     ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
     BUSS_2: "Buss 2",
 }
-POSITIONS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}  # integration of attitude and position
-RATES: Final = ("rotational", "translational")  # kinds of rates in property names
-AIR_METHOD: Final = ADAMS_BASHFORTH_2  # for both rates
+POSITION_METHODS: Final = {"rotational": BUSS_2, "translational": ADAMS_BASHFORTH_3}  # for attitude and position
+RATE_KINDS: Final = ("rotational", "translational")  # kinds of rates in property names
+AIR_METHOD: Final = ADAMS_BASHFORTH_2  # integration of rates in the air
 # JSBSim's friction is the force that stops a contact within one run of the rectangular rule. Adams and Bashforth's
 # method would apply half as much again, and rates would oscillate from run to run for ever.
-GROUND_METHOD: Final = RECTANGULAR  # of both rates, with a contact
-# A surface is moved by this fraction of its range, for this many s, to measure its effect. Chosen by us: small compared
-# with bends of the tables, long compared with actuators.
-SURFACE_TEST: Final = (0.05, 2.0)
-# Fraction of a force's change that the first run adds, by method: see the module's text.
+GROUND_METHOD: Final = RECTANGULAR  # of rates with ground contact
+# Fraction of its range by which a surface is moved, and for how long [s], to measure its effect: small against the
+# bends of tables, long against the lags of actuators.
+SURFACE_TEST_STEP: Final = (0.05, 2.0)
+# Fraction of a force's change that the first run of a step adds, by integration method.
 FORCE_EXTRAPOLATION: Final = {AIR_METHOD: 0.5, GROUND_METHOD: 1.0}
 
-_POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
+_POUND_PER_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _NED = ("north", "east", "down")  # axes of NED
-_ZERO: Final[Any] = ZERO3  # a shared object
+_ZERO: Final[Any] = ZERO3  # shared zero vector
 _STATE: Final = State  # direct access in compiled code
 _number = itertools.count()  # counts the airframes of this process
 
@@ -75,8 +75,8 @@ Get = Callable[[], float]
 Set = Callable[[float], object]
 
 
-class _Read:
-    """Three properties of JSBSim, ``name`` with each of ``parts``, as a vector in SI units."""
+class _PropertyReader:
+    """Reads three properties of JSBSim, ``name`` with each of ``parts``, as a vector in SI units."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
         # Typed as a callable of float, so that compiled code multiplies without making an object.
@@ -91,8 +91,8 @@ class _Read:
         return (self._x() * unit, self._y() * unit, self._z() * unit)
 
 
-class _Write:
-    """The same for writing."""
+class _PropertyWriter:
+    """Writes a vector in SI units to three properties of JSBSim, ``name`` with each of ``parts``."""
 
     def __init__(self, node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> None:
         x, y, z = [node(name.format(part)).set_double_value for part in parts]
@@ -108,14 +108,14 @@ class _Write:
         self._z(z / unit)
 
 
-def _group(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tuple[Any, Any, Any, float]:
-    """Return three properties to be read or written with others in one call."""
+def _group_properties(node: Node, name: str, parts: Sequence[str], unit: float = 1.0) -> tuple[Any, Any, Any, float]:
+    """Return three properties and their unit, which are read or written with others in one call."""
     x, y, z = [node(name.format(part)) for part in parts]
     return (x, y, z, unit)
 
 
 class Airframe:
-    """The airframe of one vehicle, simulated by JSBSim.
+    """Airframe of one vehicle, simulated by JSBSim.
 
     ``step`` and ``substeps``: control step [s] and JSBSim runs in it.  ``rotors``: spinning rotors are modelled;
     without them the model is the file's own.  Raises InputError if the model does not load.
@@ -150,65 +150,65 @@ class Airframe:
         }
         try:
             xml = render(vehicle, self._source, rotors)
-            self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers
+            self.sha256 = hashlib.sha256(xml).hexdigest()  # hash of the model that is flown
             text = read_model(self._source)
             self.file_sha256 = hashlib.sha256(text).hexdigest()
             if self._source is not None:
                 check_model_loads(xml, self._source, text)
             self._file.write_bytes(xml)
-            self._load()
+            self._load_model()
         except BaseException:
             self.close()
             raise
 
-    def _load(self) -> None:
+    def _load_model(self) -> None:
         self._jsbsim = Executive(self._file, self._source, self._vehicle.name, self._dt)
         self._fdm = self._jsbsim.fdm
-        self._run: Callable[[], bool] = self._jsbsim.run if self.moving else _stand_still
+        self._run: Callable[[], bool] = self._jsbsim.run if self.moving else _skip_run
         self._fresh = True
-        self._bind()
+        self._bind_properties()
         for name, seed in self._seeds.items():
-            self._set(name, seed)
-        for kind, position_method in POSITIONS.items():
-            self._set(f"simulation/integrator/position/{kind}", position_method)
-        self._use(AIR_METHOD)
+            self._set_property(name, seed)
+        for kind, position_method in POSITION_METHODS.items():
+            self._set_property(f"simulation/integrator/position/{kind}", position_method)
+        self._set_methods(AIR_METHOD)
 
-    def _bind(self) -> None:
+    def _bind_properties(self) -> None:
         node = self._node
-        self._place = _Read(node, "position/from-start-neu-{}-ft", "neu", FOOT)
+        self._place = _PropertyReader(node, "position/from-start-neu-{}-ft", "neu", FOOT)
         motion = [
-            _group(node, "position/from-start-neu-{}-ft", "neu", FOOT),
-            _group(node, "velocities/v-{}-fps", _NED, FOOT),
-            _group(node, "attitude/{}-rad", ("phi", "theta", "psi")),
-            _group(node, "velocities/{}-rad_sec", "pqr"),
-            _group(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT),
+            _group_properties(node, "position/from-start-neu-{}-ft", "neu", FOOT),
+            _group_properties(node, "velocities/v-{}-fps", _NED, FOOT),
+            _group_properties(node, "attitude/{}-rad", ("phi", "theta", "psi")),
+            _group_properties(node, "velocities/{}-rad_sec", "pqr"),
+            _group_properties(node, "accelerations/a-pilot-{}-ft_sec2", "xyz", FOOT),
         ]
         self._motion: Callable[[], tuple[Any, ...] | None] = Properties(motion, 4).read
         # JSBSim's height above the ground is this minus the ground's, to the last bit. Reading that height directly
         # would also compute the point on the ground below, which costs some hundredths of a run.
         self._over_ellipsoid: Get = node("position/geod-alt-ft").get_double_value
         self._ground = self._environment.ground_m / FOOT
-        self._wind = _Read(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
-        self._air_rate = _Read(node, "atmosphere/{}-turb-rad_sec", "pqr")
+        self._wind = _PropertyReader(node, "atmosphere/total-wind-{}-fps", _NED, FOOT)
+        self._air_rate = _PropertyReader(node, "atmosphere/{}-turb-rad_sec", "pqr")
         self._get_mass: Get = node("inertia/mass-slugs").get_double_value
         names = [f"external_reactions/jet{jet}" for jet in range(1, len(self._vehicle.jets) + 1)]
-        jets = Properties([_group(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names])
+        jets = Properties([_group_properties(node, f"{name}/{{}}", "xyz", POUND_FORCE) for name in names])
         self._put: Callable[..., object] = jets.write
-        self._push = _Write(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
-        self._twist = _Write(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
-        self._methods = [node(f"simulation/integrator/rate/{kind}").set_double_value for kind in RATES]
+        self._push = _PropertyWriter(node, "external_reactions/push/{}", "xyz", POUND_FORCE)
+        self._twist = _PropertyWriter(node, "external_reactions/twist/{}", "lmn", POUND_FOOT)
+        self._methods = [node(f"simulation/integrator/rate/{kind}").set_double_value for kind in RATE_KINDS]
         for name in [*names, "external_reactions/push"]:
             node(f"{name}/magnitude").set_double_value(1.0)
             node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
         self._push.put(0.0, 0.0, 0.0)  # replaces the directions in the file
         self._twist.put(0.0, 0.0, 0.0)
-        self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
-        self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
+        self._legs, self._hull = self._contact_getters("leg"), self._contact_getters("hull")
+        self._set_wind = _PropertyWriter(node, "atmosphere/wind-{}-fps", _NED, FOOT)
         self._set_payload = node("inertia/pointmass-weight-lbs").set_double_value
-        self._payload_place = _Write(node, "inertia/pointmass-location-{}-inches", "XYZ")
+        self._payload_place = _PropertyWriter(node, "inertia/pointmass-location-{}-inches", "XYZ")
         self._mass_change = MassChange(self._jsbsim)
-        self._momentum = _Write(node, MOMENTUM, "xyz", SLUG_FT2) if self._rotors else None
+        self._momentum = _PropertyWriter(node, MOMENTUM_PROPERTY, "xyz", SLUG_FT2) if self._rotors else None
         self._pressure: Get = node("atmosphere/P-psf").get_double_value
         self._temperature: Get = node("atmosphere/T-R").get_double_value
         self._surfaces: list[Set] = [node(surface.property).set_double_value for surface in self._vehicle.surfaces]
@@ -217,15 +217,15 @@ class Airframe:
             weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
             self._set_burnt = node(f"inertia/pointmass-weight-lbs[{len(weights) - 1}]").set_double_value
 
-    def _contacts(self, kind: str) -> list[Get]:
-        """Return the getters of whether each contact of this kind touches."""
+    def _contact_getters(self, kind: str) -> list[Get]:
+        """Return the functions that tell whether each contact of this kind touches the ground."""
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
         return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
     def _node(self, name: str) -> Property:
         return self._jsbsim.node(name)
 
-    def _set(self, name: str, value: float) -> None:
+    def _set_property(self, name: str, value: float) -> None:
         self._node(name).set_double_value(value)
 
     def reset(
@@ -243,7 +243,7 @@ class Airframe:
         """
         if not self._fresh:
             # JSBSim's own reset leaves traces in the initial state; a new instance is the same to the last bit.
-            self._load()
+            self._load_model()
         self._fresh = False
         place = self._environment
         height = start_height(self._vehicle, initial)
@@ -260,7 +260,7 @@ class Airframe:
         for axis, rate in zip("pqr", initial.rate_deg_s, strict=True):
             settings[f"ic/{axis}-rad_sec"] = radians(rate)
         for name, value in settings.items():
-            self._set(name, value)
+            self._set_property(name, value)
         self._disturbance = Disturbance()
         self._forces, self._pushed, self._twisted = forces, ZERO3, ZERO3
         self._full = self._mass = self._get_mass() * SLUG
@@ -271,20 +271,20 @@ class Airframe:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form
         # JSBSim settles without time passing, and its turbulence divides by that time if there is a speed.
-        self._set("atmosphere/turb-type", 0.0 if any(initial.velocity_ned_m_s) else turbulence)
-        self._set("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
-        self._set("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
-        self._act(forces, ZERO3, ZERO3)
-        self._apply(Disturbance(wind=wind))
+        self._set_property("atmosphere/turb-type", 0.0 if any(initial.velocity_ned_m_s) else turbulence)
+        self._set_property("atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps", place.turbulence_wind_m_s / FOOT)
+        self._set_property("atmosphere/turbulence/milspec/severity", float(place.turbulence_severity))
+        self._write_loads(forces, ZERO3, ZERO3)
+        self._apply_disturbance(Disturbance(wind=wind))
         if momentum and self._rotors:
             self.set_momentum(momentum)
         self._jsbsim.start()
-        self._set("atmosphere/turb-type", turbulence)
+        self._set_property("atmosphere/turb-type", turbulence)
         self._still = not (place.turbulence_severity or any(wind))
         self._turbulent = place.turbulence_severity > 0
         # JSBSim's "up" has a datum of its own; ours is the ground below the start.
         self._datum = self._place.get()[2] - height
-        state = self._read()
+        state = self._read_state()
         if not all(map(isfinite, state.specific_force)):
             raise self._jsbsim.explain_not_finite()
         return state
@@ -296,17 +296,17 @@ class Airframe:
         Raises FlightError when JSBSim stops or the state is no longer finite.
         """
         if self._touching != (self._method == GROUND_METHOD):
-            self._use(GROUND_METHOD if self._touching else AIR_METHOD)
+            self._set_methods(GROUND_METHOD if self._touching else AIR_METHOD)
         old: Payload | None = None  # the previous payload, if it differs
         if disturbance is not self._disturbance:
             if disturbance.payload != self._disturbance.payload:
                 old = self._disturbance.payload
-            self._apply(disturbance)
+            self._apply_disturbance(disturbance)
         push, twist = disturbance.force, _sum(disturbance.moment, moment)
         run, runs = self._run, self.substeps
         try:
             if old is not None and runs > 1:
-                self._settle()
+                self._end_extrapolation()
                 ended = not self._step_mass_jump(old, forces, push, twist)
                 runs -= 1
             elif runs > 1:
@@ -314,20 +314,20 @@ class Airframe:
                 ended = not run()
                 runs -= 1
                 if self._is_extrapolated:
-                    self._settle()
+                    self._end_extrapolation()
             else:
                 ended = False
-            self._act(forces, push, twist)
+            self._write_loads(forces, push, twist)
             for _ in range(runs):
                 ended = not run() or ended
         except Complaint as error:
             raise self._jsbsim.flight_error(error) from None
         if ended:
             raise FlightError("JSBSim ended the run")
-        return self._read()
+        return self._read_state()
 
     def _step_mass_jump(self, old: Payload, forces: list[Vector3], push: Vector3, twist: Vector3) -> bool:
-        """Make the first run of a step in which the payload changed from ``old``; return whether JSBSim continues.
+        """Run the first part of a step in which the payload changed from ``old``; return whether JSBSim continues.
 
         See :mod:`cosim.vehicle.mass_change`.  The new centre of gravity gets its velocity by a force in the first run's
         accelerations alone, of twice the size: the method of Adams and Bashforth takes half of it back in the run
@@ -343,18 +343,18 @@ class Airframe:
             shift = _extrapolate(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
         jolt = (size * x, size * y, size * z)
         # The impulse acts at the centre of gravity as built, without moment about the present one.
-        self._act(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
-        self._mass_change.shift_centre(rotate(self._read().attitude, shift))
+        self._write_loads(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
+        self._mass_change.shift_centre(rotate(self._read_state().attitude, shift))
         self._mass_change.evaluate(self._run)
-        self._use(GROUND_METHOD)
-        self._act(forces, push, twist)
+        self._set_methods(GROUND_METHOD)
+        self._write_loads(forces, push, twist)
         goes_on = self._run()
         if not self._touching:
-            self._use(AIR_METHOD)
+            self._set_methods(AIR_METHOD)
         return goes_on
 
     def _find_centre(self, payload: Payload) -> Vector3:
-        """Return where the centre of gravity is with this payload, from that of the vehicle as built: m, body."""
+        """Return the centre of gravity [m, body] with a payload, relative to that of the vehicle as built."""
         others: list[PointMass] = [(payload[0], payload[1:])]
         if self._vehicle.fuel:
             others.append((-self._burnt, self._vehicle.fuel.position_m))
@@ -364,20 +364,20 @@ class Airframe:
         """Return JSBSim's ``run``, valid until the next reset: one step with inputs held, for timing."""
         return self._run
 
-    def _use(self, method: float) -> None:
-        """Set the integration methods from acceleration to velocity, of both kinds, from the next run on."""
+    def _set_methods(self, method: float) -> None:
+        """Set the integration method of rotational and translational rates from the next run on."""
         for set_method in self._methods:
             set_method(method)
         self._method, self._extrapolation = method, FORCE_EXTRAPOLATION[method]
 
-    def _act(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
-        """Let these act from the end of the next run on: of the jets, and at the centre of gravity as built."""
+    def _write_loads(self, forces: list[Vector3], push: Vector3, twist: Vector3) -> None:
+        """Write jet forces [N], and force and moment at the centre of gravity as built, for the end of the next run."""
         self._put(forces)
         self._write_body_load(push, twist)
         self._forces = forces
 
     def _write_extrapolated(self, forces: list[Vector3], push: Vector3, twist: Vector3, share: float) -> None:
-        """Let these act with ``share`` of the change since the last on top; the jets' last forces stay as they were."""
+        """Write loads with ``share`` of their change since the last ones on top; the last jet forces stay stored."""
         self._put(forces, self._forces, share)
         if push != self._pushed:
             push = _extrapolate(push, self._pushed, share)
@@ -392,7 +392,7 @@ class Airframe:
             self._twist.put(twist[0], twist[1], twist[2])
         self._pushed, self._twisted = push, twist
 
-    def _apply(self, disturbance: Disturbance) -> None:
+    def _apply_disturbance(self, disturbance: Disturbance) -> None:
         """Apply changes of disturbances other than force and moment."""
         old = self._disturbance
         self._set_wind.put(*disturbance.wind)
@@ -422,21 +422,21 @@ class Airframe:
             for number, surface in enumerate(self._surfaces):
                 surface(tilt[first + number])
         if burnt != self._burnt:
-            self._set_burnt_fuel(burnt + self._share_of_first_run() * (burnt - self._burnt))
+            self._set_burnt_fuel(burnt + self._first_run_extra() * (burnt - self._burnt))
             self._burnt, self._mass = burnt, self._full - burnt
             self._is_extrapolated = True
         if self._momentum is not None and momentum != self._spin:
-            x, y, z = _extrapolate(momentum, self._spin, self._share_of_first_run())
+            x, y, z = _extrapolate(momentum, self._spin, self._first_run_extra())
             self._momentum.put(x, y, z)
             self._spin = momentum
             self._is_extrapolated = True
 
-    def _share_of_first_run(self) -> float:
-        """Return the share of a change that the first run has on top."""
+    def _first_run_extra(self) -> float:
+        """Return the fraction of a change that the first run of a step has on top."""
         return self._extrapolation if self.substeps > 1 else 0.0
 
-    def _settle(self) -> None:
-        """Set fuel and rotors to their values, without the first run's extra change."""
+    def _end_extrapolation(self) -> None:
+        """Write fuel and rotor momentum without the first run's extra change."""
         self._is_extrapolated = False
         if self._burnt:
             self._set_burnt_fuel(self._burnt)
@@ -468,21 +468,21 @@ class Airframe:
 
     def air(self) -> tuple[float, float]:
         """Return static pressure [Pa] and temperature [K] of the air where the vehicle is."""
-        return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * (5.0 / 9.0)
+        return self._pressure() * _POUND_PER_SQUARE_FOOT, self._temperature() * (5.0 / 9.0)
 
     def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
         gust = "atmosphere/cosine-gust"
         size = sum(v * v for v in velocity) ** 0.5
-        self._set(f"{gust}/startup-duration-sec", rise)
-        self._set(f"{gust}/steady-duration-sec", hold)
-        self._set(f"{gust}/end-duration-sec", fall)
-        self._set(f"{gust}/magnitude-ft_sec", size / FOOT)
-        self._set(f"{gust}/frame", 3.0)  # local frame: NED
+        self._set_property(f"{gust}/startup-duration-sec", rise)
+        self._set_property(f"{gust}/steady-duration-sec", hold)
+        self._set_property(f"{gust}/end-duration-sec", fall)
+        self._set_property(f"{gust}/magnitude-ft_sec", size / FOOT)
+        self._set_property(f"{gust}/frame", 3.0)  # local frame: NED
         for axis, speed in zip("XYZ", velocity, strict=True):
-            self._set(f"{gust}/{axis}-velocity-ft_sec", speed / FOOT)
-        self._set(f"{gust}/start", 1.0)
+            self._set_property(f"{gust}/{axis}-velocity-ft_sec", speed / FOOT)
+        self._set_property(f"{gust}/start", 1.0)
 
-    def _read(self) -> State:
+    def _read_state(self) -> State:
         motion = self._motion()
         if motion is None:
             raise FlightError("the airframe's state is not finite")
@@ -514,7 +514,7 @@ class Airframe:
         )
 
     def external_wrench(self) -> tuple[Vector3, Vector3]:
-        """Return what JSBSim makes of the external forces: N, and N m about the present centre of gravity, body."""
+        """Return the wrench of JSBSim's external forces: N, and N m about the present centre of gravity, body."""
         get = self._fdm.get_property_value
         force = [get(f"forces/fb{axis}-external-lbs") * POUND_FORCE for axis in "xyz"]
         moment = [get(f"moments/{axis}-external-lbsft") * POUND_FOOT for axis in "lmn"]
@@ -529,7 +529,7 @@ class Airframe:
 
     def products_of_inertia(self) -> Vector3:
         """Return JSBSim's products of inertia: integrals of x y, x z and y z over the mass [kg m^2, body]."""
-        names = zip(PRODUCTS, ("xy", "xz", "yz"), strict=True)
+        names = zip(PRODUCTS_OF_INERTIA, ("xy", "xz", "yz"), strict=True)
         xy, xz, yz = [
             PRODUCT_SIGN[name] * self._fdm.get_property_value(f"inertia/i{axes}-slugs_ft2") * SLUG_FT2
             for name, axes in names
@@ -552,19 +552,19 @@ class Airframe:
         effects = []
         for surface in self._vehicle.surfaces:
             ends = []
-            size = SURFACE_TEST[0] * max(-surface.range[0], surface.range[1])
+            size = SURFACE_TEST_STEP[0] * max(-surface.range[0], surface.range[1])
             for deflection in (size, -size):
                 flying = Initial(altitude_m=100.0, velocity_ned_m_s=(surface.at_m_s, 0.0, 0.0))
                 self.reset(flying, [ZERO3] * len(self._vehicle.jets), ZERO3)
                 for kind in ("rotational", "translational"):
-                    self._set(f"simulation/integrator/rate/{kind}", 0.0)
-                    self._set(f"simulation/integrator/position/{kind}", 0.0)
-                self._set(surface.property, deflection)
-                for _ in range(round(SURFACE_TEST[1] / self._dt)):
+                    self._set_property(f"simulation/integrator/rate/{kind}", 0.0)
+                    self._set_property(f"simulation/integrator/position/{kind}", 0.0)
+                self._set_property(surface.property, deflection)
+                for _ in range(round(SURFACE_TEST_STEP[1] / self._dt)):
                     self._fdm.run()
                 force, moment = self.aerodynamic_wrench()
                 ends.append((*force, *moment))
-            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
+            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_PER_SQUARE_FOOT
             effects.append(tuple((a - b) / (2.0 * size * pressure) for a, b in zip(*ends, strict=True)))
         return effects
 
@@ -578,12 +578,12 @@ class Airframe:
         )
         answer: tuple[list[float], list[float], list[float]] = ([], [], [])
         for alpha in alphas:
-            self._set("ic/theta-rad", alpha)
-            self._set("ic/vn-fps", at_m_s / FOOT)
-            self._set("ic/vd-fps", 0.0)
+            self._set_property("ic/theta-rad", alpha)
+            self._set_property("ic/vn-fps", at_m_s / FOOT)
+            self._set_property("ic/vd-fps", 0.0)
             self._jsbsim.start()
             force, moment = self.aerodynamic_wrench()
-            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_SQUARE_FOOT
+            pressure = self._fdm.get_property_value("aero/qbar-psf") * _POUND_PER_SQUARE_FOOT
             c, s = cos(alpha), sin(alpha)
             values = (force[0] * s - force[2] * c, -force[0] * c - force[2] * s, moment[1])
             for column, value in zip(answer, values, strict=True):
@@ -605,7 +605,7 @@ class Airframe:
         self._file.unlink(missing_ok=True)
 
 
-def _stand_still() -> bool:
+def _skip_run() -> bool:
     return True
 
 

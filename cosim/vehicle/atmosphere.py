@@ -10,8 +10,8 @@ from cosim.base.constants import GRAVITY
 # 101325 Pa and 28.9644 kg/kmol), so that an engine is measured in the air in which it will fly.
 _MOLAR_MASS = 28.9645  # kg/kmol
 _GAS_CONSTANT = 8314.32  # J/(kmol K)
-_HYDROSTATIC = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
-# geopotential height [m] at which a layer begins, temperature [K] there, its change with height [K/m]
+_WEIGHT_OVER_GAS_CONSTANT = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
+# Layers: geopotential height [m] at which each begins, temperature [K] there, temperature gradient [K/m].
 _LAYERS = ((0.0, 288.15, -0.0065), (11000.0, 216.65, 0.0), (20000.0, 216.65, 0.001))
 
 
@@ -22,7 +22,7 @@ def standard_density(height: float) -> float:
 
 
 def standard_air(height: float) -> tuple[float, float]:
-    """Pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
+    """Return pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
     radius = 6356766.0  # m, radius of the Earth
     geopotential = radius * height / (radius + height)
     # JSBSim's 2116.228 lbf/ft^2 at sea level: 101325.5 Pa.
@@ -32,9 +32,9 @@ def standard_air(height: float) -> tuple[float, float]:
         temperature = start + lapse * height_in_layer
         # Hydrostatics: dp / p = -g M / R dh / T.
         if lapse:
-            pressure *= (start / temperature) ** (_HYDROSTATIC / lapse)
+            pressure *= (start / temperature) ** (_WEIGHT_OVER_GAS_CONSTANT / lapse)
         else:
-            pressure *= exp(-_HYDROSTATIC * height_in_layer / start)
+            pressure *= exp(-_WEIGHT_OVER_GAS_CONSTANT * height_in_layer / start)
         if geopotential <= top:
             break
     return pressure, temperature

@@ -25,14 +25,14 @@ from cosim.vehicle.model_file import ACTING_PROPERTIES, find_acting_property, fi
 
 Property = jsbsim.FGPropertyNode
 VERSION: Final[str] = jsbsim.__version__  # version of JSBSim
-_DEBUG: Final = "JSBSIM_DEBUG"  # variable that sets JSBSim's messages
+_DEBUG_VARIABLE: Final = "JSBSIM_DEBUG"  # variable that sets JSBSim's messages
 # JSBSim's exceptions, and C++ exceptions that its binding converts.
 Complaint: Final = RuntimeError
-# A property name that JSBSim can look up: others end the process.
-_STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
-_NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
-_MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")  # JSBSim's message
-_NUMBER: Final = re.compile(rb">-?[0-9][0-9.e+-]*<")  # a number between XML tags
+# Form of property names that JSBSim can look up: others end the process.
+_PATH_SEGMENT: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
+_PROPERTY_PATH: Final = re.compile(rf"/?{_PATH_SEGMENT}(?:/{_PATH_SEGMENT})*")
+_MISSING_PROPERTY: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")  # JSBSim's message
+_XML_NUMBER: Final = re.compile(rb">-?[0-9][0-9.e+-]*<")  # a number between XML tags
 _property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
@@ -61,18 +61,18 @@ if threading.current_thread() is threading.main_thread():
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
-    """Create a JSBSim with JSBSIM_DEBUG at 0, or it would print a banner."""
-    was_set = _DEBUG in os.environ
-    os.environ.setdefault(_DEBUG, "0")
+    """Return a new JSBSim, made with JSBSIM_DEBUG at 0 so that it prints no banner."""
+    was_set = _DEBUG_VARIABLE in os.environ
+    os.environ.setdefault(_DEBUG_VARIABLE, "0")
     try:
         return jsbsim.FGFDMExec(folder, None)
     finally:
         if not was_set:
-            os.environ.pop(_DEBUG, None)
+            os.environ.pop(_DEBUG_VARIABLE, None)
 
 
 class Executive:
-    """A JSBSim with one model, after checking that all properties that it reads exist.
+    """JSBSim with one model, after a check that all properties which the model reads exist.
 
     ``file``: what JSBSim loads.  ``model``: the user's file that it was made of; where that is None, ``name`` stands in
     errors.  Raises InputError if the model does not load.
@@ -92,7 +92,7 @@ class Executive:
             if not fdm.load_model(file.stem, add_model_to_path=False):  # returns False instead of raising
                 raise Complaint("")
         except Complaint as error:
-            raise self._refusal_for(str(error)) from None
+            raise self._make_error(str(error)) from None
         self._xml = read_file(file)
         self._check_properties(self._xml)
         fdm.set_dt(step)
@@ -101,52 +101,52 @@ class Executive:
             notify(f"{self._label}: JSBSim: {line}")
 
     def start(self) -> None:
-        """Start from the initial state.  Raises InputError for the model, FlightError without a state."""
+        """Start JSBSim from the initial state.  Raises InputError for the model, FlightError without a state."""
         try:
             if self.fdm.run_ic():
                 return
         except Complaint as error:
-            raise self._refusal_for(str(error)) from None
+            raise self._make_error(str(error)) from None
         raise FlightError("JSBSim could not start from the initial state")
 
     def flight_error(self, error: Exception) -> FlightError:
         """Return the FlightError for an exception of JSBSim in flight."""
-        return FlightError(str(self._refusal_for(str(error))))
+        return FlightError(str(self._make_error(str(error))))
 
     def explain_not_finite(self) -> InputError:
-        """Return the error for a start with forces that are not finite, and the first part of the model that is not."""
+        """Return the error for a start with forces that are not finite, with the first property that is not."""
         for element in ET.fromstring(self._xml).iter():
             name = element.get("name", "")
-            node = self._manager.get_node(name) if _NAME.fullmatch(name) else None
+            node = self._manager.get_node(name) if _PROPERTY_PATH.fullmatch(name) else None
             if node is not None and not isfinite(value := node.get_double_value()):
                 where = self._locate([name])
                 return InputError(f"{where}: {name} is {value:g} at the start; it has to be finite, at rest too")
         return InputError(f"{self._label}: the forces of this JSBSim model are not finite at the start")
 
     def node(self, name: str) -> Property:
-        """Return a property.  Raises InputError if it does not exist, because JSBSim would create it."""
+        """Return a property by name.  Raises InputError if it does not exist, because JSBSim would create it."""
         if find_acting_property(name):
             raise InputError(
                 f"{self._label}: {name}: JSBSim does something when it is written; nothing here may write it"
             )
-        node = self._manager.get_node(name) if _NAME.fullmatch(name) else None
+        node = self._manager.get_node(name) if _PROPERTY_PATH.fullmatch(name) else None
         if node is None:
             raise InputError(f"{self._label}: this JSBSim model has no property {name}")
         return node
 
     def _check_properties(self, xml: bytes) -> None:
-        """Refuse a model that reads properties which do not exist."""
-        without_numbers = _NUMBER.sub(b"><", xml)  # no property name is a number
+        """Raise InputError for a model that reads properties which do not exist."""
+        without_numbers = _XML_NUMBER.sub(b"><", xml)  # no property name is a number
         names = _property_cache.get(without_numbers, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
-        missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
+        missing = [name for name in names if not (_PROPERTY_PATH.fullmatch(name) and self._manager.get_node(name))]
         if missing:
-            raise self._refusal_for("", missing)
+            raise self._make_error("", missing)
 
-    def _refusal_for(self, text: str, missing: list[str] | None = None) -> InputError:
-        """Return the error for what JSBSim reported, and never destroy JSBSim: see the module's text."""
+    def _make_error(self, text: str, missing: list[str] | None = None) -> InputError:
+        """Return the error for JSBSim's message or for missing properties, and keep JSBSim from being destroyed."""
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.fdm))
-        text = _clean(text) or "; ".join(map(_clean, _log.lines))
-        name, *others = missing or _MISSING.findall(text)[:1] or [""]
+        text = _clean_message(text) or "; ".join(map(_clean_message, _log.lines))
+        name, *others = missing or _MISSING_PROPERTY.findall(text)[:1] or [""]
         if not name:
             words = [*re.findall(r"'([^']+)'", text), *(word for word in text.split() if "/" in word)]
             return InputError(f"{self._locate(words)}: JSBSim could not load the model{f': {text}' if text else ''}")
@@ -162,7 +162,7 @@ class Executive:
         return next((location for location in locations if location != self._label), self._label)
 
 
-def _clean(text: str) -> str:
+def _clean_message(text: str) -> str:
     """Return JSBSim's text in one line, without the name of the temporary file."""
     return re.sub(r'( in)? (file:? )?(Path )?"?[^ "]*hexjet-scratch[^ "]*"?', "", " ".join(text.split())).strip()
 

@@ -25,7 +25,7 @@ PointMass = tuple[float, Vector3]  # kg, m from the nominal centre, body
 
 
 def find_centre(mass: float, others: list[PointMass]) -> Vector3:
-    """Return the centre of gravity [m, body, from that as built] of ``mass`` [kg] as built with point masses beside."""
+    """Return the centre of gravity [m, body, from that as built] of a mass [kg] as built plus point masses."""
     total = mass + sum([m for m, _ in others])
     x, y, z = (sum([m * place[axis] for m, place in others]) / total for axis in range(3))
     return (x, y, z)
@@ -45,7 +45,7 @@ class MassChange:
         self._height = node("position/h-sl-ft")
 
     def shift_centre(self, ned: Vector3) -> None:
-        """Move the centre of gravity by this [m, NED]; velocity, attitude and rate stay."""
+        """Move the centre of gravity by ``ned`` [m]; velocity, attitude and rate stay."""
         north, east, down = (metres / FOOT for metres in ned)
         get = self._get
         latitude, longitude = get("position/lat-geod-rad"), get("position/long-gc-rad")

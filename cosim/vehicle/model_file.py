@@ -32,11 +32,11 @@ ACTING_PROPERTIES: Final = tuple(
         "jsbsim-debug",
     )
 )  # fmt: skip
-# Of one file; the largest of JSBSim's own aircraft has 0.4 MB.
+# Largest size of one file; the largest of JSBSim's own aircraft has 0.4 MB.
 MAX_MB: Final = 64.0
 _EMPTY_MODEL: Final = b"<fdm_config/>"
-# May refer to other files, or has an encoding or definitions that hide this.
-_HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
+# Text of a file that may refer to other files, or has an encoding or definitions that hide this.
+_MAY_REFER: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)
 _cache: RecentCache[bytes] = RecentCache(64)  # contents of files that name no others
 
@@ -50,7 +50,7 @@ def read_model(model: Path | None) -> bytes:
     if model is None:
         return _EMPTY_MODEL
     text = read_file(model, MAX_MB)
-    if _names_others.get(text, lambda: _HIDES.search(text) is not None):
+    if _names_others.get(text, lambda: _MAY_REFER.search(text) is not None):
         return _strip_model(model, text)
     return _cache.get((model, text), lambda: _strip_model(model, text))
 
@@ -64,9 +64,9 @@ def parse(path: Path, text: bytes) -> ET.Element:
 
 
 def find_line(model: Path, name: str) -> str:
-    """Return the place of a word in a model or its files as ``path, line N``, else the model's path."""
-    for path in [model, *_named_files(model)]:
-        numbers = _lines(read_file(path, MAX_MB), lambda text: name in _words(text))
+    """Return where a word is in a model or its files, as ``path, line N``; else the model's path."""
+    for path in [model, *_list_included_files(model)]:
+        numbers = _find_lines(read_file(path, MAX_MB), lambda text: name in _split_words(text))
         if numbers:
             return f"{path}, line {numbers[0]}"
     return str(model)
@@ -80,14 +80,14 @@ def _strip_model(model: Path, text: bytes) -> bytes:
     foreign = [part for part in root if part.tag not in FLOWN_PARTS]
     references = [part for part in root if "file" in part.attrib and part not in foreign]
     if any(part.tag == "child" for part in foreign):
-        raise InputError(f"{model}, {_at(text, 'child')}: child: one vehicle flies here; leave it out")
+        raise InputError(f"{model}, {_place_of(text, 'child')}: child: one vehicle flies here; leave it out")
     for part in foreign:
         root.remove(part)
     for part in references:
         root[list(root).index(part)] = _merge_file(_find_file(model, part), part, model)
-    _refuse_acting(root, model)
+    _refuse_acting_properties(root, model)
     if foreign:
-        parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in foreign))
+        parts = "; ".join(f"<{tag}> ({_place_of(text, tag)})" for tag in dict.fromkeys(part.tag for part in foreign))
         notify(f"{model}: left out, as no part of what flies: {parts}")
     if not foreign and not references:
         return text
@@ -123,13 +123,13 @@ def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
     return merged
 
 
-def _named_files(model: Path) -> list[Path]:
+def _list_included_files(model: Path) -> list[Path]:
     root = parse(model, read_file(model, MAX_MB))
     return [_find_file(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN_PARTS]
 
 
-def _refuse_acting(root: ET.Element, model: Path) -> None:
-    """Refuse a model with a property that makes JSBSim write a file, or end, hold or restart a run."""
+def _refuse_acting_properties(root: ET.Element, model: Path) -> None:
+    """Raise InputError for a property that makes JSBSim write a file, or end, hold or restart a run."""
     for element in root.iter():
         for text in (element.text, *element.attrib.values()):
             name = find_acting_property(text or "")
@@ -139,25 +139,25 @@ def _refuse_acting(root: ET.Element, model: Path) -> None:
 
 
 def find_acting_property(text: str) -> str:
-    """Return the acting property in a text, by whatever path in JSBSim's tree; else nothing."""
+    """Return the first of :data:`ACTING_PROPERTIES` in a text, by any path in JSBSim's tree; else ""."""
     if "simulation" not in text:
         return ""
     path = posixpath.normpath(re.sub(r"\[0*\]", "", text.strip().removeprefix("-")))
     return next((name for name in ACTING_PROPERTIES if path == name or path.endswith(f"/{name}")), "")
 
 
-def _words(text: str) -> list[str]:
+def _split_words(text: str) -> list[str]:
     """Return the words of a text without the sign that a property may have, and the text as a whole."""
     return [text.strip(), *(word.removeprefix("-") for word in re.split(r"[\s,]+", text))]
 
 
-def _at(text: bytes, tag: str) -> str:
-    """Return where in a model's text the parts with this tag begin."""
-    return "line " + ", ".join(map(str, _lines(text, lambda text: False, tag)))
+def _place_of(text: bytes, tag: str) -> str:
+    """Return the lines at which the parts with this tag begin in a model, as text."""
+    return "line " + ", ".join(map(str, _find_lines(text, lambda text: False, tag)))
 
 
-def _lines(text: bytes, matches: Callable[[str], bool], tag: str = "") -> list[int]:
-    """Return the lines of a file with wanted words in text or attributes, or with parts of a ``tag`` under the root."""
+def _find_lines(text: bytes, matches: Callable[[str], bool], tag: str = "") -> list[int]:
+    """Return the numbers of the lines with matching text or attributes, or with a ``tag`` under the root."""
     numbers: list[int] = []
     depth = 0
     reader = expat.ParserCreate()

@@ -19,11 +19,11 @@ from cosim.base.storage.scratch import scratch
 from cosim.vehicle.executive import VERSION, Complaint, Executive
 from cosim.vehicle.model_file import FLOWN_PARTS, find_line
 
-_CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"  # code of the trial process
+_TRIAL_CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"  # code of the process
 
 
 def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
-    """Refuse a model that makes JSBSim crash or hang.
+    """Raise InputError for a model that makes JSBSim crash or hang.
 
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.
     """
@@ -36,13 +36,13 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
         return
     failure = _find_failure(xml)
     if failure:
-        where = _blame(ET.fromstring(xml), model)
+        where = _find_failing_part(ET.fromstring(xml), model)
         raise InputError(f"{where}: JSBSim fails: {failure}; look for an element that is not JSBSim's, or an empty one")
     write_if_possible(cached, f"{model}\n")
 
 
 def try_model(file: str, runs: int = 5) -> None:
-    """Load a model and run it briefly in this process; its errors are reported by the flight."""
+    """Load a model and run it briefly in this process; errors of JSBSim are left for the flight to report."""
     with suppress(InputError, Complaint, MemoryError):
         executive = Executive(Path(file), None, "model", 0.001)
         executive.start()
@@ -58,7 +58,7 @@ def _find_failure(xml: bytes, cpu_s: int = 20, megabytes: int = 4096) -> str:
     file = scratch() / "tried.xml"
     file.write_bytes(xml)
     try:
-        run_code(_CODE, str(file), seconds=cpu_s, megabytes=megabytes)
+        run_code(_TRIAL_CODE, str(file), seconds=cpu_s, megabytes=megabytes)
     except HostError as error:
         return str(error)
     finally:
@@ -66,8 +66,8 @@ def _find_failure(xml: bytes, cpu_s: int = 20, megabytes: int = 4096) -> str:
     return ""
 
 
-def _blame(root: ET.Element, model: Path) -> str:
-    """Return the user's file and the part at which JSBSim, in its own order, began to crash."""
+def _find_failing_part(root: ET.Element, model: Path) -> str:
+    """Return the user's file, and the part of the model from which on JSBSim crashes."""
     for part in sorted(root, key=lambda part: FLOWN_PARTS.index(part.tag), reverse=True):
         root.remove(part)
         if not _find_failure(ET.tostring(root)):

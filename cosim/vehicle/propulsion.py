@@ -21,7 +21,7 @@ from cosim.vehicle.tank import Tank
 
 
 class Propulsion:
-    """Everything between the actuators' commands and the airframe.
+    """Engines, servos, tank and effects, between the actuators' commands and the airframe.
 
     ``jets`` as they stand on the vehicle that flies; ``effects``: what acts beside thrust, in order, of a vehicle that
     has any; ``air()``: static pressure [Pa] and temperature [K] where it is; ``hot_gas`` that engines swallow.
@@ -50,19 +50,19 @@ class Propulsion:
         self._load = Load(self._layout)
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
-        self.gusts: list[Vector3] = []  # at each jet, relative [m/s, NED]
-        self._clear()
+        self.gusts: list[Vector3] = []  # extra wind at each jet, m/s NED
+        self._clear_state()
 
-    def _clear(self) -> None:
+    def _clear_state(self) -> None:
         self.tilt = self._rest
         self.output = NO_OUTPUT
-        self.fuel = nan  # kg on board at the start of the step
+        self.fuel = nan  # fuel at the start of the step, kg
         self._load.clear()
         self._off = NO_JETS  # jets last commanded off
 
     @property
     def wants_ambient(self) -> bool:
-        """Whether the engines depend on the air, so that :meth:`reset` must be told the start."""
+        """Whether the engines depend on the air, so that :meth:`reset` needs the initial state."""
         return self.engines.wants_ambient
 
     @property
@@ -91,7 +91,7 @@ class Propulsion:
 
     @property
     def remaining(self) -> float | None:
-        """The fraction of a full tank that is on board; None without a tank."""
+        """Fraction of a full tank that is on board; None without a tank."""
         return self.tank.remaining / self.tank.mass if self.tank is not None else None
 
     def refuel(self) -> None:
@@ -104,7 +104,7 @@ class Propulsion:
 
         ``state`` is needed by engines that depend on the air; ``wind`` is that at the start [m/s, NED].
         """
-        self._clear()
+        self._clear_state()
         self._wind = wind  # JSBSim has no wind before its first run
         for servo in self.servos:
             servo.reset()
@@ -125,7 +125,7 @@ class Propulsion:
         Thrust and tilt are those of the step's end.  Raises EngineError.
         """
         if actuation.off is not self._off:
-            self._switch(actuation.off)
+            self._switch_engines(actuation.off)
         ambient = self.ambient(state, state.wind if k else self._wind) if self.engines.wants_ambient else None
         output = self.output = self.engines.step(k, actuation.throttle, ambient)
         if self.servos:
@@ -140,7 +140,7 @@ class Propulsion:
         load.state, load.gusts = state, self.gusts
         load.begin_step(output, load.along_axes(output.thrust))
         for effect in self.effects:
-            effect.act(load)
+            effect.add_to(load)
         return load.forces, load.moment
 
     def forces_at_rest(self, thrust: PerJet, tilt: PerServo) -> tuple[list[Vector3], Vector3]:
@@ -150,11 +150,11 @@ class Propulsion:
         load.begin_step(EngineOutput(thrust, (), (), ()), load.along_axes(thrust))
         for effect in self.effects:
             if effect.acts_at_rest:
-                effect.act(load)
+                effect.add_to(load)
         return load.forces, load.moment
 
-    def _switch(self, off: frozenset[int]) -> None:
-        """Switch engines off, and restart those no longer commanded off, if there is fuel."""
+    def _switch_engines(self, off: frozenset[int]) -> None:
+        """Switch engines off, and restart those that are no longer commanded off if there is fuel."""
         for jet in sorted(off - self._off):
             self.engines.switch_engine(jet, False)
         if self.tank is None or not self.tank.empty:
@@ -163,7 +163,7 @@ class Propulsion:
         self._off = off
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
-        """Return the air at the engines: the vehicle's, and the flow into each intake along its jet.
+        """Return the air at the engines: pressure and temperature, and the air speed into each intake.
 
         The intake moves with the vehicle's velocity and its rates; ``wind`` (m/s NED, gusts and turbulence included)
         is that at the vehicle, :attr:`gusts` what each engine has beyond it.
@@ -208,7 +208,7 @@ def make_propulsion(
     step: float,
     fuel: float,
 ) -> Propulsion:
-    """Return the propulsion of a vehicle, at the stations of the one that flies, with this share of a full tank."""
+    """Return the propulsion of a vehicle at the stations of the one that flies, with a fraction of a full tank."""
     ground = vehicle.ground_effect
     return Propulsion(
         flown.jets,

@@ -22,9 +22,9 @@ from cosim.vehicle._noise import Noise
 T = TypeVar("T")  # type of a delayed value
 Fix = tuple[Any, Any]  # vectors of position and velocity
 
-# Steps drawn at once, and normal numbers per step: gyro 3, attitude 3, position 3, velocity 3, height 1; accelerometer
+# Steps drawn at once, and normal numbers per step: gyro, attitude, position, velocity 3 each, height 1; accelerometer
 # 3.
-_DRAWS, _FORCE_DRAWS = (256, 13), (256, 3)
+_DRAW_SHAPE, _FORCE_DRAW_SHAPE = (256, 13), (256, 3)
 _MEASURED: Final = Measured  # direct access in compiled code
 
 
@@ -52,7 +52,7 @@ class Latency(Generic[T]):
 
 
 class LeanError:
-    """Lean error of an AHRS: a complementary filter that takes specific force as vertical.
+    """Lean error of an AHRS, a complementary filter that takes specific force as vertical.
 
     The gyro carries the attitude on, and it is turned back about a horizontal axis to where the specific force is
     straight up, with the time constant ``tau``: of the angle between, ``1 - exp(-T/tau)`` in each step ``T``. The
@@ -75,7 +75,7 @@ class LeanError:
         self._error: Quaternion = IDENTITY
 
     def update(self, attitude: Quaternion, gyro: Vector3, force: Vector3) -> Quaternion:
-        """Return the estimated ``attitude``; ``gyro``: its error, rad/s, body; ``force``: the accelerometer's."""
+        """Return ``attitude`` with the lean error; ``gyro``: the gyro's error [rad/s, body]; ``force``: as measured."""
         dt, (p, q, r) = self._dt, gyro
         n, e, d = rotate(attitude, (0.5 * dt * p, 0.5 * dt * q, 0.5 * dt * r))
         error = normalize(multiply(self._error, (1.0, n, e, d)))
@@ -148,7 +148,7 @@ class SensorSuite:
         )
 
     def reset(self, state: State) -> Measured:
-        """Restart as if always in ``state``; the same noise follows."""
+        """Restart as if the vehicle had always been in ``state``; the same noise follows."""
         self._rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(0,)))
         self._force_rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(1,)))
         self._draws, self._force_draws = [], []
@@ -180,12 +180,12 @@ class SensorSuite:
         gyro_error = ZERO3
         n: list[float] = []
         if self._noisy:
-            m = _next(self._force_draws, self._force_rng, _FORCE_DRAWS)
+            m = _draw_normals(self._force_draws, self._force_rng, _FORCE_DRAW_SHAPE)
             s = self._force_noise
             x, y, z = force
             bx, by, bz = self._force_bias
             force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
-            n = _next(self._draws, self._rng, _DRAWS)
+            n = _draw_normals(self._draws, self._rng, _DRAW_SHAPE)
             s = self._gyro_noise
             bp, bq, br = self._gyro_bias
             gyro_error = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
@@ -218,22 +218,22 @@ class SensorSuite:
         self._rate = rate = (fp + gain * (p - fp), fq + gain * (q - fq), fr + gain * (r - fr))
         if new_fix:
             self._fix = (position, velocity)
-        return self._delivered(rate, attitude, altitude, force)
+        return self._apply_latencies(rate, attitude, altitude, force)
 
     def _sample_at_once(self, noise: Any, state: State, new_fix: bool) -> Measured:
-        """Return the measurements of sensors that have noise and filter alone."""
+        """Return the measurements of sensors that have only noise and filter, computed in one call."""
         if not self._left:
-            self._left = _DRAWS[0]
-            noise.fill(self._rng.standard_normal(_DRAWS), self._force_rng.standard_normal(_FORCE_DRAWS))
+            self._left = _DRAW_SHAPE[0]
+            noise.fill(self._rng.standard_normal(_DRAW_SHAPE), self._force_rng.standard_normal(_FORCE_DRAW_SHAPE))
         self._left -= 1
         answer: tuple[Any, Any, Any, Any, Any, Any] = noise.sample(state, self._rate, new_fix)
         self._rate = answer[0]
         if new_fix:
             self._fix = (answer[2], answer[3])
-        return self._delivered(answer[0], answer[1], answer[4], answer[5])
+        return self._apply_latencies(answer[0], answer[1], answer[4], answer[5])
 
-    def _delivered(self, rate: Any, attitude: Any, altitude: Any, force: Any) -> Measured:
-        """Return what is measured after its latencies."""
+    def _apply_latencies(self, rate: Any, attitude: Any, altitude: Any, force: Any) -> Measured:
+        """Return the measurements after each sensor's latency."""
         if self._has_latency:
             rate = self._gyro_line.update(rate)
             attitude = self._attitude_line.update(attitude)
@@ -271,19 +271,19 @@ class FaultySensors:
         self.silent = tuple([fault.sensor for fault, _ in self._faults if isinstance(fault, SensorDropout)])
         for fault, last in self._faults:
             measured = (
-                _freeze(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _shift(measured, fault)
+                _repeat(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _offset(measured, fault)
             )
         return measured
 
 
-def _next(draws: list[list[float]], generator: Any, shape: tuple[int, int]) -> list[float]:
-    """Return the next step's standard normals, of which a block is drawn at once."""
+def _draw_normals(draws: list[list[float]], generator: Any, shape: tuple[int, int]) -> list[float]:
+    """Return the standard normal numbers of the next step; many steps are drawn at once."""
     if not draws:
         draws.extend(reversed(generator.standard_normal(shape).tolist()))
     return draws.pop()
 
 
-def _freeze(measured: Measured, sensor: str, last: Measured) -> Measured:
+def _repeat(measured: Measured, sensor: str, last: Measured) -> Measured:
     if sensor == "gyro":
         return measured._replace(rate=last.rate)
     if sensor == "attitude":
@@ -293,7 +293,7 @@ def _freeze(measured: Measured, sensor: str, last: Measured) -> Measured:
     return measured._replace(altitude=last.altitude)
 
 
-def _shift(measured: Measured, fault: SensorBias) -> Measured:
+def _offset(measured: Measured, fault: SensorBias) -> Measured:
     x, y, z = fault.vector
     if fault.sensor == "gyro":
         return measured._replace(rate=_sum(measured.rate, fault.vector))
@@ -316,12 +316,12 @@ def _scale(vector: Vector3, factor: float) -> Vector3:
 
 
 def _draw_bias(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
-    """Return the stated bias plus the drawn part; exactly the stated one if sigma is 0."""
+    """Return the stated bias plus a drawn part; exactly the stated one if ``sigma`` is 0."""
     return _sum(_scale(bias, factor), _scale((draws[0], draws[1], draws[2]), sigma * factor))
 
 
 def _quantise(vector: Vector3, resolution: float) -> Vector3:
-    """Return the nearest whole multiples of the resolution, as an analogue-digital converter gives them."""
+    """Return the nearest whole multiples of the resolution, as an analogue-to-digital converter does."""
     return (
         resolution * floor(vector[0] / resolution + 0.5),
         resolution * floor(vector[1] / resolution + 0.5),

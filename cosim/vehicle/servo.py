@@ -10,7 +10,7 @@ from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 
 
 class TiltServo:
-    """First-order lag towards the limited command with limited rate, exact between samples unless limited.
+    """Servo: a first-order lag towards the limited command with limited rate, exact between samples unless limited.
 
     ``a' = (clip(command, range) - a) / lag``, ``|a'| <= rate_limit``; the command is held over the step.
     """
@@ -32,16 +32,16 @@ class TiltServo:
         self.reset()
 
     def reset(self, angle: float | None = None) -> None:
-        """Start at ``angle``, by default at rest, and free."""
+        """Start at ``angle``, by default that at rest, without a jam."""
         self.angle = self._rest if angle is None else angle
         self.release()
 
     def jam(self, angle: float | None) -> None:
-        """Jam from the next step on: stay, or move to ``angle`` (rad) at full rate and stay."""
+        """Jam the servo from the next step on: it stays, or moves to ``angle`` [rad] at full rate and stays."""
         self._is_jammed, self._jam_angle = True, angle
 
     def release(self) -> None:
-        """End a jam: follow commands from the present angle."""
+        """End a jam; the servo follows commands from its present angle."""
         self._is_jammed = False
 
     def update(self, command: float) -> float:

@@ -6,7 +6,7 @@ from cosim.base.signals import PerJet
 
 
 class Tank:
-    """Fuel on board, reduced by the engines' reported flows until empty.
+    """Tank whose fuel is reduced by the engines' reported flows until it is empty.
 
     The flow at a step's end holds for all of the step, like the thrust.  An engine without a report burns nothing, and
     none fills the tank.
@@ -19,12 +19,12 @@ class Tank:
         self.reset()
 
     def reset(self) -> None:
-        """Fill the tank as at the start."""
-        self.burnt = (1.0 - self._full) * self.mass  # kg burnt since the tank was full
+        """Fill the tank as at the start of a flight."""
+        self.burnt = (1.0 - self._full) * self.mass  # fuel burnt since the tank was full, kg
 
     @property
     def remaining(self) -> float:
-        """The fuel on board, kg."""
+        """Fuel on board, kg."""
         return self.mass - self.burnt
 
     @property

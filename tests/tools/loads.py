@@ -19,5 +19,5 @@ def acted(
     load.state = load.state._replace(**state)
     load.set_tilt(tilt)
     load.begin_step(EngineOutput(thrust, (), (), ()), list(forces))
-    effect.act(load)
+    effect.add_to(load)
     return load.forces, load.moment

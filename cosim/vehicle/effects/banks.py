@@ -29,7 +29,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class Banks(Effect):
-    """Left and right tilting bank of a vehicle.
+    """Reaction of a vehicle's left and right tilting bank on the body.
 
     ``step``: control step, s.
     """
@@ -45,14 +45,14 @@ class Banks(Effect):
         self.reset()
 
     def reset(self) -> None:
-        """Start with both at rest, thrust straight up."""
+        """Start with both banks at rest, thrust straight up."""
         self._angles = (0.0, 0.0)
         self._rates = (0.0, 0.0)
 
     def start(self, load: Load) -> None:
         self.reset()
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         """Add the banks' forces at the jets' stations, and their moment."""
         step, inertia = self._step, self._inertia
         last_left, last_right = self._angles
@@ -69,16 +69,16 @@ class Banks(Effect):
         load.add_moment((r * h, inertia * (left_acceleration + right_acceleration), -p * h))
         if not self._imbalance:
             return
-        left_x, left_z = self._push(left, left_rate, left_acceleration, self._left_jets)
-        right_x, right_z = self._push(right, right_rate, right_acceleration, self._right_jets)
+        left_x, left_z = self._bank_force(left, left_rate, left_acceleration, self._left_jets)
+        right_x, right_z = self._bank_force(right, right_rate, right_acceleration, self._right_jets)
         forces: list[Vector3] = []
         for number, on_left in enumerate(self._on_left):
             x, y, z = load.forces[number]
             forces.append((x + left_x, y, z + left_z) if on_left else (x + right_x, y, z + right_z))
         load.forces = forces
 
-    def _push(self, angle: float, rate: float, acceleration: float, jets: int) -> tuple[float, float]:
-        """Return the force along x and z, N, at each of the bank's stations: their sum acts at its middle."""
+    def _bank_force(self, angle: float, rate: float, acceleration: float, jets: int) -> tuple[float, float]:
+        """Return a bank's force along x and z [N] at each of its stations: the sum acts at its middle."""
         x, _, z = jet_axis(angle)
         mass_moment = -self._imbalance / jets
         # With e = (sin a, 0, -cos a) the derivative is e_a = (cos a, 0, sin a).

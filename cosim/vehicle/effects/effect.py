@@ -11,7 +11,7 @@ from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, 
 
 NO_OUTPUT = EngineOutput((), (), (), ())  # output before the first step
 _ALONG: Final = along  # direct access in compiled code
-_STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)  # at the start
+_STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)  # at rest
 
 
 def add_vectors(a: Vector3, b: Vector3) -> Vector3:
@@ -20,7 +20,7 @@ def add_vectors(a: Vector3, b: Vector3) -> Vector3:
 
 
 class Load:
-    """Loads on the airframe over one step, and their inputs.
+    """Forces and moment on the airframe over one step, and the state that effects compute them from.
 
     ``forces`` [N, body] act at the jets' stations with the hinges at zero, together with ``moment`` [N m, body];
     effects add to both.  ``engine_forces`` [N, body] are those of the engines alone.
@@ -36,8 +36,8 @@ class Load:
         self.positions: list[Vector3] = []
         self.output = NO_OUTPUT  # engine outputs at the end of the step
         self.tilt: PerServo = ()  # rad, at the end of the step
-        self.state = _STILL  # of the airframe at the step's beginning
-        self.gusts: list[Vector3] = []  # at each jet, relative [m/s, NED]
+        self.state = _STILL  # airframe at the step's beginning
+        self.gusts: list[Vector3] = []  # extra wind at each jet, m/s NED
         self.clear()
 
     def clear(self) -> None:
@@ -62,12 +62,12 @@ class Load:
         self.moment = (0.0, 0.0, 0.0)
 
     def add_moment(self, moment: Vector3) -> None:
-        """Add a moment."""
+        """Add a moment [N m, body] to the load."""
         self.moment = add_vectors(self.moment, moment)
 
 
 class Effect:
-    """An effect on the airframe other than thrust; see :class:`Load`.
+    """Effect on the airframe other than thrust, which adds forces and a moment to a :class:`Load`.
 
     Effects share the list in ``forces``: one that changes it puts a new list there.
     """
@@ -77,10 +77,10 @@ class Effect:
     def start(self, load: Load) -> None:
         """Begin a flight at rest, with engines at ``load.output``."""
 
-    def act(self, load: Load) -> None:
-        """Add its forces and moment over a step."""
+    def add_to(self, load: Load) -> None:
+        """Add the effect's forces and moment over a step to ``load``."""
 
 
 def add_forces(forces: Sequence[Vector3], others: Sequence[Vector3]) -> list[Vector3]:
-    """Return the sums of forces, station by station."""
+    """Return the sums of two sequences of forces, station by station."""
     return [add_vectors(force, other) for force, other in zip(forces, others, strict=True)]

@@ -25,7 +25,7 @@ def lift_loss(height: float, planform: float, jet: float, least_height: float = 
 
 
 class LiftLoss(Effect):
-    """Lift loss near the ground.
+    """Effect of the jets' lift loss near the ground.
 
     The loss pulls along body z, through the centre of gravity; all jets count as one of their joint area.
     """
@@ -36,7 +36,7 @@ class LiftLoss(Effect):
         self._mean_x = sum([jet.position_m[0] for jet in jets]) / len(jets)
         self._mean_y = sum([jet.position_m[1] for jet in jets]) / len(jets)
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         """Subtract the lift loss from the jets' forces, and cancel its moment about the centre of gravity."""
         forces, state = load.forces, load.state
         lift = -sum([z for _, _, z in forces])
@@ -49,7 +49,7 @@ class LiftLoss(Effect):
 
 
 class HotGas:
-    """Exhaust gas that the ground reflects into the intakes."""
+    """Effect of exhaust gas that the ground reflects into the intakes."""
 
     def __init__(self, effect: GroundEffect) -> None:
         self._heights = list(effect.hot_gas_height_m)

@@ -28,8 +28,8 @@ from cosim.spec.vehicle import Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load, add_vectors
 
 
-class _Part:
-    """A hinge with the mass that it turns; ``angle``, ``speed`` and ``acceleration`` at the end of a step."""
+class _TurnedMass:
+    """Mass that a hinge turns; ``angle``, ``speed`` and ``acceleration`` are those at the end of a step."""
 
     def __init__(self, hinge: Hinge, number: int) -> None:
         self.number = number
@@ -41,11 +41,11 @@ class _Part:
         along = (cx - px) * x + (cy - py) * y + (cz - pz) * z
         fx, fy, fz = self.foot = (px + along * x, py + along * y, pz + along * z)
         self.arm: Vector3 = (cx - fx, cy - fy, cz - fz)
-        self.outer: list[_Part] = []  # hinges between this one and the body
+        self.outer: list[_TurnedMass] = []  # hinges between this one and the body
         self.reset()
 
     def reset(self) -> None:
-        """Reset to rest."""
+        """Return to the angle at rest."""
         self.angle = self.rest
         self.speed = self.acceleration = 0.0
         self.cosine = self.sine = 0.0
@@ -72,7 +72,7 @@ class HingeReactions(Effect):
         self._step = step
         self._force_point: Vector3 = jets[0].position_m
         turns = layout_of(jets, hinges).turns
-        self._parts = [_Part(hinge, number) for number, hinge in enumerate(hinges)]
+        self._parts = [_TurnedMass(hinge, number) for number, hinge in enumerate(hinges)]
         # A hinge is mounted on those before it that carry one of its jets.
         for part in self._parts:
             jets_moved = {*turns[part.number].carries, *turns[part.number].deflects}
@@ -88,7 +88,7 @@ class HingeReactions(Effect):
     def start(self, load: Load) -> None:
         self.reset()
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         push, moment = self.reaction(load.tilt, load.state.rate)
         forces = load.forces
         load.forces = [add_vectors(forces[0], push), *forces[1:]]

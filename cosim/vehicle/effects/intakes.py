@@ -11,8 +11,8 @@ from cosim.spec.vehicle import Airflow, Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load
 
 
-class _Stream:
-    """Air stream of one jet: ``kg_s`` at a thrust [N], exponent, intake and exhaust [m], station."""
+class _AirStream:
+    """Air stream of one jet: mass flow ``kg_s`` at a thrust [N], exponent, positions of intake, exhaust and station."""
 
     def __init__(self, flow: Airflow, station: Vector3) -> None:
         self.kg_s, self.at_thrust, self.exponent = flow.kg_s, flow.at_thrust_n, flow.exponent
@@ -36,12 +36,12 @@ class IntakeDrag(Effect):
     def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
         flows = [jet.airflow or flow for jet in jets]
         self._streams = [
-            None if of is None else _Stream(of, jet.position_m) for of, jet in zip(flows, jets, strict=True)
+            None if of is None else _AirStream(of, jet.position_m) for of, jet in zip(flows, jets, strict=True)
         ]
         self.is_active = any(stream is not None for stream in self._streams)
         self._layout = layout_of(jets, hinges)
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         """Add the streams' forces at the stations, and their moments beyond r x F."""
         state, gusts, forces = load.state, load.gusts, load.forces
         vx, vy, vz = state.velocity
@@ -66,8 +66,8 @@ class IntakeDrag(Effect):
             if gusts:
                 gx, gy, gz = rotate(conjugate(state.attitude), gusts[i])
                 air_velocity = (through_air[0] - gx, through_air[1] - gy, through_air[2] - gz)
-            drag = _across(air_velocity, e, -flow)
-            damping = _across(cross(rate, outlet), e, -flow)
+            drag = _component_across(air_velocity, e, -flow)
+            damping = _component_across(cross(rate, outlet), e, -flow)
             total.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
             # Both forces act at the station.
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
@@ -82,8 +82,8 @@ class IntakeDrag(Effect):
         load.add_moment((moment_x, moment_y, moment_z))
 
 
-def _across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:
-    """Return ``factor`` times the part of ``vector`` across the unit vector ``axis``."""
+def _component_across(vector: Vector3, axis: Vector3, factor: float) -> Vector3:
+    """Return ``factor`` times the component of ``vector`` normal to the unit vector ``axis``."""
     x, y, z = vector
     along = x * axis[0] + y * axis[1] + z * axis[2]
     return (factor * (x - along * axis[0]), factor * (y - along * axis[1]), factor * (z - along * axis[2]))

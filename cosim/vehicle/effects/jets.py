@@ -16,7 +16,7 @@ from cosim.vehicle.effects.effect import Effect, Load, add_forces, add_vectors
 
 
 class JetReactions(Effect):
-    """Drag torques of the rotors on the frame, about the jets' axes: ``reactions`` [m] times thrust."""
+    """Effect of the rotors' drag torques on the frame, about the jets' axes: ``reactions`` [m] times thrust."""
 
     acts_at_rest = True
 
@@ -24,7 +24,7 @@ class JetReactions(Effect):
         self._layout, self._reactions = layout, tuple(reactions)
         self._straight_up = not layout.turns and all(station.axis == UP for station in layout.stations)
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         thrust = load.output.thrust
         if self._straight_up:
             load.add_moment((0.0, 0.0, sum(map(mul, self._reactions, thrust))))
@@ -39,7 +39,7 @@ class JetReactions(Effect):
 
 
 class EngineTorques(Effect):
-    """Torques reported by the engines, about the jets' axes, right-handed along thrust.
+    """Effect of torques that engines report, about the jets' axes, right-handed along thrust.
 
     ``outputs``: of each engine, of ``SIDE_LOADS`` in :mod:`cosim.engine.fmu.port_kinds`.
     """
@@ -48,7 +48,7 @@ class EngineTorques(Effect):
         self._layout = layout
         self._give = [jet for jet, ports in enumerate(outputs) if "torque" in ports]
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         axes, groups, torques = load.axes, self._layout.groups, load.output.torque
         moment = ZERO3
         for jet in self._give:
@@ -59,7 +59,7 @@ class EngineTorques(Effect):
 
 
 class EngineSideForces(Effect):
-    """The forces that engines report across their thrust.
+    """Effect of forces that engines report across their thrust.
 
     The jet's frame is the body's, turned with the thrust by the least turn from straight up to the jet's axis and then
     by its hinges: on a bank at a tilt t thrust is along ``(sin t, 0, -cos t)``, forward ``(cos t, 0, sin t)``, right
@@ -71,9 +71,9 @@ class EngineSideForces(Effect):
         self._give: list[tuple[bool, bool]] = [("force_forward" in ports, "force_right" in ports) for ports in outputs]
 
     def start(self, load: Load) -> None:
-        self.act(load)
+        self.add_to(load)
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         frames, output = self._layout.frames(load.tilt), load.output
         across: list[Vector3] = []
         for jet, group in enumerate(self._layout.groups):
@@ -86,14 +86,14 @@ class EngineSideForces(Effect):
 
 
 class CarriedJets(Effect):
-    """The moment of the jets' forces because hinges carry them away from their stations."""
+    """Effect of hinges that carry jets away from their stations: the moment of the jets' forces."""
 
     acts_at_rest = True
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
 
-    def act(self, load: Load) -> None:
+    def add_to(self, load: Load) -> None:
         positions, places = load.positions, self._layout.rest_positions
         moment = ZERO3
         for jet, push in enumerate(load.engine_forces):

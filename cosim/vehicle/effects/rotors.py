@@ -13,7 +13,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class RotorDynamics(Effect):
-    """The angular momentum of all rotors against the airframe, and its change from step to step.
+    """Effect of the angular momentum of all rotors against the airframe, and of its change from step to step.
 
     ``H = sum s J w e``: spin s of the station, inertia J and speed w of its engine, e the jet's tilted axis.  On the
     airframe acts ``M = -dH/dt - omega x H``, where dH/dt is taken in the body frame and contains both the spools'
@@ -46,31 +46,31 @@ class RotorDynamics(Effect):
                 self._groups.append((group, turning))
         self.is_active = bool(self._groups)
         self._step = step
-        self.momentum: Vector3 = (0.0, 0.0, 0.0)  # kg m^2/s, body
+        self.momentum: Vector3 = (0.0, 0.0, 0.0)  # of all rotors, kg m^2/s, body
 
     def start(self, load: Load) -> None:
         self.reset(load.output.spool_speed)
         load.momentum = self.momentum
 
-    def act(self, load: Load) -> None:
-        """Add ``-dH/dt``; momentum and whole moment are the airframe's and the log's."""
-        change = self._change(load.output.spool_speed, load.axes)
+    def add_to(self, load: Load) -> None:
+        """Add ``-dH/dt`` to the load, and store momentum and whole moment for airframe and log."""
+        change = self._momentum_rate(load.output.spool_speed, load.axes)
         load.momentum = self.momentum
         load.spool_moment = self.moment(change, load.state.rate)
         load.add_moment(change)
 
     def reset(self, speeds: PerJet) -> None:
         """Start with the rotors turning at ``speeds`` [rad/s], hinges at rest."""
-        self.momentum = self._sum(speeds, self._layout.axes(self._rest))
+        self.momentum = self._total_momentum(speeds, self._layout.axes(self._rest))
 
     def update(self, speeds: PerJet, tilt: PerServo) -> Vector3:
         """Return ``-dH/dt`` [N m, body] for the speeds [rad/s] and tilts [rad] at the end of the step."""
-        return self._change(speeds, self._layout.axes(tilt))
+        return self._momentum_rate(speeds, self._layout.axes(tilt))
 
-    def _change(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
-        """Return ``-dH/dt`` as :meth:`update`, from the axes of the thrust."""
+    def _momentum_rate(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
+        """Return ``-dH/dt`` [N m, body] for the speeds [rad/s] and thrust axes at the end of the step."""
         x, y, z = self.momentum
-        self.momentum = a, b, c = self._sum(speeds, axes)
+        self.momentum = a, b, c = self._total_momentum(speeds, axes)
         step = self._step
         return ((x - a) / step, (y - b) / step, (z - c) / step)
 
@@ -79,7 +79,7 @@ class RotorDynamics(Effect):
         x, y, z = cross(rate, self.momentum)
         return (reaction[0] - x, reaction[1] - y, reaction[2] - z)
 
-    def _sum(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
+    def _total_momentum(self, speeds: PerJet, axes: Sequence[Vector3]) -> Vector3:
         x = y = z = 0.0
         for group, rotors in self._groups:
             momentum = 0.0

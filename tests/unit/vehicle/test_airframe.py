@@ -20,7 +20,7 @@ from cosim.results.setup import describe_integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle._properties import Properties
-from cosim.vehicle.airframe import METHODS, Airframe, standing_height
+from cosim.vehicle.airframe import METHOD_NAMES, Airframe, standing_height
 from cosim.vehicle.jsbsim_model import render
 from cosim.vehicle.jsbsim_units import POUND_FORCE
 
@@ -337,7 +337,7 @@ def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
 
         def methods_now() -> list[str]:
             names = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
-            return [METHODS[frame._fdm.get_property_value(f"simulation/integrator/{name}")] for name in names]
+            return [METHOD_NAMES[frame._fdm.get_property_value(f"simulation/integrator/{name}")] for name in names]
 
         frame.reset(Initial(), OFF, ZERO3)
         before = frame._fdm.get_sim_time()

@@ -16,11 +16,11 @@ def test_a_trial_that_fails_is_a_line_and_not_remembered(monkeypatch: pytest.Mon
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     model = tmp_path / "own.xml"
     with monkeypatch.context() as there:
-        there.setattr(model_trial, "_CODE", "raise ImportError('none')")
+        there.setattr(model_trial, "_TRIAL_CODE", "raise ImportError('none')")
         said = r"own.xml: JSBSim fails: the process ended with status 1 \(ImportError: none\); look for an element"
         with pytest.raises(InputError, match=said):
             model_trial.check_model_loads(XML, model, XML)
         assert not list(tmp_path.rglob("*.txt"))
-        there.setattr(model_trial, "_CODE", "pass")
+        there.setattr(model_trial, "_TRIAL_CODE", "pass")
         model_trial.check_model_loads(XML, model, XML)
     assert [path.read_text() for path in tmp_path.rglob("*.txt")] == [f"{model}\n"]
