@@ -40,7 +40,7 @@ static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exha
 
 enum { BLOCKS = 4, MOST_PARTS = 10000 };
 
-/* What values are passed as, in the order of cosim.engine.fmu.instance.VALUES. */
+/* What values are passed as, in the order of cosim.engine.fmu.instance.VALUE_TYPES. */
 typedef enum { DOUBLE, FLOAT, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, KINDS } Kind;
 
 /* One call that sets or gets variables of one type; an array counts as one reference and several values. */

@@ -47,7 +47,7 @@ SIDE_LOAD_COLUMNS = {  # log columns of loads beside thrust
 
 
 class EngineBank:
-    """``count`` engines of one kind, or one per given spec, stepped by ``step`` seconds.
+    """Bank of ``count`` engines of one kind, or of one per given spec, stepped by ``step`` seconds.
 
     Raises InputError if an archive has changed since it was loaded, EngineError if an FMU does not start.
     """
@@ -112,7 +112,7 @@ class EngineBank:
         self._create_native_bank()
         for station, spec in enumerate(self._specs):
             if spec.start is None:
-                self._run_up(station, throttles[station])
+                self._run_to_throttle(station, throttles[station])
         try:
             self._last_output = self._native.outputs()
             return self._last_output
@@ -130,7 +130,7 @@ class EngineBank:
         except InstanceError as error:
             raise EngineError(f"{self._label(station)}: {error}") from error
 
-    def _run_up(self, station: int, throttle: float) -> None:
+    def _run_to_throttle(self, station: int, throttle: float) -> None:
         def hold(constant: float, steps: int) -> list[float]:
             return self._native.hold(station, constant, steps)
 
@@ -196,12 +196,12 @@ class EngineBank:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Further outputs that a mapping file adds to the log: :class:`cosim.base.protocols.Shows`."""
+        """Log columns of the outputs that a mapping file adds to the log: see :class:`cosim.base.protocols.Shows`."""
         return make_log_columns(self._specs)
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """Values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
+        """Values of :attr:`columns` in the FMU's units.  Raises EngineError if the FMU fails."""
         values = [
             getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)

@@ -16,7 +16,7 @@ from cosim.base.trust import need_trust
 from cosim.engine.check_report import CheckReport
 from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.fmu.archive import Archive, validate
-from cosim.engine.fmu.container import DAMAGE, Zip, note_unusual_names, read_bytes
+from cosim.engine.fmu.container import DAMAGE_ERRORS, Zip, note_unusual_names, read_bytes
 from cosim.engine.fmu.description import is_harmless_violation
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import normalise_name
@@ -40,19 +40,19 @@ from cosim.engine.response import (
 from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
 from cosim.engine.spec import EngineSpec
 
-# s of wall time for a check.
-TIME_LIMIT_S = 120.0
-# Steps of each flight that are compared with the first flight.
-COMPARED_STEPS = 500
-# Attributes of a variable in reports.
-DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
+# Wall time of a check, after which its remaining tests are left out.
+MAX_CHECK_S = 120.0
+# Number of steps of each flight that are compared with the first flight.
+MAX_COMPARED_STEPS = 500
+# Attributes of a variable that reports have.
+VARIABLE_ATTRIBUTES = ("name", "type", "unit", "min", "max", "start", "description")
 
 
 def check_fmu(
     engine: str,
     step: float | None = None,
     parameters: Mapping[str, ConstantValue] | None = None,
-    time_limit_s: float = TIME_LIMIT_S,
+    time_limit_s: float = MAX_CHECK_S,
 ) -> CheckReport:
     """Check an FMU by path, by mapping file, or by its name in the library.
 
@@ -68,7 +68,7 @@ def check_and_measure(
     engine: str | EngineSource,
     step: float | None,
     parameters: Mapping[str, ConstantValue],
-    time_limit_s: float = TIME_LIMIT_S,
+    time_limit_s: float = MAX_CHECK_S,
     default_step_s: float = 0.004,
 ) -> tuple[CheckReport, EngineMeasurement | None]:
     """Return the report of :func:`check_fmu`, and the measurements that a flight needs or None."""
@@ -89,21 +89,21 @@ def check_and_measure(
         inputs=_describe_variables(archive.inputs),
         outputs=_describe_variables(archive.outputs),
         parameters=[
-            {**described, "value": _value(v, values.get(v.name, v.start))}
+            {**described, "value": _effective_value(v, values.get(v.name, v.start))}
             for v, described in zip(archive.parameters, _describe_variables(archive.parameters), strict=True)
         ],
-        problems=_checksums(archive.path),
-        notes=_notes(archive, source.engine is not None),
+        problems=_library_checksums(archive.path),
+        notes=_list_notes(archive, source.engine is not None),
     )
     if report.problems:
         return report, None
-    check = _Check(source, {v.name: value for v, value in settings}, settings, report, time_limit_s)
-    check.ask_all()
+    check = _EngineCheck(source, {v.name: value for v, value in settings}, settings, report, time_limit_s)
+    check.run_tests()
     return report, check.measured
 
 
-class _Check:
-    """Check of one engine by short flights, which fill its report."""
+class _EngineCheck:
+    """Check of one engine by short flights, whose results fill a report."""
 
     def __init__(
         self,
@@ -121,15 +121,15 @@ class _Check:
         self._thrusts: list[float] = []
         self.measured: EngineMeasurement | None = None
 
-    def ask_all(self) -> None:
-        """Make all tests; the first three must pass for the others."""
+    def run_tests(self) -> None:
+        """Run all tests; the first three must pass for the others."""
         asked: Mapping[str, Callable[[], object]] = {
-            "loads": self._load,
-            "responds": self._respond,
-            "runs": self._run,
-            "repeats": self._repeat,
-            "runs six at once": self._run_together,
-            "resets": self._reset,
+            "loads": self._test_loading,
+            "responds": self._test_response,
+            "runs": self._test_running,
+            "repeats": self._test_repeating,
+            "runs six at once": self._test_running_together,
+            "resets": self._test_reset,
         }
         try:
             for question, ask in asked.items():
@@ -156,7 +156,7 @@ class _Check:
 
     @property
     def host(self) -> EngineHost:
-        """The engine's process, a new one after a failure."""
+        """Process that runs the engine, a new one after a failure."""
         if self._host is not None and not self._host.is_sound:
             self._host.end()
             self._host = None
@@ -168,8 +168,8 @@ class _Check:
         assert self._spec is not None
         return IsolatedBank([self._spec] * count, self._step, host=host or self.host)
 
-    def _load(self) -> None:
-        """Validate the description, load the library and instantiate it."""
+    def _test_loading(self) -> None:
+        """Test that the description is valid, the library loads and an instance can be made."""
         archive, report = self._source.archive, self._report
         # An archive with harmless violations was validated when it was loaded.
         complaints = [] if archive.harmless_violations else validate(read_bytes(archive.path))
@@ -180,8 +180,8 @@ class _Check:
                 self._fail("loads", text)
         self.host.call(("load", archive), LIMITS.start_s, "when it was loaded")
 
-    def _respond(self) -> None:
-        """Measure static curve and response as a flight does, and record the response to opening and closing."""
+    def _test_response(self) -> None:
+        """Test that the engine responds: measure static curve and response, and record opening and closing."""
         archive, report = self._source.archive, self._report
         measured = self.measured = measure_in(self.host, archive, self._settings, self._step, STANDARD_AIR, True)
         report.throttle, report.thrust = list(measured.curve.throttle), list(measured.curve.thrust)
@@ -197,7 +197,7 @@ class _Check:
     def _record_responses(
         self, measured: EngineMeasurement, rest: float, max_points: int = 2000, min_wrong_way: float = 0.02
     ) -> None:
-        """Record at most this many points; a smaller change the wrong way is due to a solver or sampling."""
+        """Record the responses for the report, at most ``max_points`` each, and note a change the wrong way."""
         report, step, ripple, span = self._report, self._step, measured.ripple, abs(measured.curve.thrust[-1])
         course: list[float] = []
 
@@ -213,7 +213,7 @@ class _Check:
                 course[:] = [before]
                 response = measure_step_response(hold, before, throttle, step, ripple, rest)
                 before = response.after
-                shown = course[: _drawn(course, response)]
+                shown = course[: _count_drawn_points(course, response)]
                 every = max(1, len(shown) // max_points)
                 setattr(report, f"delay_samples_{way}", response.delay)
                 setattr(report, f"rise_time_{way}", response.rise)
@@ -233,38 +233,38 @@ class _Check:
                 f"{abs(up - down) * step:.2g} s or more, or have to be started first"
             )
 
-    def _fly(self, bank: IsolatedBank, steps: int, count: int = 1, throttle_0: float = 0.25) -> list[float]:
-        """Return the first engine's thrusts under a varying throttle, by which the other engines are ahead."""
+    def _fly_zigzag(self, bank: IsolatedBank, steps: int, count: int = 1, throttle_0: float = 0.25) -> list[float]:
+        """Fly with a varying throttle, and return the first engine's thrusts; the other engines are steps ahead."""
         bank.reset(throttle_0)
         throttles = ([zigzag_throttle(k + 3 * engine) for engine in range(count)] for k in range(steps))
         return [bank.step(k, tuple(throttle)).thrust[0] for k, throttle in enumerate(throttles)]
 
-    def _run(self, run_s: float = 20.0) -> None:
-        """Fly ``run_s`` of simulated time under a changing throttle."""
+    def _test_running(self, run_s: float = 20.0) -> None:
+        """Test that the engine runs for ``run_s`` of simulated time under a varying throttle."""
         with self._make_bank() as bank:
-            self._thrusts = self._fly(bank, max(COMPARED_STEPS, round(run_s / self._step)))
+            self._thrusts = self._fly_zigzag(bank, max(MAX_COMPARED_STEPS, round(run_s / self._step)))
         self._report.answers["is finite"] = True
 
-    def _repeat(self) -> None:
-        """Fly the same in another process with other addresses, process number and time."""
+    def _test_repeating(self) -> None:
+        """Test that thrusts repeat in another process with other addresses, process number and time."""
         host = EngineHost([self._source.archive], self._deadline)
         try:
             with self._make_bank(host=host) as bank:
-                if self._fly(bank, len(self._thrusts)) != self._thrusts:
+                if self._fly_zigzag(bank, len(self._thrusts)) != self._thrusts:
                     self._fail("repeats", "two processes with the same throttle differ")
         finally:
             host.end()
 
-    def _run_together(self, engines: int = 6) -> None:
+    def _test_running_together(self, engines: int = 6) -> None:
         with self._make_bank(engines) as bank:
-            if self._fly(bank, COMPARED_STEPS, engines) != self._thrusts[:COMPARED_STEPS]:
+            if self._fly_zigzag(bank, MAX_COMPARED_STEPS, engines) != self._thrusts[:MAX_COMPARED_STEPS]:
                 self._fail("runs six at once", "six of it at once do not answer as one alone: they are not independent")
 
-    def _reset(self) -> None:
-        """Fly twice in one process, with a reset between."""
+    def _test_reset(self) -> None:
+        """Test that thrusts repeat in one process after a reset."""
         with self._make_bank() as bank:
             for _ in range(2):
-                if self._fly(bank, COMPARED_STEPS) != self._thrusts[:COMPARED_STEPS]:
+                if self._fly_zigzag(bank, MAX_COMPARED_STEPS) != self._thrusts[:MAX_COMPARED_STEPS]:
                     self._fail("resets", "a run after a reset differs from the first")
 
 
@@ -273,19 +273,19 @@ def zigzag_throttle(k: int) -> float:
     return (k * 7 % 20) / 19
 
 
-def _drawn(course: Sequence[float], response: Response) -> int:
-    """Return the number of points to draw: slightly more than until 0.1 % from the end."""
+def _count_drawn_points(course: Sequence[float], response: Response) -> int:
+    """Return how many points of a response to draw: slightly more than until 0.1 % from its end."""
     far = 1e-3 * abs(response.after - response.before)
     last = max(k for k, thrust in enumerate(course) if abs(thrust - response.after) > far)
     return min(len(course), last + max(10, last // 4))
 
 
 def _describe_variables(variables: Iterable[Variable]) -> list[dict[str, Any]]:
-    return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
+    return [{key: getattr(v, key) for key in VARIABLE_ATTRIBUTES} for v in variables]
 
 
-def _value(variable: Variable, value: float | None) -> float | str | None:
-    """Return a parameter's value in effect; an item of an enumeration by its name."""
+def _effective_value(variable: Variable, value: float | None) -> float | str | None:
+    """Return a parameter's value in effect, that of an enumeration as the item's name."""
     return {float(item): name for name, item in variable.items}.get(value, value) if value is not None else None
 
 
@@ -302,7 +302,7 @@ def _describe_port(name: str, port: Port, source: EngineSource) -> dict[str, Any
     return {
         "port": name,
         "name": v.name,
-        "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
+        "unit": v.unit if name in ("throttle", "run", "start") else _port_unit(name, source) or v.unit,
         "from": port.value(0.0) if is_lever else None,
         "to": port.value(1.0) if is_lever else None,
         "scale": port.scale,
@@ -312,16 +312,16 @@ def _describe_port(name: str, port: Port, source: EngineSource) -> dict[str, Any
     }
 
 
-def _unit(name: str, source: EngineSource) -> str | None:
+def _port_unit(name: str, source: EngineSource) -> str | None:
     mapped = None if source.engine else getattr(source.mapping.units, name, None)
     return str(mapped) if mapped else None
 
 
-def _checksums(path: Path) -> list[str]:
+def _library_checksums(path: Path) -> list[str]:
     try:
         with Zip(path) as fmu:
             damaged = fmu.testzip()
-    except DAMAGE as error:
+    except DAMAGE_ERRORS as error:
         raise InputError(f"{path}: {error}") from error
     return [f"{damaged} fails its checksum"] if damaged else []
 
@@ -337,7 +337,7 @@ def note_harmless_violations(archive: Archive, max_lines: int = 10) -> list[str]
     return [*lines, f"and {rest} more blemishes like these"] if rest else lines
 
 
-def _notes(archive: Archive, library: bool) -> list[str]:
+def _list_notes(archive: Archive, library: bool) -> list[str]:
     notes = [*note_harmless_violations(archive), *archive.port_notes]
     if archive.once_per_process:
         notes.append("may be instantiated once per process: every engine gets a library of its own")

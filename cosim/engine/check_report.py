@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-# Tests of an engine, each a short flight.
+# Names of the tests of an engine, most of them short flights.
 QUESTIONS = ("loads", "runs", "is finite", "responds", "repeats", "runs six at once", "resets")
 
 
@@ -30,9 +30,9 @@ class CheckReport:
     thrust: list[float] | None = None
     delay_samples_up: int | None = None  # delay in communication steps
     delay_samples_down: int | None = None
-    tenth_up: float | None = None  # s to 10 % of the change
+    tenth_up: float | None = None  # time to 10 % of the change, s
     tenth_down: float | None = None
-    rise_time_up: float | None = None  # s from 10 to 90 %
+    rise_time_up: float | None = None  # time from 10 to 90 % of it, s
     rise_time_down: float | None = None
     course_up: list[float] | None = None  # thrust every ``course_step_up`` s
     course_down: list[float] | None = None
@@ -57,17 +57,17 @@ class CheckReport:
         rows = [
             ("file", self.path),
             ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
-            *((port["port"].replace("_", " "), _port_text(port)) for port in self.ports),
-            *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
-            *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
-            *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
+            *((port["port"].replace("_", " "), _describe_port(port)) for port in self.ports),
+            *(("input", _describe_variable(v)) for v in self._drop_ports(self.inputs)),
+            *(("output", _describe_variable(v)) for v in self._drop_ports(self.outputs)),
+            *(("parameter", _describe_variable(v)) for v in self._drop_ports(self.parameters)),
             ("step", f"{self.step:g} s"),
             *self._response_lines(),
             *((question, words[answer]) for question, answer in self.answers.items()),
         ]
         return [*rows, *(("note", note) for note in self.notes)]
 
-    def _unused(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    def _drop_ports(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         used = {port["name"] for port in self.ports}
         return [v for v in variables if v["name"] not in used]
 
@@ -87,7 +87,7 @@ class CheckReport:
         return rows
 
 
-def _port_text(port: dict[str, Any]) -> str:
+def _describe_port(port: dict[str, Any]) -> str:
     unit = f" [{port['unit']}]" if port["unit"] else ""
     if port["from"] is not None:
         what = f", {port['from']:g} to {port['to']:g} are 0 to 1"
@@ -98,15 +98,15 @@ def _port_text(port: dict[str, Any]) -> str:
     return f"{port['name']}{unit}{what}, found {port['found']}"
 
 
-def _variable_text(v: dict[str, Any]) -> str:
+def _describe_variable(v: dict[str, Any]) -> str:
     unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
     value = v.get("value", v["start"])
     start = "" if value is None else f" = {value if isinstance(value, str) else f'{value:g}'}{unit}"
     start += f", from {v['start']:g}" if isinstance(value, float) and v["start"] not in (None, value) else ""
-    limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
+    limits = "" if v["min"] is None and v["max"] is None else f", {_limit_text(v['min'])} to {_limit_text(v['max'])}"
     what = f": {v['description']}" if v["description"] else ""
     return f"{v['name']}{start or unit}{limits}{what}"
 
 
-def _limit(value: float | None) -> str:
+def _limit_text(value: float | None) -> str:
     return "any" if value is None else f"{value:g}"

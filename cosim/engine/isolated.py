@@ -41,14 +41,14 @@ from cosim.engine.spec import EngineSpec
 class HostLimits(NamedTuple):
     """Limits of an engine's own process."""
 
-    # s for one step of all engines: a thousand control steps.
+    # Time [s] for one step of all engines: a thousand control steps.
     hang_s: float = 4.0
-    # s to load, start, measure or warm up engines.
+    # Time [s] to load, start, measure or warm up engines.
     start_s: float = 120.0
     close_s: float = 2.0  # s to free the instances
-    # MB resident, of the process with the engines: good engines need about ten.
+    # Resident memory [MB] of the process with the engines: good engines need about ten.
     max_megabytes: float = 1024.0
-    # MB resident, up to which a process is kept for further engines: a leak is not passed on.
+    # Resident memory [MB] up to which a process is kept for further engines: a leak is not passed on.
     max_idle_megabytes: float = 256.0
     max_answer_bytes: int = 2**24
     max_request_bytes: int = 2**32
@@ -58,11 +58,11 @@ LIMITS = HostLimits()  # limits of the engines' process
 
 
 Moment = str | tuple[int, float]  # phase in words, or step and time [s]
-_SERVE = "from cosim.engine.isolated import serve; serve()"  # code of the engines' process
+_SERVE_CODE = "from cosim.engine.isolated import serve; serve()"  # code of the engines' process
 
 
 class EngineHost:
-    """Process for engines of some archives, which serves one bank after another.
+    """Process that runs engines of some archives, for one bank after another.
 
     Raises EngineError where it ends by itself, does not answer, or is asked after ``deadline`` (of ``time.monotonic``).
     """
@@ -72,21 +72,21 @@ class EngineHost:
         self.archives = frozenset(archive.sha256 for archive in listed)
         self.label = ""  # text before each error
         self._folder = os.stat(".")  # working folder, for relative paths
-        # Files that it leaves when killed are deleted with this process's temporary files.
+        # Files that the process leaves when killed are deleted with this process's temporary files.
         environ = dict(os.environ) | {"TMPDIR": str(scratch())}
-        self._host = Host.open(python_command(_SERVE), environ, LIMITS.max_megabytes, stderr=subprocess.DEVNULL)
+        self._host = Host.open(python_command(_SERVE_CODE), environ, LIMITS.max_megabytes, stderr=subprocess.DEVNULL)
         self._deadline = deadline
         self.is_sound = True  # True: no error so far
 
     @property
     def is_reusable(self) -> bool:
-        """Whether it may serve further engines of its archives."""
+        """Whether the process may serve further engines of its archives."""
         small = measure_megabytes(self._host.pid) <= LIMITS.max_idle_megabytes
         is_here = os.path.samestat(self._folder, os.stat("."))
         return self.is_sound and small and is_here and self._deadline == inf and self._host.poll() is None
 
     def call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
-        """Return an answer that is no row of doubles, tuples as lists, or raise the error that the process met."""
+        """Return the answer to a question as JSON values, or raise the error that occurred in the process."""
         return self._read(self.request(question, limit, moment))
 
     def request(self, question: tuple[Any, ...], limit: float, moment: Moment) -> bytes:
@@ -105,7 +105,7 @@ class EngineHost:
             raise EngineError(f"{self.label}{error} {when}") from None
 
     def doubles(self, data: bytes, form: struct.Struct) -> tuple[float, ...]:
-        """Return the numbers of an answer, bit for bit; raises the process's error instead."""
+        """Return the numbers of an answer, bit for bit, or raise the error that occurred in the process."""
         if data[:1] == b"p":
             self._read(data)
         if data[:1] != b"s" or len(data) != 1 + form.size:
@@ -113,7 +113,7 @@ class EngineHost:
         return form.unpack_from(data, 1)
 
     def _read(self, data: bytes) -> Any:
-        """Return the content of an answer.
+        """Return the JSON values of an answer, or raise the error that it has.
 
         An FMU's library can send whatever it likes from there: no answer may run anything here, so none is unpickled.
         """
@@ -142,7 +142,7 @@ _idle: list[EngineHost] = []
 
 
 def acquire_host(archives: Iterable[Archive]) -> EngineHost:
-    """Return a process for engines: the idle one, if it served exactly these archives, or a new one."""
+    """Return a process for engines: the idle one if it served exactly these archives, else a new one."""
     listed = list(archives)
     while _idle:
         host = _idle.pop()
@@ -171,7 +171,7 @@ def end_idle() -> None:
 
 
 def _forget_idle() -> None:
-    """Leave the idle process to the parent that this process was forked from."""
+    """Leave the idle process to the parent process, after a fork."""
     for host in _idle:
         host._host.returncode = 0
     _idle.clear()
@@ -184,7 +184,7 @@ if hasattr(os, "register_at_fork"):
 def measure_in(
     host: EngineHost, archive: Archive, settings: tuple[Setting, ...], step: float, air: Air, small: bool
 ) -> EngineMeasurement:
-    """Measure an engine in a process of engines: :func:`cosim.engine.measure.measure`."""
+    """Return an engine's measurement by :func:`cosim.engine.measure.measure`, made in an engines' process."""
     question = ("measure", archive, settings, archive.start, step, air, small)
     answer = host.call(question, LIMITS.start_s, "while its thrust was measured")
     try:
@@ -194,14 +194,14 @@ def measure_in(
 
 
 class IsolatedBank:
-    """Like :class:`cosim.engine.EngineBank`, with the engines in a process of their own.
+    """Bank of engines in a process of their own, with the methods of :class:`cosim.engine.EngineBank`.
 
     ``host``: that process; without one it is taken and left by :func:`acquire_host` and :func:`release_host`.
     Raises InputError or EngineError as that does; EngineError too where the process ends by itself or does not answer.
     """
 
     def __init__(self, specs: Sequence[EngineSpec], step: float, host: EngineHost | None = None) -> None:
-        self._step, self._count = step, len(specs)
+        self._step_engines, self._count = step, len(specs)
         self.wants_ambient = any(spec.has_port(port) for spec in specs for port in AMBIENT)
         self._columns = make_log_columns(specs)
         self._row, self._answer = _frame_formats(self._count)
@@ -212,7 +212,7 @@ class IsolatedBank:
         self._host: EngineHost | None = host or acquire_host(spec.archive for spec in specs)
         if host is None:
             self.host.label = f"engines ({', '.join(dict.fromkeys(spec.path.name for spec in specs))}): "
-        # The uncertainty is left out, because reading it would need numpy there.
+        # The uncertainty is left out, because the process would need numpy to read it.
         told = tuple(replace(spec, uncertainty=None, uncertain_ranges=()) for spec in specs)
         try:
             self._call(("make", told, step), LIMITS.start_s, "when it was loaded")
@@ -223,48 +223,48 @@ class IsolatedBank:
 
     @property
     def host(self) -> EngineHost:
-        """The engines' process."""
+        """Process that runs the engines."""
         if self._host is None:
             raise EngineError("the engines were freed before")
         return self._host
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """As the bank's."""
+        """Reset the engines, as :meth:`EngineBank.reset`."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
         return self._unpack_output(self.host.request(("reset", held, air), LIMITS.start_s, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """As the bank's."""
+        """Advance all engines by a step, as :meth:`EngineBank.step`."""
         if ambient is None:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
-        return self._unpack_output(self.host.exchange(row, LIMITS.hang_s, (k, k * self._step)))
+        return self._unpack_output(self.host.exchange(row, LIMITS.hang_s, (k, k * self._step_engines)))
 
     def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
-        """As the bank's."""
+        """Return one engine's thrusts [N] for a sequence of throttles, as :meth:`EngineBank.follow`."""
         listed = list(throttles)
         data = self.host.request(("follow", station, listed), LIMITS.start_s, f"within {len(listed)} steps")
         return list(self.host.doubles(data, struct.Struct(f"<{len(listed)}d")))
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """As the bank's."""
+        """Log columns of further outputs, as :attr:`EngineBank.columns`."""
         return self._columns
 
     @property
     def shown(self) -> tuple[float, ...]:
-        """As the bank's; costs one more exchange per step if there are columns."""
+        """Values of :attr:`columns`, as :attr:`EngineBank.shown`; they cost one more exchange per step."""
         data = self.host.request(("shown",), LIMITS.hang_s, "when its further outputs were read")
         return self.host.doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
-        """As the bank's."""
+        """Step the engines with closed throttle before the flight, as :meth:`EngineBank.run_down`."""
         return self._unpack_output(self.host.request(("run down", seconds), LIMITS.start_s, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
-        """As the bank's."""
+        """Switch one engine off or on, as :meth:`EngineBank.set_run`."""
         return bool(self._call(("run", index, on), LIMITS.hang_s, "when it was shut off or on"))
 
     def close(self) -> None:
@@ -312,32 +312,32 @@ def _frame_formats(count: int) -> tuple[struct.Struct, struct.Struct]:
 
 
 def _json_answer(good: bool, answer: Any) -> bytes:
-    """Return an answer other than numbers as JSON, which cannot execute code when read."""
+    """Return an answer other than numbers packed as JSON, which cannot execute code when read."""
     return b"p" + json.dumps((good, answer)).encode()
 
 
 def _double_answer(values: Sequence[float]) -> bytes:
-    """Return doubles as they are."""
+    """Return an answer of doubles, packed as binary."""
     return b"s" + struct.pack(f"<{len(values)}d", *values)
 
 
 class _Server:
-    """Server in the process: its bank, and the answer to each request."""
+    """Server in the engines' process, which has a bank and answers requests."""
 
     def __init__(self) -> None:
         self._bank: EngineBank | None = None
         self._row = self._doubles = struct.Struct("")
         self._count = 0
         self._answers: Mapping[str, Callable[..., bytes]] = {
-            "make": self._make,
-            "load": self._load,
-            "measure": self._measure,
-            "reset": self._reset,
+            "make": self._make_engines,
+            "load": self._load_archive,
+            "measure": self._measure_engine,
+            "reset": self._reset_engines,
             "follow": lambda *arguments: _double_answer(self.bank.follow(*arguments)),
             "run down": lambda seconds: _double_answer(list(chain(*self.bank.run_down(seconds)))),
             "shown": lambda: _double_answer(self.bank.shown),
             "run": lambda *arguments: _json_answer(True, self.bank.set_run(*arguments)),
-            "close": self._close,
+            "close": self._close_bank,
         }
 
     @property
@@ -347,16 +347,16 @@ class _Server:
         return self._bank
 
     def answer(self, data: bytes) -> bytes:
-        """Return the answer to a request; an error is one, too."""
+        """Return the packed answer to a request, or the packed error."""
         try:
             if data[:1] == b"s":
-                return self._step(data)
+                return self._step_engines(data)
             what, *arguments = pickle.loads(data[1:])
             return self._answers[what](*arguments)
         except Exception as error:
             return _json_answer(False, (type(error).__name__, str(error)))
 
-    def _step(self, data: bytes) -> bytes:
+    def _step_engines(self, data: bytes) -> bytes:
         count = self._count
         row = self._row.unpack(data)
         k, values = row[1], row[2:]
@@ -364,27 +364,27 @@ class _Server:
         output = self.bank.step(k, values[:count], ambient)
         return b"s" + self._doubles.pack(*chain.from_iterable(output))
 
-    def _make(self, specs: Sequence[EngineSpec], step: float) -> bytes:
-        self._close()
+    def _make_engines(self, specs: Sequence[EngineSpec], step: float) -> bytes:
+        self._close_bank()
         self._count = len(specs)
         self._row, self._doubles = _frame_formats(self._count)
         self._bank = EngineBank(specs, self._count, step)
         return _json_answer(True, None)
 
-    def _load(self, archive: Archive) -> bytes:
-        self._close()
+    def _load_archive(self, archive: Archive) -> bytes:
+        self._close_bank()
         with unpack(archive) as folder:
             FmuInstance(archive, folder, "checked").close()
         return _json_answer(True, None)
 
-    def _measure(self, *arguments: Any) -> bytes:
-        self._close()
+    def _measure_engine(self, *arguments: Any) -> bytes:
+        self._close_bank()
         return _json_answer(True, measure(*arguments))
 
-    def _reset(self, throttle: float | Sequence[float], air: Any) -> bytes:
+    def _reset_engines(self, throttle: float | Sequence[float], air: Any) -> bytes:
         return _double_answer(list(chain(*self.bank.reset(throttle, Ambient(*air) if air else None))))
 
-    def _close(self) -> bytes:
+    def _close_bank(self) -> bytes:
         if self._bank is not None:
             self._bank.close()
             self._bank = None

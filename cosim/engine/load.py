@@ -24,7 +24,7 @@ def load_unchecked(
     measure: Callable[[EngineSource, Mapping[str, float], float, Air], EngineMeasurement],
     air: Air = STANDARD_AIR,
 ) -> EngineSpec:
-    """Validate an engine that will be stepped by ``step`` seconds, and measure it with ``measure``.
+    """Return an engine, validated for steps of ``step`` seconds, and measured with ``measure``.
 
     ``measure`` is called with the other arguments, and with the standard ``air`` where the engine has no port for any.
 
@@ -57,7 +57,7 @@ def load_unchecked(
         delay_samples=None if delay is None else round(delay),
         start=measured.start,
         rotor_inertia=definition.rotor_inertia if definition else mapping.rotor.inertia_kg_m2,
-        flame_out=_flame_out(source),
+        flame_out=_make_flame_out_law(source),
         specified_delay=mapping.ledger.delay_s,
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
@@ -66,13 +66,13 @@ def load_unchecked(
         ripple=measured.ripple,
         air=air,
         small_step=measured.small,
-        logged_outputs=_logged(source),
+        logged_outputs=_find_logged_outputs(source),
         uncertainty=uncertainty,
         uncertain_ranges=tuple(ranges),
     )
 
 
-def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
+def _find_logged_outputs(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
     """Return the outputs that a mapping file adds to the log, by column name."""
     columns = []
     for name, output in source.mapping.log.items():
@@ -87,9 +87,9 @@ def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
     return tuple(columns)
 
 
-def _flame_out(source: EngineSource) -> FlameOutLaw | None:
+def _make_flame_out_law(source: EngineSource) -> FlameOutLaw | None:
     if "run" in source.archive.ports:
         return MODELLED
     if source.engine is not None:
         return make_flame_out_law(source.engine.flame_out) if source.engine.flame_out else None
-    return source.mapping.flame_out.law() if source.mapping.flame_out else None
+    return source.mapping.flame_out.make_law() if source.mapping.flame_out else None

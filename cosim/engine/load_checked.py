@@ -34,7 +34,7 @@ def load_engine(
     air: Air = STANDARD_AIR,
     isolated: bool | None = None,
 ) -> EngineSpec:
-    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
+    """Return an engine by name or file, validated for steps of ``step`` seconds, and measured.
 
     The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
     file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.  One not of the library
@@ -64,7 +64,7 @@ def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: f
 
 
 def measure_isolated(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
-    """Measure an engine's static curve and response in another process, cached in this one.
+    """Return an engine's static curve and response, measured in another process and cached in this one.
 
     Raises EngineError where that fails.
     """
@@ -85,7 +85,7 @@ def measure_isolated(source: EngineSource, parameters: Mapping[str, float], step
 def measure_checked(
     source: EngineSource, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
 ) -> EngineMeasurement:
-    """Check a user's FMU, and return its static curve and response.
+    """Check a user's FMU, and return its static curve and response; raise InputError if it is unfit.
 
     The result is cached by archive, mapping file, parameters, step and air, and a fit FMU is not checked again: in
     another ``air`` than the standard one at sea level, and with other parameters in the same process, it is only
@@ -97,22 +97,22 @@ def measure_checked(
     path = _cache_path(source, parameters, step, air)
     measured, is_new = _read_cached(path), key not in _fit_engines
     if measured is None and is_new and air == STANDARD_AIR:
-        report, measured = check.check_and_measure(source, step, parameters, check.TIME_LIMIT_S)
-        _need_no_problems(source, report.problems)
+        report, measured = check.check_and_measure(source, step, parameters, check.MAX_CHECK_S)
+        _refuse_problems(source, report.problems)
         assert measured is not None
     elif measured is None:
         if is_new:
             measure_checked(source, parameters, step)
         measured = measure_isolated(source, parameters, step, air)
         rest = source.archive.starting.rest_n
-        _need_no_problems(source, find_curve_problems(measured.curve, measured.ripple, rest))
+        _refuse_problems(source, find_curve_problems(measured.curve, measured.ripple, rest))
     if is_new:
         write_if_possible(path, make_measurement_adapter().dump_json(measured).decode())
     _fit_engines.add(key)
     return measured
 
 
-def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
+def _refuse_problems(source: EngineSource, problems: Sequence[str]) -> None:
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(
@@ -130,14 +130,14 @@ def _cache_path(source: EngineSource, parameters: Mapping[str, float], step: flo
         "step": step,
         "air": air,
         "python": sys.version,
-        "code": _code(),
+        "code": _hash_modules(),
     }
     name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     return cache_folder() / "engines" / f"{name}.json"
 
 
 @cache
-def _code() -> str:
+def _hash_modules() -> str:
     """Return a hash of this package's modules, so that results of older versions are not used."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*")):

@@ -45,7 +45,7 @@ class EngineMeasurement(NamedTuple):
 
 @cache
 def make_measurement_adapter() -> TypeAdapter[EngineMeasurement]:
-    """Return what turns a measurement into JSON and back, for transmission and caching."""
+    """Return the pydantic adapter that converts a measurement to JSON and back, for transmission and caching."""
     from pydantic import TypeAdapter
 
     return TypeAdapter(EngineMeasurement)
@@ -62,7 +62,7 @@ def measure_once(
     air: Air = STANDARD_AIR,
     small: bool = True,
 ) -> EngineMeasurement:
-    """Measure as :func:`measure`, once per process for the same archive, settings and conditions."""
+    """Return the measurement by :func:`measure`, made once per process for the same archive, settings and air."""
     key = (*make_behaviour_key(archive, settings, air), start, step, small)
     return _measured.get(key, lambda: measure(archive, settings, start, step, air, small))
 
@@ -126,18 +126,18 @@ def _measure(
 def _small_step(
     hold: Hold, window: int, step: float, ripple: float, rest: float, span: float, min_change_over_rest: float = 5.0
 ) -> SmallStep | None:
-    """Return the response to a step around hover, if it exceeds the ripple of steady thrust."""
+    """Return the response to a small throttle step around the middle, if it exceeds the ripple of steady thrust."""
     throttle, opened = 0.5, 0.55
     thrusts: list[float] = []
 
-    def recorded(held: float, steps: int) -> list[float]:
+    def hold_and_record(held: float, steps: int) -> list[float]:
         chunk = list(hold(held, steps))
         thrusts.extend(chunk)
         return chunk
 
     try:
         before = settle(hold, throttle, window, step, ripple, rest, span)
-        response = measure_step_response(recorded, before, opened, step, ripple, rest)
+        response = measure_step_response(hold_and_record, before, opened, step, ripple, rest)
     except ResponseError:
         return None
     change = response.after - response.before

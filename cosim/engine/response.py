@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 Hold = Callable[[float, int], Sequence[float]]
 
-# s: a real turbojet, closed, needs 95 s until its thrust is constant to NO_CHANGE.
+# Longest time until a thrust is constant: a real turbojet, closed, needs 95 s to REST_TOLERANCE.
 MAX_SETTLING_S = 180.0
 # Fraction of the thrust, or of 1 N if that is more, within which it is constant; the second is for FMUs whose solver
 # has the usual tolerance.
@@ -25,15 +25,15 @@ MAX_DRIFT = 0.1
 
 
 class ResponseError(Exception):
-    """Failure of a measurement: the engine does not settle or does not respond."""
+    """Error of a measurement: the engine does not settle or does not respond."""
 
 
 class RestlessError(ResponseError):
-    """Failure of a measurement: the engine does not settle."""
+    """Error of a measurement: the engine does not settle."""
 
 
 class Response(NamedTuple):
-    """A step of the throttle between 0 and 1."""
+    """Response of the thrust to a throttle step between 0 and 1."""
 
     delay: int  # communication steps without response
     rise: float  # s, from 10 to 90 % of the change
@@ -42,14 +42,14 @@ class Response(NamedTuple):
 
 
 class SmallStep(NamedTuple):
-    """A small step of the throttle around its middle, in communication steps."""
+    """Response to a small throttle step around the middle, in communication steps."""
 
     delay: int  # communication steps without response
     late: float  # s, delay at low frequency
 
     @property
     def lag(self) -> float:
-        """Lag without transport: 1 / (1 - a) for a single pole a, with thrust at the end counted for the step."""
+        """Lag without transport delay [steps]: 1 / (1 - a) for a single pole a, with thrust at the step's end."""
         return self.late - self.delay + 1.0
 
 
@@ -69,7 +69,7 @@ def settle(
     rest: float = 0.0,
     span: float = 0.0,
 ) -> float:
-    """Hold a throttle until thrust was constant to ``ripple`` for ``window`` steps, and return it [N].
+    """Hold a throttle until thrust was constant to ``ripple`` for ``window`` steps, and return the thrust [N].
 
     ``window`` must be longer than the engine's delay.  A thrust that never stands still does so by definition once it
     moves by no more than ``rest`` newtons, peak to peak, in a window, and its mean by no more than a tenth of that from
@@ -139,7 +139,7 @@ def measure_step_response(
 
 
 def settling_window(delay: int) -> int:
-    """Return how many steps a thrust must stay constant to count as settled, for an engine's delay in steps."""
+    """Return for how many steps a thrust must be constant to count as settled, for an engine's delay in steps."""
     return 2 * delay + 50
 
 
@@ -150,7 +150,7 @@ def measure_static_curve(
     throttles = [k / (points - 1) for k in range(points)]
     thrusts: list[float] = []
     for throttle in reversed(throttles):
-        span = thrusts[0] if thrusts else 0.0  # a closed engine: its full thrust
+        span = thrusts[0] if thrusts else 0.0  # thrust at full throttle, if measured
         thrusts.append(settle(hold, throttle, window, step, ripple, rest, abs(span)))
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
@@ -212,7 +212,7 @@ def _is_constant(thrusts: Sequence[float], ripple: float, rest: float = 0.0) -> 
 
 
 def _has_settled(thrusts: Sequence[float], window: int, ripple: float, rest: float) -> bool:
-    """Return whether a course's last window is constant and, with ``rest``, has the mean of the window before."""
+    """Return whether the last window of thrusts is constant and, with ``rest``, has the mean of that before."""
     last, before = thrusts[-window:], thrusts[-2 * window : -window]
     level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= MAX_DRIFT * rest
     return _is_constant(last, ripple, rest) and level

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 
 class FlameOutLaw(NamedTuple):
-    """The law of an engine's thrust after a flame-out.
+    """Law of an engine's thrust after a flame-out, until its rotor stands.
 
     ``own``: by its port ``run`` and its own equations.  ``electric``: along its lag.  Else by the law above.
     """

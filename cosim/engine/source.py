@@ -33,7 +33,7 @@ from cosim.engine.spec import file_label
 
 
 def list_engine_names() -> list[str]:
-    """Return the shipped engines' names; each exists as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
+    """Return the names of the shipped engines, each as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
     return list_engines(data_folder("engines"))
 
 
@@ -56,30 +56,30 @@ _definitions: RecentCache[EngineDefinition] = RecentCache(64)
 
 @dataclass(frozen=True)
 class EngineSource:
-    """Source of an engine: the named file, its archive, and its definition or mapping file."""
+    """Source of an engine: the file that was named, its archive, and its definition or mapping file."""
 
     name: str  # library name, or the file's name
-    path: Path  # of the archive or its mapping file
+    path: Path  # file of archive or mapping
     archive: Archive
     engine: EngineDefinition | None  # None: not a library engine
     mapping: MappingFile
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """Uncertainty of its parameters, from its definition or mapping file, or None."""
+        """Uncertainty of the engine's parameters, from its definition or mapping file, or None."""
         if self.engine is not None and self.engine.uncertainty:
             return Uncertainty.model_validate(self.engine.uncertainty)
         return self.mapping.uncertainty
 
     @property
     def code(self) -> list[Code]:
-        """Code that the engine runs: its archive, unless it is a shipped one."""
+        """Code that the engine runs and the user must trust: its archive, unless it is a shipped one."""
         archive = self.archive
         return [Code(archive.path, (self.path, archive.path))] if self.engine is None else []
 
 
 def _refuse_misspelt_file(path: Path) -> None:
-    """Raise InputError with a similar file beside ``path``, if the name is that of a file."""
+    """Raise InputError with a similarly named file, if ``path`` looks like a file that does not exist."""
     from difflib import get_close_matches
 
     files = [file.name for file in Path().iterdir() if file.suffix.lower() == ".fmu"] if path.suffix else []
@@ -88,7 +88,7 @@ def _refuse_misspelt_file(path: Path) -> None:
 
 
 def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSource:
-    """Find an engine by its name in the library, the path of its archive, or that of a mapping file.
+    """Return the source of an engine: by its name in the library, or the path of its archive or mapping file.
 
     A path is seen from ``folder``; a source that was found before is returned as it is.
 
@@ -109,7 +109,7 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
             mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
         return EngineSource(file_label(path), path, archive, None, mapping)
     if path.suffix.lower() in (".fmu", ".ssp") or len(Path(engine).parts) > 1 or path.is_file():
-        return EngineSource(file_label(path), path, read_archive(path), None, _without_mapping(path.name))
+        return EngineSource(file_label(path), path, read_archive(path), None, _make_empty_mapping(path.name))
     name = engine.removesuffix(FMI2_SUFFIX)
     home = data_folder("engines") / name
     if not (home / "engine.toml").is_file():
@@ -121,12 +121,12 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
     if not path.is_file():
         raise InputError(f"engine {engine}: {path} has not been built; run: hexjet engine build")
     known = PortMap(ports=definition.ports, search=False)
-    return EngineSource(engine, path, read_archive(path, known), definition, _without_mapping(path.name))
+    return EngineSource(engine, path, read_archive(path, known), definition, _make_empty_mapping(path.name))
 
 
 @lru_cache(64)
-def _without_mapping(fmu: str) -> MappingFile:
-    """Return an empty mapping file, cached, as pydantic inspects all defaults when it makes one."""
+def _make_empty_mapping(fmu: str) -> MappingFile:
+    """Return the contents of an empty mapping file; cached, as pydantic inspects all defaults for each."""
     return MappingFile.model_construct(fmu=fmu)
 
 
@@ -166,7 +166,7 @@ def resolve_parameters(
     for name, specified in {**source.mapping.parameters, **overrides}.items():
         if name not in parameters:
             allowed = nearest(name, list(parameters)) if parameters else "it has none"
-            raise InputError(f"{archive.path}: {name}{_why_no_parameter(archive, name)}; {allowed}")
+            raise InputError(f"{archive.path}: {name}{_explain_unknown_parameter(archive, name)}; {allowed}")
         try:
             values[name] = convert_value(parameters[name], specified, str(archive.path))
         except PortError as error:
@@ -175,8 +175,8 @@ def resolve_parameters(
     return values, tuple(settings)
 
 
-def _why_no_parameter(archive: Archive, name: str) -> str:
-    """Return why a name is no parameter that can be set, in words that follow it."""
+def _explain_unknown_parameter(archive: Archive, name: str) -> str:
+    """Return why a name is no settable parameter, as text that follows the name."""
     if name == archive.start:
         return " is set by the simulation itself"
     if any(v.name == name for v in archive.inputs):

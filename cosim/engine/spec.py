@@ -28,7 +28,7 @@ Axis = TypeVar("Axis")
 
 @dataclass(frozen=True)
 class EngineSpec:
-    """One engine, measured and ready for a bank.
+    """Specification of an engine that was measured and is ready for a bank.
 
     ``pole`` and ``delay_samples`` belong to ``G(z) = gain / (z - pole) z^-delay_samples`` at ``internal_step``, where
     the engine's ``engine.toml`` names the parameters; they are None for any other FMU.
@@ -39,14 +39,14 @@ class EngineSpec:
     library: bool  # one of the shipped engines
     path: Path
     fmi: str  # FMI version
-    sha256: str  # of the archive
+    sha256: str  # hash of the archive
     parameters: Mapping[str, float]  # value of each parameter
     curve: Curve  # steady thrust [N] over throttle
     internal_step: float | None  # s, of the solver; None: unknown
     pole: float | None
     delay_samples: int | None
     start: str | None  # parameter that starts it at rest
-    rotor_inertia: float  # kg m^2, about the jet; 0: unknown
+    rotor_inertia: float  # inertia about the jet, kg m^2; 0: none
     flame_out: FlameOutLaw | None  # None: unknown
     specified_delay: float | None  # s, as its mapping file states
     mapping: Path | None  # mapping file that it was loaded by
@@ -86,12 +86,12 @@ class EngineSpec:
 
     @property
     def source_key(self) -> tuple[Hashable, ...]:
-        """Origin of the engine: equal for all engines of one FMU."""
+        """Key of the engine's origin, equal for all engines of one FMU."""
         return self.path, self.mapping, self.settings
 
     @property
     def behaviour_key(self) -> tuple[Hashable, ...]:
-        """Everything but inputs that the engine's behaviour depends on."""
+        """Key of everything but inputs that the engine's behaviour depends on."""
         return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.ripple
 
     @property
@@ -143,7 +143,7 @@ class EngineSpec:
 
     @property
     def lag(self) -> float | None:
-        """Time constant [s]: -internal_step / ln(pole)."""
+        """Time constant [s] of the stated pole: -internal_step / ln(pole)."""
         if self.pole is None or self.internal_step is None:
             return None
         return -self.internal_step / math.log(self.pole) if self.pole > 0.0 else 0.0
@@ -157,7 +157,7 @@ class EngineSpec:
 
 
 def file_label(path: Path) -> str:
-    """Return a name for an engine file: its own, or its folder's if the file is called ``engine``."""
+    """Return a name for an engine file: the file's, or its folder's if the file is called ``engine``."""
     return Path(os.path.abspath(path)).parent.name or path.stem if path.stem == "engine" else path.stem
 
 

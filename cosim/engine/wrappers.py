@@ -19,7 +19,7 @@ from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, S
 
 
 class EngineEffect:
-    """Effect on one engine: changes its throttle, and its thrust [N] and speed [rad/s]."""
+    """Effect of a fault or switch on one engine: changes throttle, thrust [N] and speed [rad/s]."""
 
     burns_fuel: bool = True  # whether the engine burns fuel
 
@@ -30,11 +30,11 @@ class EngineEffect:
         return thrust, speed
 
     def relight(self) -> None:
-        """Start from the next step on."""
+        """Start the engine again from the next step on."""
 
 
 class _StuckThrottle(EngineEffect):
-    """The throttle stays at ``at``, or at the command of its first step."""
+    """Throttle that stays at ``at``, or at the command of the fault's first step."""
 
     def __init__(self, at: float | None) -> None:
         self._at = at
@@ -46,7 +46,7 @@ class _StuckThrottle(EngineEffect):
 
 
 class _ThrottleDelay(EngineEffect):
-    """Delays commands by ``samples``; holds the first one until then."""
+    """Delay of throttle commands by ``samples``; the first command is held until then."""
 
     def __init__(self, samples: int) -> None:
         self._queue: deque[float] = deque()
@@ -59,7 +59,7 @@ class _ThrottleDelay(EngineEffect):
 
 
 class _SlowSpool(EngineEffect):
-    """``y += (1 - exp(-dt / lag)) (command - y)``, from the command of its first step."""
+    """Lag ``y += (1 - exp(-dt / lag)) (command - y)`` of the throttle, from the command of its first step."""
 
     def __init__(self, fraction: float) -> None:
         self._fraction = fraction
@@ -72,7 +72,7 @@ class _SlowSpool(EngineEffect):
 
 
 class _ThrustLoss(EngineEffect):
-    """Reduces thrust by a constant fraction."""
+    """Loss of a constant fraction of the thrust."""
 
     def __init__(self, fraction: float) -> None:
         self._fraction = fraction
@@ -82,7 +82,7 @@ class _ThrustLoss(EngineEffect):
 
 
 class _ClosedThrottle(EngineEffect):
-    """Shut-off without a port for it: throttle 0 and thrust 0 at once."""
+    """Shut-off of an engine without a port for it: throttle and thrust are 0 at once."""
 
     def change_throttle(self, command: float) -> float:
         return 0.0
@@ -92,7 +92,7 @@ class _ClosedThrottle(EngineEffect):
 
 
 class _UnpoweredFan(EngineEffect):
-    """A fan with its motor off: thrust decays by ``left`` per step, and recovers likewise."""
+    """Fan with its motor off: thrust decays to the fraction ``left`` in each step, and recovers likewise."""
 
     def __init__(self, left: float) -> None:
         self._left = left
@@ -112,7 +112,7 @@ class _UnpoweredFan(EngineEffect):
 
 
 class _Rundown(EngineEffect):
-    """Thrust and speed of an unlit engine by ``law``, and during its relight.
+    """Run-down of an unlit engine: thrust and speed by ``law``, and during its relight.
 
     The thrust at the end of the first step without fire is ``T_0``: the engine itself keeps its command over that one
     and has throttle 0 from then on.  Lit again, the thrust goes in a straight line, over ``law.relight``, from what is
@@ -156,7 +156,7 @@ class _Rundown(EngineEffect):
 
 
 class EngineChain:
-    """A bank of engines with effects on each of them.
+    """Bank of engines with faults, switches and mismatch applied to each engine.
 
     ``laws[i]``: how engine ``i``, from 0, goes out (:mod:`cosim.engine.rundown`); ``lag(i)``: its time constant [s],
     which is needed where a fan loses its current.  ``factors``: thrust over that of the bank, spool speeds the same;
@@ -191,7 +191,7 @@ class EngineChain:
         self._clear()
 
     def _clear(self) -> None:
-        """Return to engines that are on and have no fault, as a bank that was reset."""
+        """Clear all faults and switches, as after a reset of the bank."""
         self._acting: list[EngineFault] = []
         self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
         self._flamed_out: list[tuple[int, EngineFault]] = []  # flame-outs through a port "run"
@@ -216,16 +216,16 @@ class EngineChain:
         self.off = frozenset(range(len(self._laws)))
         for index in range(len(self._laws)):
             if not self.bank.set_run(index, False):
-                self._shut_off[index] = self._run_down(index, cold=True)
+                self._shut_off[index] = self._make_rundown(index, cold=True)
         return self._apply_effects(self.bank.run_down(run_down_s))
 
     @property
     def restarting_engines(self) -> tuple[int, ...]:
-        """The engines, counted from 1, that were switched on again and are not back at the thrust of the start."""
+        """Engines, counted from 1, that were switched on again and have not reached their initial thrust."""
         return tuple([index + 1 for index in sorted(self._restarts)])
 
     def _update_restarts(self, thrust: PerJet, started: float = 0.9) -> None:
-        """Remove restarted engines that run or whose time is up."""
+        """Remove restarted engines that run, or whose time for a restart is over."""
         idle = self._idle
         left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < started * idle[i]}
         self._restarts = {index: steps for index, steps in left.items() if steps > 0}
@@ -248,7 +248,7 @@ class EngineChain:
         return output
 
     def _with_thrust(self, output: EngineOutput, thrust: Sequence[float], speed: PerJet, flow: PerJet) -> EngineOutput:
-        """Return the output with another thrust; side loads change in proportion."""
+        """Return an output with its thrusts replaced; side loads change in proportion."""
         side_loads = [output.force_forward, output.force_right, output.torque]
         if self._has_side_loads:
             fractions = [after / before if before else 0.0 for after, before in zip(thrust, output.thrust, strict=True)]
@@ -292,15 +292,15 @@ class EngineChain:
             if on:
                 del self._shut_off[index]
             else:
-                self._shut_off[index] = self._run_down(index)
+                self._shut_off[index] = self._make_rundown(index)
 
-    def _run_down(self, index: int, cold: bool = False) -> EngineEffect:
+    def _make_rundown(self, index: int, cold: bool = False) -> EngineEffect:
         """Return the effect of an engine without a port ``run`` that is shut off; ``cold``: it has not run yet."""
         law = self._laws[index]
         return _ClosedThrottle() if law is None or law.is_electric else _Rundown(law, self._step, cold)
 
     def begin_fault(self, fault: EngineFault) -> None:
-        """Let ``fault`` act from the next step on."""
+        """Begin ``fault`` at the next step."""
         self._acting.append(fault)
         for jet in fault.jet:
             i = jet - 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 
-DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # from pressure, temperature and speed
+DERIVED = ("altitude", "mach", "density", "total_pressure", "total_temperature")  # computed from the fields of Air
 
 # Dry air in the standard atmosphere, ISO 2533:1975: Pa, K, K/m at sea level.
 PRESSURE_0, TEMPERATURE_0, LAPSE = 101325.0, 288.15, 0.0065  # Pa, K, K/m
@@ -22,7 +22,7 @@ class Air(NamedTuple):
     speed: float  # m/s, into the intake
 
     def derive(self, gamma: float = 1.4, gas_constant: float = 287.05287) -> dict[str, float]:
-        """Return the derived quantities :data:`DERIVED` in SI units, computed as the C loop does.
+        """Return the quantities :data:`DERIVED` by name in SI units, computed as the C loop does.
 
         ``altitude`` is the geopotential pressure altitude of ISO 2533, which engine decks mean; density that of dry air
         as an ideal gas; total values isentropic, with a ratio of specific heats of 1.4.  ``gamma``: ratio of specific

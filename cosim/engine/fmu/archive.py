@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
 from cosim.engine.fmu.container import (
-    DAMAGE,
+    DAMAGE_ERRORS,
     DESCRIPTION,
     UnusableError,
     Zip,
@@ -32,16 +32,16 @@ from cosim.engine.fmu.ports import PortError, PortMap, find_ports
 from cosim.engine.fmu.starting import EngineStart, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
-from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, LIBRARY_SUFFIX, platform_folder
+from cosim.engine.library import ADAPTER_FILES, ADAPTER_GENERATED, GENERATION_TOOL, LIBRARY_SUFFIX, platform_folder
 
-TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}  # FMI types of scalar variables
+TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}  # FMI types of readable variables
 
 _archives: RecentCache[Archive] = RecentCache(64)
 
 
 @dataclass(frozen=True)
 class Archive:
-    """An archive that was read, validated and found usable as an engine on this machine."""
+    """FMU archive that was read, validated and found usable as an engine on this machine."""
 
     path: Path
     sha256: str
@@ -64,29 +64,29 @@ class Archive:
 
     @property
     def throttle(self) -> Variable:
-        """The variable of the throttle."""
+        """Variable of the port ``throttle``."""
         return self.ports["throttle"].variable
 
     @property
     def thrust(self) -> Variable:
-        """The variable of the thrust."""
+        """Variable of the port ``thrust``."""
         return self.ports["thrust"].variable
 
     @property
     def start(self) -> str | None:
-        """Parameter that starts the engine in equilibrium at a throttle, or None."""
+        """Name of the parameter that starts the engine in equilibrium at a throttle, or None."""
         return self.ports["start"].variable.name if "start" in self.ports else None
 
 
 def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
-    """Read an archive; ``ports`` states ports, others are found by name and unit.
+    """Return an archive that is read and checked; ``ports`` states ports, others are found by name and unit.
 
     Raises InputError: one line with the file and what is wrong with it.
     """
     try:
         port_map, data = ports or PortMap(), read_bytes(path)
         sha256 = hashlib.sha256(data).hexdigest()
-        return _archives.get((path, sha256, repr(port_map)), lambda: _read(path, data, sha256, port_map))
+        return _archives.get((path, sha256, repr(port_map)), lambda: _read_archive(path, data, sha256, port_map))
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
 
@@ -107,11 +107,11 @@ def validate(data: bytes) -> list[str]:
 
 
 def read_component(path: Path, data: bytes) -> Archive:
-    """Read an FMU without engine ports.  Raises UnusableError."""
-    return _read(path, data, hashlib.sha256(data).hexdigest(), None)
+    """Return an FMU's archive without looking for engine ports.  Raises UnusableError."""
+    return _read_archive(path, data, hashlib.sha256(data).hexdigest(), None)
 
 
-def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Archive:
+def _read_archive(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Archive:
     names, xml = open_archive(data)
     root = parse_xml(xml)
     fmi = read_fmi_version(root)
@@ -119,7 +119,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     cosimulation = description.coSimulation
     _check_library(names, fmi, cosimulation.modelIdentifier)
     _read_unsigned(root, description)
-    elements = _all_elements(description)
+    elements = _list_variables(description)
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
@@ -149,7 +149,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
-        internal_step=_positive(cosimulation.fixedInternalStepSize),
+        internal_step=_positive_or_none(cosimulation.fixedInternalStepSize),
         once_per_process=cosimulation.canBeInstantiatedOnlyOncePerProcess,
         returns_early=cosimulation.mightReturnEarlyFromDoStep,
         starting=starting,
@@ -184,12 +184,12 @@ def read_engine_sources(data: bytes) -> list[tuple[str, bytes]]:
 
     Raises UnusableError where one is damaged.
     """
-    adapter = {f"sources/{name}" for name in (*ADAPTER, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
+    adapter = {f"sources/{name}" for name in (*ADAPTER_FILES, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
     try:
         with Zip(io.BytesIO(data)) as fmu:
             names = sorted(set(fmu.namelist()) - adapter)
             return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
-    except DAMAGE as error:
+    except DAMAGE_ERRORS as error:
         raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
 
 
@@ -205,7 +205,7 @@ def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], sta
 
 
 def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
-    """Read the limits of FMI 3.0's unsigned variables, which FMPy omits."""
+    """Add the limits of FMI 3.0's unsigned variables to a description, as FMPy omits them."""
     unsigned = {
         element.get("name"): element for element in root.iterfind("ModelVariables/*") if element.tag.startswith("UInt")
     }
@@ -229,8 +229,8 @@ def _check_library(names: list[str], fmi: int, identifier: str) -> None:
     raise UnusableError(f"has no binary for this machine, {needed} ({has}){more}")
 
 
-def _bases(description: Any) -> dict[str, Unit]:
-    """Return the description's units in SI base units, by name."""
+def _units_in_si(description: Any) -> dict[str, Unit]:
+    """Return the units that a description defines, by name, in SI base units."""
     bases = {}
     for unit in description.unitDefinitions:
         base = unit.baseUnit
@@ -240,17 +240,17 @@ def _bases(description: Any) -> dict[str, Unit]:
     return bases
 
 
-def _all_elements(description: Any) -> list[Variable]:
-    """Return all variables, arrays by element; raise UnusableError for a value that is no number."""
+def _list_variables(description: Any) -> list[Variable]:
+    """Return all variables of a description, arrays by element.  Raises UnusableError for a value that is no number."""
     try:
-        bases = _bases(description)
+        bases = _units_in_si(description)
         return [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
     except (ValueError, OverflowError) as error:
         raise UnusableError(f"{DESCRIPTION} cannot be used: {to_one_line(error)}") from error
 
 
 def _elements(v: Any, bases: Mapping[str, Unit], max_elements: int = 10_000) -> list[Variable]:
-    """Return a scalar, or an array's elements as ``array[1]`` or ``array[2,1]`` in FMI's order, row by row.
+    """Return a scalar variable, or an array's elements as ``array[1]`` or ``array[2,1]``, row by row as in FMI.
 
     The size is that at the structural parameters' start values.  ``max_elements``: elements that are listed one by one.
     """
@@ -261,17 +261,17 @@ def _elements(v: Any, bases: Mapping[str, Unit], max_elements: int = 10_000) -> 
     if shape and len(starts) != size:
         starts = (starts or [None]) * size if len(starts) < 2 else []
     if not shape:
-        return [_variable(v, v.name, 0, starts, bases)]
+        return [_make_variable(v, v.name, 0, starts, bases)]
     if not 1 <= size <= max_elements or not starts:
         return []
     subscripts = itertools.product(*(range(1, length + 1) for length in shape))
     return [
-        _variable(v, f"{v.name}[{','.join(map(str, subscript))}]", index, starts, bases)
+        _make_variable(v, f"{v.name}[{','.join(map(str, subscript))}]", index, starts, bases)
         for index, subscript in enumerate(subscripts)
     ]
 
 
-def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: Mapping[str, Unit]) -> Variable:
+def _make_variable(v: Any, name: str, index: int, starts: list[float | None], bases: Mapping[str, Unit]) -> Variable:
     declared = v.declaredType
     limits = (getattr(v, key) or (getattr(declared, key) if declared else None) for key in ("min", "max"))
     low, high = map(parse_number, limits)
@@ -301,6 +301,6 @@ def parse_number(text: str | None) -> float | None:
     return float({"true": "1", "false": "0"}.get(text, text))
 
 
-def _positive(value: object) -> float | None:
+def _positive_or_none(value: object) -> float | None:
     number = None if value is None else float(str(value))
     return number if number is not None and math.isfinite(number) and number > 0.0 else None

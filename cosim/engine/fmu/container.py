@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 from cosim.base.removed import describe_removed
 
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # zipfile's on damaged archives
+DAMAGE_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # raised by zipfile
 DESCRIPTION = "modelDescription.xml"  # file names in an FMU
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 
@@ -22,18 +22,18 @@ BUILD_DESCRIPTION = "sources/buildDescription.xml"
 class ArchiveLimits(NamedTuple):
     """Limits of the contents of an archive."""
 
-    # Chosen by us: an engine is a library of a few MB with perhaps some tables, and a hundred times that is accepted.
+    # Sizes chosen by us: an engine is a library of a few MB with perhaps some tables; a hundred times that is accepted.
     max_packed_bytes: int = 512 * 2**20  # size of the archive
     max_unpacked_bytes: int = 1024 * 2**20  # total size of the unpacked files
     max_files: int = 10_000
-    # Unpacked over packed size of a file: tables of numbers reach 10, zeros 1000.
+    # Largest ratio of unpacked to packed size: tables of numbers reach 10, zeros 1000.
     max_inflation: int = 100
-    # Files smaller than this, unpacked, are not tested for their ratio.
+    # Archives smaller than this when unpacked are not tested for the ratio.
     inflation_from_bytes: int = 16 * 2**20
     max_xml_bytes: int = 16 * 2**20  # bytes
-    # Depth of nested elements; FMI needs fewer than ten.
+    # Largest depth of nested XML elements; FMI needs fewer than ten.
     max_xml_depth: int = 64
-    # File systems allow at most 255 bytes in a part of a path.
+    # Longest part of a path; file systems allow at most 255 bytes.
     max_name_bytes: int = 250
 
 
@@ -43,15 +43,15 @@ LIMITS = ArchiveLimits()  # limits of an archive
 # Encodings that both readers of the description, expat and FMPy's libxml2, read alike.
 ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
 SYSTEM_FILES = {".ds_store", "thumbs.db", "desktop.ini"}  # left by file managers, ignored
-METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # compression that FMI allows
-# Refused interfaces. Model exchange leaves the integration to us: FMPy's CVode, restarted at each throttle change,
+COMPRESSION_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # methods that FMI allows
+# Refused FMI interfaces. Model exchange would leave the integration to us: CVode, restarted at each throttle change,
 # takes 2.5 ms (1e-5) to 5.3 ms (1e-10) for six engines of two states, as long as a control step; without restarts it is
 # wrong by 1 % of full thrust, or fails.
-INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
+REFUSED_INTERFACES = {"ModelExchange": "model exchange", "ScheduledExecution": "scheduled execution"}
 
 
 class UnusableError(Exception):
-    """The reason why an archive cannot be used; the caller adds its path."""
+    """Error with the reason why an archive cannot be used; the caller adds its path."""
 
 
 def to_one_line(error: object) -> str:
@@ -60,7 +60,7 @@ def to_one_line(error: object) -> str:
 
 
 class Zip(zipfile.ZipFile):
-    """A zip archive whose contents are read in the same way on each operating system.
+    """Zip archive whose contents are read in the same way on each operating system.
 
     System files (:func:`is_system_file`) are left out, and the backslashes of some Windows programs become ``/``.
     """
@@ -126,18 +126,18 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
     try:
         with Zip(io.BytesIO(data)) as fmu:
             entries = fmu.infolist()
-            _need_harmless_sizes(entries, len(data))
-            _need_harmless_entries(entries)
+            _check_sizes(entries, len(data))
+            _check_entries(entries)
             names = [entry.filename for entry in entries]
             if main not in names:
-                raise UnusableError(f"is not an {kind}: it has no {main}{_inside(main, names)}")
+                raise UnusableError(f"is not an {kind}: it has no {main}{_hint_at_folder(main, names)}")
             for name in (main, BUILD_DESCRIPTION, *(name for name in names if name.lower().endswith(".ssv"))):
                 if name in names:
                     if fmu.getinfo(name).file_size > LIMITS.max_xml_bytes:
                         raise UnusableError(f"{name} is larger than {_size(LIMITS.max_xml_bytes)}")
                     check_xml(name, fmu.read(name))
             return names, fmu.read(main)
-    except DAMAGE as error:
+    except DAMAGE_ERRORS as error:
         raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
     except NotImplementedError as error:  # a version of zip unknown to Python
         raise UnusableError(f"is a zip archive of a strange kind: {to_one_line(error)}") from error
@@ -160,7 +160,7 @@ def read_fmi_version(root: ElementTree.Element) -> int:
     if version != "2.0" and not version.startswith("3.0"):
         raise UnusableError(f"FMI version {version} is not supported; allowed: 2.0, 3.0")
     if root.find("CoSimulation") is None:
-        other = [words for tag, words in INTERFACES.items() if root.find(tag) is not None]
+        other = [words for tag, words in REFUSED_INTERFACES.items() if root.find(tag) is not None]
         more = "; export it with a solver inside, for co-simulation" if root.find("ModelExchange") is not None else ""
         raise UnusableError(f"has no co-simulation interface (it has: {', '.join(other) or 'none'}){more}")
     return int(version[0])
@@ -171,17 +171,18 @@ def has_sources(names: Iterable[str]) -> bool:
     return any(name.startswith("sources/") and not name.endswith("/") for name in names)
 
 
-def _inside(main: str, names: Iterable[str]) -> str:
-    """Return a hint for an archive of a folder in place of the folder's contents, else an empty string."""
+def _hint_at_folder(main: str, names: Iterable[str]) -> str:
+    """Return a hint if the archive has a folder with ``main`` in place of the folder's contents, else ""."""
     nested = [name for name in names if name.endswith(f"/{main}")]
     return f", but {to_one_line(nested[0])}: pack what is in that folder, not the folder" if nested else ""
 
 
 def _size(count: int) -> str:
+    """Return a number of bytes as text, in MB if it is large."""
     return f"{count / 2**20:.0f} MB" if count >= 2**20 else f"{count} bytes"
 
 
-def _need_harmless_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
+def _check_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
     # zipfile never reads more of an entry than the size that is checked here.
     if len(entries) > LIMITS.max_files:
         raise UnusableError(f"has {len(entries)} files inside; an engine may have {LIMITS.max_files}")
@@ -195,7 +196,7 @@ def _need_harmless_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
         )
 
 
-def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
+def _check_entries(entries: list[zipfile.ZipInfo]) -> None:
     seen = set()
     for entry in entries:
         name = entry.filename
@@ -217,7 +218,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
             raise UnusableError(f"has a special file inside: {shown}")
         if entry.flag_bits & 0x1:
             raise UnusableError(f"is encrypted: {shown}")
-        if entry.compress_type not in METHODS:
+        if entry.compress_type not in COMPRESSION_METHODS:
             method = entry.compress_type
             raise UnusableError(
                 f"is packed by method {method}, which FMI does not know: {shown}; allowed: 0, 8 (deflate)"
@@ -225,7 +226,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
 
 
 def check_xml(name: str, xml: bytes) -> None:
-    """Refuse XML that FMI has no use for: document types and entities, deep nesting, unusual encodings."""
+    """Raise UnusableError for XML that FMI does not need: document types, deep nesting, unusual encodings."""
     depth = 0
 
     def declaration(version: str, encoding: str | None, standalone: int) -> None:

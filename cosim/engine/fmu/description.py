@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 from cosim.engine.fmu.container import BUILD_DESCRIPTION, DESCRIPTION, UnusableError, Zip, to_one_line
 
-# FMPy's complaints about parts of a description that no step depends on.
+# Patterns of FMPy's complaints about parts of a description that no step depends on.
 HARMLESS_VIOLATIONS = tuple(
     re.compile(text)
     for text in (
@@ -34,8 +34,8 @@ HARMLESS_VIOLATIONS = tuple(
         r"dependenciesKind",
         r"contains an illegal (carriage return|line feed|tab) character",
         r"is not a legal variable name",
-        r"and must be declared as a local or output",  # of a state, which is not read
-        # Schema rules about attributes that are not read here.
+        r"and must be declared as a local or output",  # rule on states, which are not read
+        # Patterns for schema rules about attributes that are not read here.
         r"The attribute '\w+' is not allowed",
         r"Element 'fmiModelDescription', attribute '(generationDateAndTime|variableNamingConvention|version)'",
         r"Element '(ModelStructure|Outputs|Derivatives|InitialUnknowns|Unknown|Output|InitialUnknown|LogCategories|"
@@ -51,7 +51,7 @@ def is_harmless_violation(complaint: str) -> bool:
 
 
 def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
-    """Return FMPy's object for an archive's model description, and the harmless violations found in it.
+    """Return FMPy's object of an archive's model description, and the harmless violations found in it.
 
     Raises UnusableError with the first complaint that is none.
     """
@@ -69,15 +69,15 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
         description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
     except Exception as error:
         raise _explain_refusal(complaints) if complaints else _unusable_error(error) from error
-    more = _more(description)
+    more = _validate_model(description)
     if more is not None:
         complaints += [complaint for complaint in more if complaint not in complaints]
-    elif undeclared := _undeclared(description):
+    elif undeclared := _find_undefined_unit(description):
         complaints.append(undeclared)
     elif stumbled:
         raise _unusable_error(stumbled)
     if dangerous := [
-        complaint for complaint in [*_doubles(description), *complaints] if not is_harmless_violation(complaint)
+        complaint for complaint in [*_repeated_names(description), *complaints] if not is_harmless_violation(complaint)
     ]:
         raise _explain_refusal(dangerous)
     for v in description.modelVariables:
@@ -86,8 +86,8 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
     return description, tuple(complaints)
 
 
-# FMI's combinations of variability and causality; all others have no default of ``initial``.
-_COMBINED = {
+# Causalities by variability that FMI has a default of ``initial`` for.
+_CAUSALITIES = {
     "constant": {"output", "local"},
     "fixed": {"structuralParameter", "parameter", "calculatedParameter", "local"},
     "tunable": {"structuralParameter", "parameter", "calculatedParameter", "local"},
@@ -97,7 +97,7 @@ _COMBINED = {
 
 
 def add_missing_initial(xml: bytes) -> bytes:
-    """Return the description with ``initial`` added to variables whose kind has no default.
+    """Return a description with ``initial`` added to variables that FMI has no default of it for.
 
     FMPy, asked without its validation too, reads no description with a parameter that is constant, say, which tools
     write; what its validation says of that is a blemish.
@@ -108,7 +108,7 @@ def add_missing_initial(xml: bytes) -> bytes:
         varies, cause = v.get("variability"), v.get("causality", "local")
         if root.get("fmiVersion") == "2.0" and varies is None:
             varies = "continuous"
-        if varies is not None and v.get("initial") is None and cause not in _COMBINED.get(varies, {cause}):
+        if varies is not None and v.get("initial") is None and cause not in _CAUSALITIES.get(varies, {cause}):
             v.set("initial", "exact")
             changed = True
     return ElementTree.tostring(root, encoding="utf-8") if changed else xml
@@ -137,8 +137,8 @@ def _unusable_error(error: object) -> UnusableError:
     return UnusableError(f"modelDescription.xml cannot be used: {to_one_line(error)}")
 
 
-def _more(description: Any) -> list[str] | None:
-    """Return the complaints of FMPy's model validation; None if FMPy fails."""
+def _validate_model(description: Any) -> list[str] | None:
+    """Return the complaints of FMPy's validation of the model; None if FMPy fails."""
     from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
 
     try:
@@ -147,8 +147,8 @@ def _more(description: Any) -> list[str] | None:
         return None
 
 
-def _undeclared(description: Any) -> str:
-    """Return a complaint about a display unit of an undefined unit, on which FMPy fails; else an empty string."""
+def _find_undefined_unit(description: Any) -> str:
+    """Return a complaint about a display unit whose unit is undefined, on which FMPy fails; else ""."""
     defined = {unit.name for unit in description.unitDefinitions}
     for v in description.modelVariables:
         unit = v.unit or (v.declaredType.unit if v.declaredType else None)
@@ -157,7 +157,7 @@ def _undeclared(description: Any) -> str:
     return ""
 
 
-def _doubles(description: Any) -> list[str]:
+def _repeated_names(description: Any) -> list[str]:
     """Return a complaint about each variable name that is used twice."""
     names = Counter(v.name for v in description.modelVariables)
     return [f'The variable name "{to_one_line(name)}" is not unique' for name, count in names.items() if count > 1]

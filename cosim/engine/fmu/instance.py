@@ -17,15 +17,15 @@ import cosim.engine._bank as _bank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, find_library
 from cosim.engine.fmu.container import to_one_line
-from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
+from cosim.engine.fmu.port_kinds import BASE_INPUTS, INPUTS, OUTPUTS
 from cosim.engine.fmu.slave import CallError, Slave
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import REALS, Variable
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}  # FMI status codes that are failures
 
-# Messages for the failure codes of the C loop.
-FAULTS = {
+# Messages by failure code of the C loop.
+FAILURE_MESSAGES = {
     "set": "setting its inputs returned {status}",
     "step": "doStep returned {status}",
     "get": "getting its outputs returned {status}",
@@ -37,19 +37,19 @@ FAULTS = {
     "input": "{port} is not finite",
 }
 
-# The C loop's enum of value types.
-VALUES = {
+# Numbers of the C loop's value types by FMI type.
+VALUE_TYPES = {
     "Real": 0, "Float64": 0, "Float32": 1, "Int8": 2, "UInt8": 3, "Int16": 4, "UInt16": 5, "Int32": 6, "Integer": 6,
     "UInt32": 7, "Int64": 8, "UInt64": 9,
 }  # fmt: skip
 
 
 class InstanceError(Exception):
-    """An FMU call failed: one line without the FMU's name, which the caller adds."""
+    """Error of an FMU call: one line without the FMU's name, which the caller adds."""
 
 
 class FmuInstance:
-    """An instance of ``archive``, whose files are unpacked in ``folder``.
+    """Instance of an FMU ``archive``, whose files are unpacked in ``folder``.
 
     Raises InstanceError if the library does not load or the FMU refuses to be instantiated.
     """
@@ -57,7 +57,7 @@ class FmuInstance:
     def __init__(self, archive: Archive, folder: Path, name: str) -> None:
         self.archive = archive
         self._resources = folder / "resources"
-        self._python = _has_python(self._resources, archive.sha256)
+        self._python = _contains_python(self._resources, archive.sha256)
         self.log = _bank.Log()
         self._stepping = False
         self._dead = False
@@ -113,7 +113,7 @@ class FmuInstance:
         return thrust
 
     def _warm_up(self, step: float) -> None:
-        """Run at zero throttle for the mapping's warm-up time, and count the steps."""
+        """Step at zero throttle for the mapping's warm-up time, and count the steps."""
         count = round(self.archive.starting.warm_up_s / step)
         if not count:
             return
@@ -125,12 +125,12 @@ class FmuInstance:
 
     def read(self, variable: Variable) -> float:
         """Return a variable's present value in the FMU's own unit."""
-        kind = self._type(variable)
+        kind = self._type_suffix(variable)
         values = self._slave.make_values(kind, len(variable.starts))
         self._call(self._slave.bind_values("Get", kind, [variable.reference], values))
         return float(values[variable.index])
 
-    def _type(self, variable: Variable) -> str:
+    def _type_suffix(self, variable: Variable) -> str:
         """Return the type suffix of FMI's functions that get and set a variable."""
         if variable.type != "Enumeration":
             return variable.type
@@ -161,8 +161,8 @@ class FmuInstance:
             values[variable.index] = value
         for variable, values in arrays.values():
             kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
-            array = self._slave.make_values(self._type(variable), [kind(value) for value in values])
-            self._call(self._slave.bind_values("Set", self._type(variable), [variable.reference], array))
+            array = self._slave.make_values(self._type_suffix(variable), [kind(value) for value in values])
+            self._call(self._slave.bind_values("Set", self._type_suffix(variable), [variable.reference], array))
 
     def _call(self, call: Callable[..., None], *arguments: Any) -> None:
         """Call an FMU function.  Raises InstanceError if it is missing or returns worse than a warning."""
@@ -170,12 +170,12 @@ class FmuInstance:
             call(*arguments)
         except CallError as error:
             self.record_failure(error.status)
-            raise InstanceError(self._append_log(f"{error.function} returned {_status(error.status)}")) from error
+            raise InstanceError(self._append_log(f"{error.function} returned {_status_name(error.status)}")) from error
         except OSError as error:
             raise InstanceError(str(error)) from error
 
     def record_failure(self, status: int) -> None:
-        """Record an error status, and after a fatal one that no call is allowed."""
+        """Record an error status; after a fatal one no call is allowed."""
         self._stepping = False
         self._dead = self._dead or STATUS.get(status) == "fatal"
 
@@ -186,15 +186,15 @@ class FmuInstance:
     def explain(self, failure: _bank.FailureError, moment: str) -> str:
         """Return a description of a failure in the C loop with its moment and the FMU's own log messages."""
         _, what, status, port = failure.args
-        more = self._reached() if what == "step" and STATUS.get(status) == "discard" and self.archive.fmi == 2 else ""
+        more = self._progress() if what == "step" and STATUS.get(status) == "discard" and self.archive.fmi == 2 else ""
         if what == "step" and STATUS.get(status) == "pending":
             more = ", which is for FMUs that step in the background; these are not supported"
         self.record_failure(status)
-        text = FAULTS[what].format(status=_status(status), port=port)
+        text = FAILURE_MESSAGES[what].format(status=_status_name(status), port=port)
         return self._append_log(f"{text} {moment}{more}")
 
-    def _reached(self) -> str:
-        """Describe how far a discarded FMI 2.0 step got; empty if the FMU does not tell."""
+    def _progress(self) -> str:
+        """Return how far a discarded FMI 2.0 step got, as text; empty if the FMU does not tell."""
         component, value = ctypes.c_void_p(self._slave.component), ctypes.c_double(math.nan)
         try:
             # Status kind 2 is fmi2LastSuccessfulTime.
@@ -205,7 +205,7 @@ class FmuInstance:
         return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
     def make_row(self, done: int = 0) -> _bank.Row:
-        """Return the C loop's description of this instance, which has made ``done`` communication steps."""
+        """Return the C loop's data of this instance, which has made ``done`` communication steps."""
         archive = self.archive
         sets, inputs = self._call_blocks("Set", INPUTS)
         gets, outputs = self._call_blocks("Get", (*OUTPUTS, "ram_drag"))
@@ -218,7 +218,7 @@ class FmuInstance:
             gets,
             inputs,
             outputs,
-            tuple(self._inputs[name] for name in BASE),
+            tuple(self._inputs[name] for name in BASE_INPUTS),
         )
 
     def _address(self, name: str) -> int:
@@ -230,7 +230,7 @@ class FmuInstance:
     def _call_blocks(
         self, way: Literal["Set", "Get"], names: Sequence[str]
     ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
-        """Return one FMI call per type of ports, the first port's first, and each port's place in them."""
+        """Return one FMI call for each type of ports, the first port's first, and each port's place in the calls."""
         ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
         types = list(dict.fromkeys(port.variable.type for port in ports.values()))
         blocks: list[_bank.Block] = []
@@ -254,7 +254,7 @@ class FmuInstance:
             function = self._address(f"{way}{kind}")
             # Of the inputs only the throttle, which is the first port, is set in each step.
             first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first))
+            blocks.append((function, VALUE_TYPES[kind], tuple(first_index), tuple(values), *first))
         return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
@@ -272,7 +272,7 @@ class FmuInstance:
 
 
 @lru_cache(maxsize=64)
-def _has_python(resources: Path, _sha256: str) -> bool:
+def _contains_python(resources: Path, _sha256: str) -> bool:
     return any(resources.rglob("*.py"))
 
 
@@ -301,8 +301,8 @@ def _remove_from_path(resources: Path) -> None:
 
 
 def _input_values(throttle: float, air: Air) -> dict[str, float]:
-    return dict(zip(BASE, (throttle, *air), strict=True)) | air.derive()
+    return dict(zip(BASE_INPUTS, (throttle, *air), strict=True)) | air.derive()
 
 
-def _status(status: int) -> str:
+def _status_name(status: int) -> str:
     return STATUS.get(status, f"status {status}")

@@ -55,7 +55,7 @@ from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
 from cosim.spec.file_kind import MAPPING, check_kind
 
 
-def _nonzero(value: float) -> float:
+def _require_nonzero(value: float) -> float:
     if value == 0.0 or not isfinite(value):
         raise ValueError("must be a finite number other than 0")
     return value
@@ -73,29 +73,29 @@ if TYPE_CHECKING:
     _Scale = Model
 else:
 
-    def _table(name: str, ports: Iterable[str], kind: Any) -> type[Model]:
-        """Return the model of a table that may have a value for each of these ports."""
+    def _make_table_model(name: str, ports: Iterable[str], kind: Any) -> type[Model]:
+        """Return the class of a mapping file's table that may have a value for each of ``ports``."""
         return create_model(name, __base__=Model, __module__=__name__, **dict.fromkeys(ports, (kind | None, None)))
 
-    _Ports = _table("_Ports", KINDS, Annotated[str, BeforeValidator(_check_one_variable)])
-    _Units = _table("_Units", [port for port in KINDS if port not in ("run", "start")], str)
-    _Scale = _table(
+    _Ports = _make_table_model("_Ports", KINDS, Annotated[str, BeforeValidator(_check_one_variable)])
+    _Units = _make_table_model("_Units", [port for port in KINDS if port not in ("run", "start")], str)
+    _Scale = _make_table_model(
         "_Scale",
         ["thrust", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "ram_drag", "spool_speed",
          "fuel_flow", "force_forward", "force_right", "torque"],
-        Annotated[float, AfterValidator(_nonzero)],
+        Annotated[float, AfterValidator(_require_nonzero)],
     )  # fmt: skip
 
 
-class _Range(Model):
+class _RangeTable(Model):
     throttle: tuple[float, float] | None = None
 
 
-class _Rotor(Model):
+class _RotorTable(Model):
     inertia_kg_m2: NotNegative = 0.0
 
 
-class _FlameOut(Model):
+class _FlameOutTable(Model):
     electric: Literal[True] | None = None
     thrust_left: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     run_down_s: Positive | None = None
@@ -111,7 +111,7 @@ class _FlameOut(Model):
             raise ValueError("state thrust_left, run_down_s, exponent and relight_s, or electric = true")
         return self
 
-    def law(self) -> FlameOutLaw:
+    def make_law(self) -> FlameOutLaw:
         return make_flame_out_law(self.model_dump(exclude_none=True))
 
 
@@ -126,15 +126,15 @@ def flatten(table: object) -> object:
     return values
 
 
-class _Start(Model):
+class _StartTable(Model):
     warm_up_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
 
 
-class _Rest(Model):
+class _RestTable(Model):
     thrust: NotNegative = 0.0
 
 
-class _Ledger(Model):
+class _LedgerTable(Model):
     delay_s: NotNegative | None = None
 
 
@@ -146,15 +146,15 @@ class MappingFile(Model):
     isolated: bool | None = None  # own process; None: as the scenario says
     ports: _Ports = Field(default_factory=_Ports.model_construct)
     units: _Units = Field(default_factory=_Units.model_construct)
-    range: _Range = Field(default_factory=_Range.model_construct)
+    range: _RangeTable = Field(default_factory=_RangeTable.model_construct)
     scale: _Scale = Field(default_factory=_Scale.model_construct)
     parameters: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
     inputs: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
-    start: _Start = Field(default_factory=_Start.model_construct)
-    rest: _Rest = Field(default_factory=_Rest.model_construct)
-    rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
-    flame_out: _FlameOut | None = None
-    ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
+    start: _StartTable = Field(default_factory=_StartTable.model_construct)
+    rest: _RestTable = Field(default_factory=_RestTable.model_construct)
+    rotor: _RotorTable = Field(default_factory=_RotorTable.model_construct)
+    flame_out: _FlameOutTable | None = None
+    ledger: _LedgerTable = Field(default_factory=_LedgerTable.model_construct)
     uncertainty: Uncertainty | None = None  # uncertainty of identified parameters
     # Further outputs to log, by column name.
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
@@ -166,7 +166,7 @@ def is_mapping(path: Path) -> bool:
 
 
 def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
-    """Read a mapping file; return its contents, the path of its archive, and its port map.
+    """Return the contents of a mapping file, the path of its archive, and its port map.
 
     Raises InputError: one line with file, key and what is allowed.
     """

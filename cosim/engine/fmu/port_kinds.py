@@ -19,11 +19,11 @@ from cosim.engine.fmu.units import (
     TEMPERATURE,
     Quantity,
 )
-from cosim.engine.fmu.variables import REALS, SWITCHES, THROTTLE_TYPES
+from cosim.engine.fmu.variables import REALS, SWITCH_TYPES, THROTTLE_TYPES
 
 # inputs in the order of the C loop
-BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
-INPUTS = (*BASE, *DERIVED)  # all inputs
+BASE_INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
+INPUTS = (*BASE_INPUTS, *DERIVED)  # all inputs
 SIDE_LOADS = ("force_forward", "force_right", "torque")  # loads on the airframe beside thrust
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *SIDE_LOADS)  # all outputs
 AMBIENT = INPUTS[1:]  # inputs other than throttle
@@ -54,9 +54,9 @@ KINDS: Mapping[str, PortKind] = {  # quantity and types of each port
     "density": PortKind("input", DENSITY),
     "total_pressure": PortKind("input", PRESSURE),
     "total_temperature": PortKind("input", TEMPERATURE),
-    "run": PortKind("input", RATIO, SWITCHES),
+    "run": PortKind("input", RATIO, SWITCH_TYPES),
     "thrust": PortKind("output", FORCE),
-    # Subtracted from a thrust that is gross thrust.
+    # Ram drag is subtracted from a thrust that is gross thrust.
     "ram_drag": PortKind("output", FORCE, only_mapped=True),
     "spool_speed": PortKind("output", ANGULAR_SPEED),
     "exhaust_temperature": PortKind("output", TEMPERATURE),

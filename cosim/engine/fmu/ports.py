@@ -30,7 +30,7 @@ from cosim.engine.fmu.variables import INTEGERS, ConstantValue, Port, Variable
 
 @dataclass(frozen=True)
 class PortMap:
-    """Stated ports of an FMU; all others are found by name and unit."""
+    """Ports of an FMU that a mapping file states; all others are found by name and unit."""
 
     ports: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -46,11 +46,11 @@ RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]" 
 
 
 class PortError(ValueError):
-    """A port is missing, ambiguous or unsuitable: one line without the FMU's name."""
+    """Error for a missing, ambiguous or unsuitable port: one line without the FMU's name."""
 
 
 def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[str, Port], list[str]]:
-    """Return all stated and found ports of an engine, and notes on assumptions and omissions.
+    """Return all ports of an engine, stated or found, and notes on assumptions and omissions.
 
     Raises PortError if a needed or specified port is unfit; an unfit optional one is left out with a note.
     """
@@ -82,7 +82,7 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
 
 
 class PortFinding(NamedTuple):
-    """Result for one port: variable, and why it is not ready; ``part`` is the mapping table that states it."""
+    """Result of the search for one port: variable, and why it is not ready; ``part``: mapping table that states it."""
 
     port: str
     variable: Variable | None
@@ -92,7 +92,7 @@ class PortFinding(NamedTuple):
 
 
 def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
-    """Yield the results for all ports of one engine, with all problems; absent optional ones are omitted.
+    """Yield the results of the search for each port of an engine, with problems; absent optional ones are omitted.
 
     :func:`find_ports` raises the first trouble of a port that is needed.
     """
@@ -103,7 +103,7 @@ def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
         variable: Variable | None = None
         try:
             variable = _search(name, kind, variables, ports)
-            if variable is None and (candidates := _of_unit(name, kind, variables, ports)):
+            if variable is None and (candidates := _with_unit(name, kind, variables, ports)):
                 yield PortFinding(name, None, f"may be {', '.join(v.name for v in candidates)}, by the unit")
             if variable is not None and (name != "start" or "throttle" in ports):
                 notes: list[str] = []
@@ -140,7 +140,7 @@ def _find_mapped(port: str, kind: PortKind, name: str, variables: Sequence[Varia
     if len(matches) > 1:
         raise PortError(f"has several {kind.causality}s called {name} in other case; state the exact name")
     if matches[0].type not in kind.types:
-        raise _wrong_type(matches[0], kind)
+        raise _make_type_error(matches[0], kind)
     return matches[0]
 
 
@@ -154,9 +154,9 @@ def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Map
     named = [v for v in candidates if normalise_name(v.name) in names]
     if len(named) == 1:
         if named[0].type not in kind.types:
-            raise _wrong_type(named[0], kind)
-        if _other_quantity(port, kind, named[0]):
-            raise _wrong_unit(port, named[0], _unit_complaint(named[0], kind))
+            raise _make_type_error(named[0], kind)
+        if _is_other_quantity(port, kind, named[0]):
+            raise _make_unit_error(port, named[0], _explain_unit(named[0], kind))
         return named[0]
     if not named and port not in NEEDED:
         return None
@@ -164,7 +164,7 @@ def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Map
     usable = named or [
         v
         for v in candidates
-        if v.type in kind.types and not _other_quantity(port, kind, v) and normalise_name(v.name) not in others
+        if v.type in kind.types and not _is_other_quantity(port, kind, v) and normalise_name(v.name) not in others
     ]
     if port == "thrust" and not named:
         usable = [v for v in usable if is_unit_of(v.unit, v.base, kind.quantity)]
@@ -181,15 +181,15 @@ def _list_unused(kind: PortKind, variables: Sequence[Variable], ports: Mapping[s
     return [v for v in variables if v.causality == kind.causality and v.name not in used and not v.is_array]
 
 
-def _of_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> list[Variable]:
-    """Return the variables with the unit of an optional port; none for ratios, which fit everything."""
+def _with_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> list[Variable]:
+    """Return the unused variables with a unit of an optional port; none for ratios, which fit everything."""
     if port in NEEDED or kind.quantity is RATIO:
         return []
     free = _list_unused(kind, variables, ports)
     return [v for v in free if v.type in kind.types and is_unit_of(v.unit, v.base, kind.quantity)]
 
 
-def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
+def _is_other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
     """Return whether a variable's declared unit is of another quantity than the port's."""
     if v.unit is None or port in ("throttle", "run", "start"):
         # A throttle may be in degrees or volts or any unit, if its range is stated.
@@ -199,7 +199,7 @@ def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
     return not is_unit_of(v.unit, v.base, kind.quantity)
 
 
-def _unit_complaint(v: Variable, kind: PortKind) -> str:
+def _explain_unit(v: Variable, kind: PortKind) -> str:
     try:
         to_si(v.unit or "", v.base, kind.quantity)
     except UnitError as error:
@@ -207,11 +207,11 @@ def _unit_complaint(v: Variable, kind: PortKind) -> str:
     return f"must be {kind.quantity.name}"
 
 
-def _wrong_type(v: Variable, kind: PortKind) -> PortError:
+def _make_type_error(v: Variable, kind: PortKind) -> PortError:
     return PortError(f"its {v.name} is of type {v.type}; it must be one of: {', '.join(kind.types)}")
 
 
-def _wrong_unit(port: str, v: Variable, complaint: str) -> PortError:
+def _make_unit_error(port: str, v: Variable, complaint: str) -> PortError:
     return PortError(f"its {v.name} {complaint}; hexjet engine map begins a file that states it: [units] {port} = ...")
 
 
@@ -230,7 +230,7 @@ def _make_port(
 ) -> Port:
     """Return a port on a variable with the conversion to SI units, or to 0..1 for throttle and start."""
     if name == "throttle":
-        return _throttle_port(v, port_map, notes)
+        return _make_throttle_port(v, port_map, notes)
     if name == "start":
         own = _declared_range(v)
         return _scale_to_range(v, *own) if own else replace(ports["throttle"], variable=v)
@@ -238,10 +238,10 @@ def _make_port(
         if v.is_array:
             raise PortError(f"its {v.name} is an element of an array; {name} must be a scalar")
         return Port(v)
-    return _quantity_port(name, kind, v, port_map, notes)
+    return _make_quantity_port(name, kind, v, port_map, notes)
 
 
-def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, notes: list[str]) -> Port:
+def _make_quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, notes: list[str]) -> Port:
     """Return a port on a physical quantity, converted from the unit specified, declared or in the variable's name."""
     unit = port_map.units.get(name, v.unit)
     if unit is None:
@@ -259,7 +259,7 @@ def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, no
     try:
         factor, offset = to_si(unit, None if name in port_map.units else v.base, kind.quantity)
     except UnitError as error:
-        raise _wrong_unit(name, v, str(error)) from error
+        raise _make_unit_error(name, v, str(error)) from error
     if name in port_map.units and v.unit is not None and v.unit != unit:
         notes.append(f"{v.name} is in {v.unit}, says the FMU; the mapping file says {unit}, and that counts")
     if not (isfinite(factor) and factor != 0.0 and isfinite(offset)):
@@ -268,7 +268,7 @@ def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, no
     return Port(v, factor, offset, 1.0 / factor, -offset / factor if offset else 0.0)
 
 
-def _throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: int = 20) -> Port:
+def _make_throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: int = 20) -> Port:
     """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit."""
     limits = port_map.throttle_range or _declared_range(v)
     if limits is None and v.type in INTEGERS and port_map.units.get("throttle", v.unit) is None:

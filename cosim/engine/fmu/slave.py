@@ -17,12 +17,12 @@ from typing import Any
 import cosim.engine._bank as _bank
 
 # C types of FMI's getters and setters; a Boolean is a C int in FMI 2.0.
-_TYPES: dict[str, Any] = {
+_C_TYPES: dict[str, Any] = {
     "Real": c_double, "Float64": c_double, "Float32": ctypes.c_float, "Integer": c_int, "Boolean": c_bool,
     "Int8": ctypes.c_int8, "UInt8": ctypes.c_uint8, "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16,
     "Int32": ctypes.c_int32, "UInt32": c_uint32, "Int64": ctypes.c_int64, "UInt64": ctypes.c_uint64,
 }  # fmt: skip
-_NEEDED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Terminate", "FreeInstance")  # always needed
+_REQUIRED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Terminate", "FreeInstance")  # functions
 
 
 class _Callbacks(ctypes.Structure):
@@ -32,7 +32,7 @@ class _Callbacks(ctypes.Structure):
 
 
 class CallError(Exception):
-    """A function of an FMU returned worse than a warning."""
+    """Error of an FMU's function that returned a status worse than a warning."""
 
     def __init__(self, function: str, status: int) -> None:
         super().__init__(f"{function} returned {status}")
@@ -40,7 +40,7 @@ class CallError(Exception):
 
 
 class Slave:
-    """The library at ``library``, and from :meth:`instantiate` to :meth:`free` its instance.
+    """Shared library of an FMU, and from :meth:`instantiate` to :meth:`free` its instance.
 
     Raises OSError where it does not load or lacks a function.
     """
@@ -56,7 +56,7 @@ class Slave:
         finally:
             os.chdir(here)
         try:
-            for name in (*_NEEDED, "SetupExperiment" if fmi == 2 else "InstantiateCoSimulation"):
+            for name in (*_REQUIRED, "SetupExperiment" if fmi == 2 else "InstantiateCoSimulation"):
                 self.function(name)
         except OSError:
             self.free_library()
@@ -104,7 +104,7 @@ class Slave:
         self.bind(name, *arguments)()
 
     def set_up(self) -> None:
-        """Begin a simulation at time 0, before anything is set."""
+        """Set up a simulation that begins at time 0, before anything is set."""
         if self.fmi == 2:
             self.call("SetupExperiment", c_int(0), c_double(0.0), c_double(0.0), c_int(0), c_double(0.0))
 
@@ -114,8 +114,8 @@ class Slave:
         self.call("EnterInitializationMode", *(() if self.fmi == 2 else none))
 
     def make_values(self, kind: str, values: int | Sequence[float]) -> Any:
-        """Return a C array of a type of FMI, of a size or with values."""
-        c_type: Any = c_int if kind == "Boolean" and self.fmi == 2 else _TYPES[kind]
+        """Return a C array for an FMI type, of a size or with values."""
+        c_type: Any = c_int if kind == "Boolean" and self.fmi == 2 else _C_TYPES[kind]
         if isinstance(values, int):
             return (c_type * values)()
         return (c_type * len(values))(*values)
@@ -127,7 +127,7 @@ class Slave:
         return self.bind(f"{way}{kind}", *arguments, *(() if self.fmi == 2 else (c_size_t(len(values)),)))
 
     def bind_step(self, now: c_double, step: float) -> Callable[[], None]:
-        """Return a call that advances the instance by ``step`` s from the time that ``now`` has then."""
+        """Return a call that advances the instance by ``step`` s from the time ``now`` at the call."""
         if self.fmi == 2:
             return self.bind("DoStep", now, c_double(step), c_int(1))
         results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]

@@ -13,7 +13,7 @@ Setting = tuple[Variable, float]
 
 
 class EngineStart(NamedTuple):
-    """How each instance of an engine is started."""
+    """Settings with which each instance of an engine is started."""
 
     constants: tuple[Setting, ...] = ()  # set before initialization and held
     warm_up_s: float = 0.0  # s at zero throttle before the flight
@@ -21,7 +21,7 @@ class EngineStart(NamedTuple):
 
 
 def resolve_start(port_map: PortMap, inputs: Sequence[Variable], ports: Mapping[str, Port]) -> EngineStart:
-    """Resolve the start of a mapping file to variables and numbers.
+    """Return the start settings of a mapping file, resolved to variables and numbers.
 
     Raises PortError for an input that is not there, a port, or a value that the input cannot have.
     """

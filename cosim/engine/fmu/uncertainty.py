@@ -20,17 +20,17 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import THROTTLE_TYPES, Variable
 
-# Standard deviations at which distributions are cut off: beyond them no identification is normal.
+# Number of standard deviations at which distributions are cut off: no identification is normal beyond it.
 MAX_SIGMA = 3.0
-# Smallest eigenvalue of a correlation, as correlations are written with about three digits.
+# Largest negative eigenvalue of a correlation that counts as rounding: files have about three digits.
 MIN_EIGENVALUE = 1e-3
-SETTABLE = ("", "fixed", "tunable")  # variabilities that can be set
+SETTABLE = ("", "fixed", "tunable")  # variabilities of settable parameters
 
 Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
 
 
 class ParameterRange(NamedTuple):
-    """One uncertain parameter: nominal value, 95 % range, and deviation between engines, in its unit."""
+    """Uncertainty of one parameter: nominal value, 95 % range, and deviation between engines, in its unit."""
 
     name: str
     nominal: float
@@ -45,11 +45,11 @@ class Uncertainty(Model):
     source: str = ""  # origin of the numbers, one line
     parameters: Annotated[list[str], Field(min_length=1)]  # names, in the order of the other keys
     deviation: list[NotNegative]  # shared by all engines of a vehicle
-    correlation: Matrix | None = None  # of the shared deviations; None: none
-    spread: list[NotNegative] | None = None  # between engines of a kind; None: none
+    correlation: Matrix | None = None  # matrix of the shared deviations
+    spread: list[NotNegative] | None = None  # deviation between engines of a kind
 
     @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check_sizes(self) -> Self:
         names, count = self.parameters, len(self.parameters)
         if repeated := [a for a, b in pairwise(sorted(names)) if a == b]:
             raise ValueError(f"parameters: {repeated[0]} is there twice")
@@ -62,7 +62,7 @@ class Uncertainty(Model):
         return self
 
     def _check_correlation(self) -> None:
-        """Refuse a matrix that is not a correlation."""
+        """Raise ValueError for a matrix that is not a correlation."""
         rows, names = self.correlation or [], self.parameters
         for row, name in zip(rows, names, strict=False):
             if len(row) != len(names):
@@ -83,12 +83,12 @@ class Uncertainty(Model):
 
     @property
     def spreads(self) -> list[float]:
-        """Standard deviation between engines, by parameter."""
+        """Standard deviation of each parameter between engines, by name."""
         return self.spread or [0.0] * len(self.parameters)
 
     @property
     def correlations(self) -> list[list[float]]:
-        """Correlation of the common deviations."""
+        """Correlation matrix of the deviations that all engines share."""
         return self.correlation or np.eye(len(self.parameters)).tolist()
 
     @property
@@ -97,7 +97,7 @@ class Uncertainty(Model):
         return lower_factor(self.correlations)
 
     def quantiles(self, normal: Array) -> list[Array]:
-        """Return the quantile of each parameter's common deviation, from independent normal numbers, a row a draw."""
+        """Return quantiles of the parameters' common deviations for independent normal numbers, one row per draw."""
         from scipy.special import ndtr
 
         return [
@@ -109,7 +109,7 @@ class Uncertainty(Model):
     def ranges(
         self, nominal: Mapping[str, float], variables: Iterable[Variable], deviations: float = 1.96
     ) -> list[ParameterRange]:
-        """Return the 95 % range of each parameter about its nominal value: of one engine, within the FMU's limits.
+        """Return the 95 % range of each parameter of one engine about its nominal value, within the FMU's limits.
 
         ``deviations``: standard deviations of a normal number's 95 % range.
         """
@@ -143,7 +143,7 @@ class Uncertainty(Model):
                 )
 
     def describe(self, index: int) -> str:
-        """Describe the uncertainty of one parameter, without its deviation."""
+        """Return a text on one parameter's uncertainty, without the deviation itself."""
         words = [f"standard deviation, cut off at {MAX_SIGMA:g} of it"]
         if self.spreads[index]:
             words.append(f"{self.spreads[index]:g} between engines")

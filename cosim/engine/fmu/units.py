@@ -16,7 +16,7 @@ Exponents = tuple[int, ...]  # one exponent for each of BASE_UNITS
 
 
 class Unit(NamedTuple):
-    """``SI value = factor * value + offset``, with the exponents of the SI base units."""
+    """Unit by ``SI value = factor * value + offset``, with the exponents of the SI base units."""
 
     exponents: Exponents
     factor: float = 1.0
@@ -36,21 +36,21 @@ class Quantity(NamedTuple):
 
 
 def exponents(unit: str) -> Exponents:
-    """Return the exponents of a unit of the table."""
+    """Return the exponents of the SI base units for a unit of :data:`UNITS`."""
     return tuple(int(UNITS[unit].get(base, 0)) for base in BASE_UNITS)
 
 
 class UnitError(ValueError):
-    """A unit is unsuitable: a clause that follows the variable's name."""
+    """Error for an unsuitable unit: a clause that follows the variable's name."""
 
 
-# Exact: N in an international pound under standard gravity, then m in a foot and kg in a pound.
+# Weight [N] of an international pound under standard gravity, exact.
 POUND_FORCE = 0.45359237 * GRAVITY
 FOOT, POUND = 0.3048, 0.45359237  # m in a foot, kg in a pound, both exact
 
 
 def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[float, float]]:
-    """Return factor and offset by name, of rows of names with blanks between them and their factor."""
+    """Return factor and offset by unit name, from rows of names separated by blanks with their factor."""
     return {name: (factor, offset) for names, factor in rows for name in names.split()}
 
 
@@ -96,7 +96,7 @@ MOMENT = Quantity("a moment", "N.m", _units(
 ))  # fmt: skip
 QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RATIO, LENGTH, DENSITY, MOMENT)
 
-_PER_SECOND = exponents("1/s")  # of a speed that may be rpm in disguise
+_PER_SECOND = exponents("1/s")  # exponents of rad/s, and of rpm too
 
 
 def find_unit(name: str, quantity: Quantity) -> tuple[float, float] | None:
@@ -134,16 +134,16 @@ def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, floa
         raise UnitError(f"is in {name}, which the FMU defines as something else than {quantity.name}")
     if base.exponents != quantity.exponents:
         raise UnitError(f"is in {name}; it must be {quantity.name}, such as {quantity.si}")
-    # Relative tolerance of a conversion factor: rounded factors differ by less, wrong units by more.
+    # Rounded conversion factors differ by less than these tolerances, those of wrong units by more.
     if known and not (
         isclose(base.factor, known[0], rel_tol=1e-3) and isclose(base.offset, known[1], rel_tol=1e-3, abs_tol=0.1)
     ):
         raise UnitError(
-            f"is in {name}, which the FMU defines as {_size(base.factor, base.offset, quantity.si)} and which is "
-            f"{_size(*known, quantity.si)}"
+            f"is in {name}, which the FMU defines as {_unit_text(base.factor, base.offset, quantity.si)} and which is "
+            f"{_unit_text(*known, quantity.si)}"
         )
     return base.factor, base.offset
 
 
-def _size(factor: float, offset: float, si: str) -> str:
+def _unit_text(factor: float, offset: float, si: str) -> str:
     return f"{factor:g} {si}" + (f" above {offset:g} {si}" if offset else "")

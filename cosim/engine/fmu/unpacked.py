@@ -13,14 +13,14 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.scratch import scratch
 from cosim.engine.fmu.archive import Archive, find_library
-from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, read_bytes, to_one_line
+from cosim.engine.fmu.container import DAMAGE_ERRORS, UnusableError, Zip, read_bytes, to_one_line
 from cosim.engine.library import platform_folder
 
 _free: list[UnpackedArchive] = []  # most recently freed last
 
 
 class UnpackedArchive:
-    """The files that running an archive on this machine needs, in the folder ``path`` until :meth:`close`."""
+    """Unpacked files of an archive that this machine needs, in the folder ``path`` until :meth:`close`."""
 
     def __init__(self, archive: Archive, data: bytes) -> None:
         self.sha256 = archive.sha256
@@ -81,21 +81,21 @@ def unpack(archive: Archive) -> UnpackedArchive:
     except OSError as error:  # could not write there
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
-    except DAMAGE as error:
+    except DAMAGE_ERRORS as error:
         raise InputError(f"{archive.path}: is damaged: {to_one_line(error)}") from error
 
 
 def hash_files(folder: Path) -> dict[str, str]:
-    """Return the digest of each file of an unpacked archive by path; folders have an empty one."""
+    """Return the SHA-256 of each file of an unpacked archive by path; folders have an empty text."""
     members = {}
     for parent, folders, files in os.walk(folder):
         for name in (*folders, *files):
             path = os.path.join(parent, name)
-            members[path] = hashlib.sha256(_read(path)).hexdigest() if os.path.isfile(path) else ""
+            members[path] = hashlib.sha256(_read_bytes(path)).hexdigest() if os.path.isfile(path) else ""
     return members
 
 
-def _read(path: str) -> bytes:
+def _read_bytes(path: str) -> bytes:
     with open(path, "rb") as file:
         return file.read()
 

@@ -10,14 +10,14 @@ from cosim.engine.fmu.units import Unit
 REALS = ("Real", "Float64", "Float32")  # FMI types that are floats
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")  # integer types
 THROTTLE_TYPES = (*REALS, *INTEGERS)  # types allowed for a throttle
-SWITCHES = (*REALS, "Boolean", *INTEGERS)  # types allowed for on and off
+SWITCH_TYPES = (*REALS, "Boolean", *INTEGERS)  # types allowed for on and off
 # Value of an input or a parameter: a number, a Boolean, or the name of an enumeration's item.
 ConstantValue = bool | int | float | str
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One scalar variable or array element of an FMU; ``start`` is None if not stated."""
+    """Scalar variable or array element of an FMU; ``start`` is None if not stated."""
 
     name: str
     type: str  # type name in FMI
@@ -36,13 +36,13 @@ class Variable:
 
     @property
     def is_array(self) -> bool:
-        """Whether setting it sets other elements too."""
+        """Whether the variable is an element of an array, so that setting it sets other elements too."""
         return len(self.starts) > 1
 
 
 @dataclass(frozen=True)
 class Port:
-    """A variable of an FMU in co-simulation units: ``canonical = scale * value + offset``.
+    """Port of an engine: an FMU's variable in co-simulation units, ``canonical = scale * value + offset``.
 
     The other way round it is ``value = gain * canonical + bias``, limited to ``low .. high``: both ways are kept, so
     that the ends of a range are met exactly.
@@ -57,7 +57,7 @@ class Port:
     high: float = field(default=inf, repr=False)
 
     def value(self, canonical: float) -> float:
-        """Return the FMU's value for a canonical one, computed as the C loop does."""
+        """Return the FMU's value for one in co-simulation units, computed as the C loop does."""
         value = self.gain * canonical
         if self.bias != 0.0:
             value += self.bias

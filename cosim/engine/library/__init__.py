@@ -6,7 +6,7 @@ own build loads it by its path.
 """
 
 from .archives import (
-    ADAPTER,
+    ADAPTER_FILES,
     ADAPTER_GENERATED,
     FMI_VERSIONS,
     LIBRARY_SUFFIX,
@@ -24,7 +24,7 @@ from .description import GENERATION_TOOL
 from .unit_table import BASE_UNITS, UNITS
 
 __all__ = [
-    "ADAPTER",
+    "ADAPTER_FILES",
     "ADAPTER_GENERATED",
     "BASE_UNITS",
     "FMI2_SUFFIX",

@@ -26,16 +26,16 @@ from .description import (
 
 FMI_VERSIONS = (3, 2)  # versions built for each engine
 
-# FMI's name of this system, and the file ending of a shared library.
+# Name of this system in FMI, and file ending of a shared library.
 _SYSTEM, LIBRARY_SUFFIX = {"win32": ("windows", ".dll"), "darwin": ("darwin", ".dylib")}.get(
     sys.platform, ("linux", ".so")
 )
 
 # Files of the adapter that makes a slave from an engine model, besides fmi2.c or fmi3.c.
-ADAPTER = ("engine.h", "slave.h", "slave.c")
+ADAPTER_FILES = ("engine.h", "slave.h", "slave.c")
 ADAPTER_GENERATED = ("variables.h", "buildDescription.xml")  # files written from engine.toml
 
-# No fused multiply-add, so that every build computes the same bits.
+# Compiler flags without fused multiply-add, so that every build computes the same bits.
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
 
 
@@ -81,13 +81,13 @@ def build_one(
     resources: Mapping[str, bytes],
     within: Path | None = None,
 ) -> None:
-    """Build one archive from C with the functions of ``engine.h``, or a tool, without ``engine.toml``.
+    """Build one archive of an engine from C, or from a tool's C, without ``engine.toml``.
 
     ``resources`` are its files of that folder; it is built below ``within``.  Raises BuildError if no compiler does it.
     """
     files = (f"{name}\0{len(data)}\0".encode() + data for name, data in sorted(resources.items()))
     digest = f" {hashlib.sha256(b''.join(files)).hexdigest()}" if resources else ""
-    token = _hash(f"{engine.name} {engine.variables} FMI {fmi}{digest}", _build_inputs(engine, adapter, fmi))
+    token = _make_hash(f"{engine.name} {engine.variables} FMI {fmi}{digest}", _build_inputs(engine, adapter, fmi))
     _build(engine, adapter, fmi, token, target, resources, within)
 
 
@@ -118,7 +118,7 @@ def _build(
     resources: Mapping[str, bytes],
     within: Path | None = None,
 ) -> None:
-    contents = _contents(engine, adapter, fmi, token)
+    contents = _read_contents(engine, adapter, fmi, token)
     contents |= {f"resources/{name}": data for name, data in resources.items()}
     with tempfile.TemporaryDirectory(prefix="engine-", dir=within) as folder:
         for name, data in contents.items():
@@ -159,11 +159,11 @@ def compile_sources(folder: Path, label: str) -> None:
 
     with tempfile.TemporaryFile() as output, tempfile.TemporaryDirectory(dir=folder) as build:
         try:
-            with _cmake_on_path(), _redirect_output(output.fileno()):
+            with _prepend_cmake_to_path(), _redirect_output(output.fileno()):
                 build_platform_binary(folder, build, cmake_options=_cmake_options())
         except (subprocess.CalledProcessError, OSError) as error:
             output.seek(0)
-            reason = _reason(output.read().decode(errors="replace"), error)
+            reason = _explain_failure(output.read().decode(errors="replace"), error)
             raise BuildError(f"{label}: {reason}") from error
 
 
@@ -179,7 +179,7 @@ def _cmake_options() -> dict[str, str]:
     return options
 
 
-def _reason(output: str, error: Exception) -> str:
+def _explain_failure(output: str, error: Exception) -> str:
     """Return the line of CMake's or the compiler's output that explains the failure."""
     if isinstance(error, FileNotFoundError):
         return "cannot be compiled: cmake is not found (it comes with the Python package cmake)"
@@ -191,8 +191,8 @@ def _reason(output: str, error: Exception) -> str:
 
 
 @contextlib.contextmanager
-def _cmake_on_path() -> Iterator[None]:
-    """Put the cmake that FMPy depends on first on the PATH."""
+def _prepend_cmake_to_path() -> Iterator[None]:
+    """Put the cmake that FMPy depends on first on the PATH, within the context."""
     before = os.environ.get("PATH", "")
     try:
         from cmake import CMAKE_BIN_DIR
@@ -208,7 +208,7 @@ def _cmake_on_path() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _redirect_output(descriptor: int) -> Iterator[None]:
-    """Send this process's and its children's standard output and error to a file descriptor."""
+    """Redirect standard output and error of this process and its children to a file, within the context."""
     sys.stdout.flush()
     sys.stderr.flush()
     saved = os.dup(1), os.dup(2)
@@ -225,7 +225,7 @@ def _redirect_output(descriptor: int) -> Iterator[None]:
 
 def hash_build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> str:
     """Return the FMI token, a hash of all build inputs that shows whether an archive is up to date."""
-    return _hash(f"{engine.name} FMI {fmi}", [engine.folder / "engine.toml", *_build_inputs(engine, adapter, fmi)])
+    return _make_hash(f"{engine.name} FMI {fmi}", [engine.folder / "engine.toml", *_build_inputs(engine, adapter, fmi)])
 
 
 def _build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> list[Path]:
@@ -234,7 +234,7 @@ def _build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> list[Pat
     return [*engine.sources, *tool, *_adapter_files(adapter, fmi), *sorted(Path(__file__).parent.glob("*.py"))]
 
 
-def _hash(label: str, paths: Iterable[Path]) -> str:
+def _make_hash(label: str, paths: Iterable[Path]) -> str:
     digest = hashlib.sha256(label.encode())
     for path in paths:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -242,10 +242,10 @@ def _hash(label: str, paths: Iterable[Path]) -> str:
 
 
 def _adapter_files(adapter: Path, fmi: int) -> list[Path]:
-    return [adapter / name for name in (*ADAPTER, f"fmi{fmi}.c")]
+    return [adapter / name for name in (*ADAPTER_FILES, f"fmi{fmi}.c")]
 
 
-def _contents(engine: EngineDefinition, adapter: Path, fmi: int, token: str) -> dict[str, bytes]:
+def _read_contents(engine: EngineDefinition, adapter: Path, fmi: int, token: str) -> dict[str, bytes]:
     """Return the archive's files without the binary by path; FMI's headers are left out, as the standard requires."""
     files = {path.name: path.read_bytes() for path in [*engine.sources, *_adapter_files(adapter, fmi)]}
     if engine.tool is not None:

@@ -28,17 +28,17 @@ PORTS = {
     "start": ("parameter", "1"),
 }
 REQUIRED_PORTS = {"throttle", "thrust"}  # ports that every engine must have
-FLAME_OUT = ("thrust_left", "run_down_s", "exponent", "relight_s")  # keys of the table [flame_out]
-LEDGER = {"pole", "delay"}  # keys of the table [ledger]
+FLAME_OUT_KEYS = ("thrust_left", "run_down_s", "exponent", "relight_s")  # keys of the table [flame_out]
+LEDGER_KEYS = {"pole", "delay"}  # keys of the table [ledger]
 
 
 class BuildError(ValueError):
-    """An engine cannot be built: one line with engine and reason."""
+    """Error of an engine that cannot be built: one line with engine and reason."""
 
 
 @dataclass(frozen=True)
 class VariableDefinition:
-    """One variable of an engine, from ``[variables.<name>]``."""
+    """Variable of an engine, from ``[variables.<name>]`` of ``engine.toml``."""
 
     name: str
     reference: int
@@ -53,7 +53,7 @@ class VariableDefinition:
 
 @dataclass(frozen=True)
 class EngineDefinition:
-    """An ``engine.toml``.
+    """Definition of an engine in ``engine.toml``.
 
     ``ports`` maps what the co-simulation calls a variable (a key of ``PORTS``) to its name; ``ledger`` does so
     for the parameters of ``G(z) = gain / (z - pole) z^-delay`` that a delay ledger needs: a nonlinear engine names its
@@ -68,20 +68,20 @@ class EngineDefinition:
     internal_step: float  # s, of the solver
     ports: Mapping[str, str]
     ledger: Mapping[str, str]
-    rotor_inertia: float  # kg m^2
-    flame_out: Mapping[str, float]  # for engines without a port "run"
+    rotor_inertia: float  # of all that turns, kg m^2
+    flame_out: Mapping[str, float]  # law of an engine without port "run"
     variables: tuple[VariableDefinition, ...]
-    uncertainty: Mapping[str, Any] = field(default_factory=dict)  # of parameters; empty: not stated
+    uncertainty: Mapping[str, Any] = field(default_factory=dict)  # table on parameters; empty: none
     tool: Path | None = None  # program that generates the C, if any
 
     @property
     def identifier(self) -> str:
-        """The name of the shared library, fit for C."""
+        """Name of the shared library, a C identifier."""
         return self.name.replace("-", "_")
 
 
 def read_engine(folder: Path) -> EngineDefinition:
-    """Read and check ``engine.toml``.  Raises BuildError with file, key and allowed values."""
+    """Return the checked definition in ``engine.toml``.  Raises BuildError with file, key and allowed values."""
     path = folder / "engine.toml"
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -111,7 +111,7 @@ def _parse_engine(folder: Path, data: dict[str, Any]) -> EngineDefinition:
     )
     ports, ledger, rotor = data["ports"], data.get("ledger", {}), data.get("rotor", {})
     _check_keys("ports", ports, set(PORTS), REQUIRED_PORTS)
-    _check_keys("ledger", ledger, LEDGER, set())
+    _check_keys("ledger", ledger, LEDGER_KEYS, set())
     _check_keys("rotor", rotor, {"inertia_kg_m2"}, set())
     for port, variable in ports.items():
         _check_variable(variables, port, variable, *PORTS[port])
@@ -142,8 +142,8 @@ def _parse_flame_out(table: dict[str, Any]) -> dict[str, float]:
         if table["electric"] is not True:
             raise BuildError(f"flame_out.electric = {table['electric']!r}: allowed: true")
         return {"electric": True}
-    _check_keys("flame_out", table, {*FLAME_OUT, "electric"}, set(FLAME_OUT))
-    numbers = {key: _finite_number(f"flame_out.{key}", table[key]) for key in FLAME_OUT}
+    _check_keys("flame_out", table, {*FLAME_OUT_KEYS, "electric"}, set(FLAME_OUT_KEYS))
+    numbers = {key: _finite_number(f"flame_out.{key}", table[key]) for key in FLAME_OUT_KEYS}
     for key, value in numbers.items():
         if key == "thrust_left" and not 0.0 <= value <= 1.0:
             raise BuildError(f"flame_out.{key} = {value}: must be from 0 to 1")
@@ -155,7 +155,7 @@ def _parse_flame_out(table: dict[str, Any]) -> dict[str, float]:
 def _check_variable(
     variables: Iterable[VariableDefinition], where: str, name: str, causality: str, unit: str | None = None
 ) -> None:
-    """Refuse a port or ledger entry without a variable of its kind and unit."""
+    """Raise BuildError for a port or ledger entry without a variable of its causality and unit."""
     kind = [v for v in variables if v.causality == causality]
     variable = next((v for v in kind if v.name == name), None)
     if variable is None:

@@ -12,19 +12,19 @@ GENERATION_TOOL = "hexjet-cosim"  # named in modelDescription.xml
 TIME = VariableDefinition("time", 0, "independent", False, "s", None, None, None, "Simulated time")
 
 
-def _literal(value: float | None, default: str) -> str:
+def _c_literal(value: float | None, default: str) -> str:
     return default if value is None else repr(value)
 
 
 def _table_row(v: VariableDefinition) -> str:
     """Return a variable's row in the C table."""
     kind = f'"{v.name}", {v.causality.upper()}, {"INTEGER" if v.integer else "REAL"}, offsetof(Variables, {v.name})'
-    limits = f"{_literal(v.min, '-HUGE_VAL')}, {_literal(v.max, 'HUGE_VAL')}, {_literal(v.start, '0.0')}"
+    limits = f"{_c_literal(v.min, '-HUGE_VAL')}, {_c_literal(v.max, 'HUGE_VAL')}, {_c_literal(v.start, '0.0')}"
     return f"    {{{kind}, {limits}}}"
 
 
 def render_variables_header(engine: EngineDefinition, token: str) -> str:
-    """Return ``variables.h``: what the C code needs to know of ``engine.toml``."""
+    """Return the text of ``variables.h``, the data of ``engine.toml`` that the C code needs."""
     fields = [f"    {'int32_t' if v.integer else 'double'} {v.name};" for v in engine.variables]
     limits = [f"#define {v.name.upper()}_MAX {int(v.max)}" for v in engine.variables if v.integer and v.max is not None]
     return "\n".join(
@@ -53,7 +53,7 @@ def render_variables_header(engine: EngineDefinition, token: str) -> str:
     )
 
 
-def _xml(root: ElementTree.Element) -> bytes:
+def _to_xml(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
@@ -63,7 +63,7 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: str | None) -> Ele
     return ElementTree.SubElement(parent, tag, {key: text for key, text in attributes.items() if text is not None})
 
 
-def _root(engine: EngineDefinition, version: str, **token: str) -> ElementTree.Element:
+def _make_root(engine: EngineDefinition, version: str, **token: str) -> ElementTree.Element:
     return ElementTree.Element(
         "fmiModelDescription",
         {
@@ -78,7 +78,7 @@ def _root(engine: EngineDefinition, version: str, **token: str) -> ElementTree.E
 
 
 def _add_head(root: ElementTree.Element, engine: EngineDefinition) -> ElementTree.Element:
-    """Add units, log categories and the default experiment; return the element for the variables."""
+    """Add the elements of units, log categories and default experiment; return the element for the variables."""
     definitions = _add(root, "UnitDefinitions")
     for unit in sorted({"s", *(v.unit for v in engine.variables if v.unit)}):
         base = {key: repr(x) if key == "factor" else str(int(x)) for key, x in UNITS[unit].items()}
@@ -90,7 +90,7 @@ def _add_head(root: ElementTree.Element, engine: EngineDefinition) -> ElementTre
 
 
 def _identity(v: VariableDefinition) -> dict[str, str]:
-    """Return the attributes that identify a variable."""
+    """Return the XML attributes that identify a variable."""
     return {
         "name": v.name,
         "valueReference": str(v.reference),
@@ -101,7 +101,7 @@ def _identity(v: VariableDefinition) -> dict[str, str]:
 
 
 def _value(v: VariableDefinition) -> dict[str, str | None]:
-    """Return the attributes of a variable's value."""
+    """Return the XML attributes of a variable's value: unit, limits and start."""
     numbers = {"min": v.min, "max": v.max, "start": v.start}
     texts = {key: str(int(x)) if v.integer else repr(x) for key, x in numbers.items() if x is not None}
     return {"unit": v.unit, **texts}
@@ -109,7 +109,7 @@ def _value(v: VariableDefinition) -> dict[str, str | None]:
 
 def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 3.0 archive."""
-    root = _root(engine, "3.0", instantiationToken=token)
+    root = _make_root(engine, "3.0", instantiationToken=token)
     # The two step attributes of FMI 3.0 together say what this slave does: the step may vary from call to call and
     # should be a whole multiple of the internal step.
     _add(
@@ -132,12 +132,12 @@ def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
         _add(structure, "Output", valueReference=reference, dependencies="")
     for reference in outputs:
         _add(structure, "InitialUnknown", valueReference=reference)
-    return _xml(root)
+    return _to_xml(root)
 
 
 def render_model_description_2(engine: EngineDefinition, token: str, sources: Iterable[str]) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 2.0 archive, which lists the C ``sources``."""
-    root = _root(engine, "2.0", guid=token)
+    root = _make_root(engine, "2.0", guid=token)
     # FMI 2.0 cannot state an internal step, so "variable step" would promise more than the slave provides.
     slave = _add(
         root,
@@ -163,7 +163,7 @@ def render_model_description_2(engine: EngineDefinition, token: str, sources: It
     unknowns = _add(structure, "InitialUnknowns")
     for index in indices:
         _add(unknowns, "Unknown", index=index)
-    return _xml(root)
+    return _to_xml(root)
 
 
 def render_build_description(engine: EngineDefinition, sources: Iterable[str]) -> bytes:
@@ -172,4 +172,4 @@ def render_build_description(engine: EngineDefinition, sources: Iterable[str]) -
     files = _add(_add(root, "BuildConfiguration", modelIdentifier=engine.identifier), "SourceFileSet", language="C99")
     for name in sources:
         _add(files, "SourceFile", name=name)
-    return _xml(root)
+    return _to_xml(root)

@@ -37,7 +37,7 @@ from cosim.base.storage.toml import read_toml
 from cosim.engine._bank import Log
 from cosim.engine.fmu.archive import parse_number
 from cosim.engine.fmu.container import (
-    DAMAGE,
+    DAMAGE_ERRORS,
     UnusableError,
     Zip,
     open_archive,
@@ -53,15 +53,15 @@ from cosim.engine.fmu.variables import INTEGERS, REALS
 from cosim.engine.library import LIBRARY_SUFFIX, platform_folder
 
 MAPPING_SUFFIX = ".fmu.toml"  # file ending of mappings
-_SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"  # code of the process with the FMU
+_SERVE_CODE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"  # code of the FMU's process
 _STEP_HEADER, _NUMBER = wire.frame_layout(0), 8  # step number; bytes of a number
 _ON_GROUND = "on_ground"  # parameter that the simulation sets
-_KINDS = {*REALS, *INTEGERS, "Boolean"}  # FMI types of scalar variables
+_SCALAR_TYPES = {*REALS, *INTEGERS, "Boolean"}  # FMI types of scalar variables
 
 
 @dataclass(frozen=True)
 class ControllerFmu:
-    """Controller in an FMU; variables are those of FMPy's description."""
+    """Controller in an FMU; its variables are those of FMPy's description."""
 
     path: Path  # path of the archive
     mapping: Path | None
@@ -80,13 +80,13 @@ class ControllerFmu:
 
     @property
     def files(self) -> dict[str, Path]:
-        """The controller's files by name, beginning with the one the user named."""
+        """Files of the controller by name, beginning with the one that the user named."""
         paths = [self.path] if self.mapping is None else [self.mapping, self.path]
         return {path.name: path for path in paths}
 
 
 class IncompleteError(UnusableError):
-    """An FMU has only some outputs of a controller."""
+    """Error for an FMU that has only some outputs of a controller."""
 
 
 def is_controller(path: Path) -> bool:
@@ -101,7 +101,7 @@ def is_controller(path: Path) -> bool:
 
 
 def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> ControllerFmu:
-    """Read a controller's archive or a mapping file for one.  Raises InputError.
+    """Return the controller in an FMU, given by its archive or a mapping file.  Raises InputError.
 
     ``servos``: the names of the vehicle's actuators, which the FMU may spell its own way; None: not known yet.
     """
@@ -126,13 +126,13 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
     _, xml = open_archive(data)
     fmi = read_fmi_version(parse_xml(xml))
     description, blemishes = read_description(data)
-    scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
+    scalars = [v for v in description.modelVariables if v.type in _SCALAR_TYPES and not v.shape]
     all_inputs, all_outputs, parameters = (
         [v for v in scalars if v.causality == causality] for causality in ("input", "output", "parameter")
     )
     jets_known = range(1, MAX_JETS + 1)
     if servos is None:
-        servos = _servos([v.name for v in all_outputs], mapped)
+        servos = _find_servos([v.name for v in all_outputs], mapped)
     names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.OPTIONAL)]
     names += [name for level in ("rate", "attitude", "predictor") for name in wire.output_names(level, 1, ())]
     outputs = _match_ports(all_outputs, {normalise_name(name): name for name in names}, mapped)
@@ -187,8 +187,8 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
     )
 
 
-def _servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the actuators of the ``tilt_`` outputs: mapped ones with left and right, or all others."""
+def _find_servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the servo names of the ``tilt_`` outputs, mapped ones and others, in the order of the servos."""
     servos = [name[5:] for name in mapped if name.startswith("tilt_") and not name.endswith("_applied")]
     short = [
         normalise_name(name)[4:]
@@ -202,12 +202,12 @@ def _servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...
 
 
 def _extra_outputs(jets: int, extra: str) -> set[str]:
-    """Return the outputs that a whole controller has with an extra and not without it."""
+    """Return the names of the outputs that an extra adds to a whole controller."""
     return {*wire.output_names("controller", jets, (), (extra,))} - {*wire.output_names("controller", jets, ())}
 
 
 def _match_ports(variables: Sequence[Any], ports: Mapping[str, str], mapped: Mapping[str, str]) -> dict[str, Any]:
-    """Return variables by port, matched by the plain names in ``ports``; mapped ports take precedence."""
+    """Return variables by port: mapped ones, else those with the port's name without case and punctuation."""
     by_name = {v.name: v for v in variables}
     by_port = {ports[normalise_name(v.name)]: v for v in variables if normalise_name(v.name) in ports}
     return by_port | {
@@ -217,7 +217,7 @@ def _match_ports(variables: Sequence[Any], ports: Mapping[str, str], mapped: Map
 
 def make_command(path: Path) -> list[str]:
     """Return the command line of the process that runs the FMU."""
-    return python_command(_SERVE, str(path))
+    return python_command(_SERVE_CODE, str(path))
 
 
 def describe_controller(fmu: ControllerFmu) -> dict[str, Any]:
@@ -269,7 +269,7 @@ def serve(path: str, max_bytes: int = 2**26) -> None:
                 has = f"servos {', '.join(settings['servos'])}" if settings["servos"] else "no servos"
                 name, jets = settings["vehicle"]["name"], len(settings["vehicle"]["jets"])
                 raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
-            instance = _Instance(fmu, folder, settings)
+            instance = _ControllerInstance(fmu, folder, settings)
             while (frame := _receive(pipes, input_frame.size)) is not None:
                 pipes.send(frame[:_NUMBER] + instance.step(frame))
     except Exception as error:
@@ -277,14 +277,14 @@ def serve(path: str, max_bytes: int = 2**26) -> None:
 
 
 def _receive(pipes: Pipes, count: int) -> bytes | None:
-    """Return the next ``count`` bytes, or None where they have ended."""
+    """Return the next ``count`` bytes of the input, or None at its end."""
     with suppress(EOFError):
         return pipes.receive(count)
     return None
 
 
-class _Group:
-    """Variables of one type that one call sets or gets; ``positions`` are their indices in the numbers."""
+class _VariableGroup:
+    """FMU variables of one type that one call sets or gets; ``positions``: their indices in a frame's numbers."""
 
     def __init__(self, slave: Slave, way: str, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
         self._positions = positions
@@ -293,28 +293,28 @@ class _Group:
         self._call = slave.bind_values(way, kind, references, self._values)
 
     def set(self, numbers: Sequence[float]) -> None:
-        """Set them from the numbers of a frame."""
+        """Set the variables from the numbers of an input frame."""
         for index, position in enumerate(self._positions):
             self._values[index] = self._make(numbers[position])
         self._call()
 
     def get(self, numbers: list[float]) -> None:
-        """Write them into the numbers of an answer."""
+        """Write the variables into the numbers of an answer."""
         self._call()
         for position, value in zip(self._positions, self._values, strict=True):
             numbers[position] = float(value)
 
 
-def _by_type(slave: Slave, way: str, variables: Mapping[int, Any]) -> list[_Group]:
-    """Return a group for each type that variables have; their keys are positions."""
+def _group_by_type(slave: Slave, way: str, variables: Mapping[int, Any]) -> list[_VariableGroup]:
+    """Return one group for each type of variables, which are given by their positions."""
     groups = []
     for kind in dict.fromkeys(v.type for v in variables.values()):
         of_kind = {position: v.valueReference for position, v in variables.items() if v.type == kind}
-        groups.append(_Group(slave, way, kind, list(of_kind), list(of_kind.values())))
+        groups.append(_VariableGroup(slave, way, kind, list(of_kind), list(of_kind.values())))
     return groups
 
 
-class _Instance:
+class _ControllerInstance:
     """Instance of a controller FMU, advanced by control steps."""
 
     def __init__(self, fmu: ControllerFmu, folder: Path, settings: Mapping[str, Any]) -> None:
@@ -329,7 +329,7 @@ class _Instance:
         try:
             with Zip(BytesIO(fmu.data)) as archive:
                 archive.extractall(folder)
-        except DAMAGE as error:
+        except DAMAGE_ERRORS as error:
             raise RuntimeError(f"cannot be unpacked: {to_one_line(error)}") from error
         place = Path("binaries", platform_folder(fmu.fmi))
         if not (folder / place).is_dir():
@@ -339,8 +339,8 @@ class _Instance:
         token = fmu.description.guid if fmu.fmi == 2 else fmu.description.instantiationToken
         if not self._slave.instantiate("controller", token, folder / "resources", self._log):
             raise RuntimeError("cannot be instantiated")
-        self._inputs = _by_type(self._slave, "Set", inputs)
-        self._outputs = _by_type(self._slave, "Get", answers)
+        self._inputs = _group_by_type(self._slave, "Set", inputs)
+        self._outputs = _group_by_type(self._slave, "Get", answers)
         self._now = c_double()
         self._do_step = self._slave.bind_step(self._now, self._dt)
         self._has_begun = False
@@ -350,7 +350,7 @@ class _Instance:
         try:
             k, numbers = int(_STEP_HEADER.unpack_from(frame)[0]), self._in.unpack_from(frame, _NUMBER)
             if k == 0:
-                self._begin(numbers)
+                self._initialize(numbers)
             else:
                 self._set_inputs(numbers)
             self._now.value = k * self._dt
@@ -362,7 +362,7 @@ class _Instance:
             raise RuntimeError(f"{error}: {said}" if said else str(error)) from error
         return self._out.pack(*self._answer)
 
-    def _begin(self, numbers: Sequence[float]) -> None:
+    def _initialize(self, numbers: Sequence[float]) -> None:
         slave = self._slave
         if self._has_begun:
             slave.terminate()
@@ -371,7 +371,7 @@ class _Instance:
         slave.set_up()
         for v, value in self._settings.items():
             if value is not None:
-                _Group(slave, "Set", v.type, (0,), [v.valueReference]).set((value,))
+                _VariableGroup(slave, "Set", v.type, (0,), [v.valueReference]).set((value,))
         slave.enter_initialization()
         self._set_inputs(numbers)
         slave.call("ExitInitializationMode")

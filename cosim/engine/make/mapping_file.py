@@ -17,8 +17,8 @@ from cosim.engine.fmu.ports import PortFinding, look_for_ports
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.make.controller_fmu import is_controller
 
-# comment at the top of a mapping file
-_HEAD = """\
+# Comment at the top of a mapping file.
+_HEAD_COMMENT = """\
 # Ports of {fmu}, begun by hexjet engine map. What follows "# OPEN" is to be stated; others hold until you change them.
 # All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: hexjet fly hover --engine {file}
 """
@@ -26,7 +26,7 @@ _HEAD = """\
 
 @dataclass(frozen=True)
 class BegunMapping:
-    """A mapping file that was begun: ``text`` for the file ``path``."""
+    """Draft of a mapping file: ``text`` for the file ``path``."""
 
     path: Path
     archive: Archive
@@ -35,22 +35,22 @@ class BegunMapping:
 
     @property
     def found(self) -> Mapping[str, str]:
-        """The variables of the ports that are ready, by port."""
+        """Variable names of the ports that are ready, by port."""
         return {each.port: each.variable.name for each in self.findings if each.variable and not each.trouble}
 
     @property
     def open(self) -> Mapping[str, str]:
-        """Reasons why other ports that an engine needs, or the FMU seems to have, are not ready."""
+        """Reasons, by port, why other ports that an engine needs or the FMU seems to have are not ready."""
         return {each.port: each.trouble for each in self.findings if each.trouble}
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing is open that an engine needs."""
+        """Whether all ports that an engine needs are ready."""
         return not any(port in NEEDED for port in self.open)
 
 
 def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
-    """Return a mapping file for an engine's FMU, for ``out`` or beside it, without running the FMU.
+    """Return the draft of a mapping file for an engine's FMU, made without running the FMU.
 
     Raises InputError for what is no FMU of an engine.
     """
@@ -69,7 +69,7 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
     if path.suffix.lower() != ".toml" or path.is_dir():
         path = path / f"{fmu.stem}.toml"
     findings = tuple(look_for_ports([*archive.inputs, *archive.outputs, *archive.parameters]))
-    return BegunMapping(path, archive, findings, "".join(_lines(path, archive, findings)))
+    return BegunMapping(path, archive, findings, "".join(_make_lines(path, archive, findings)))
 
 
 def write_mapping(begun: BegunMapping) -> Path:
@@ -82,56 +82,56 @@ def write_mapping(begun: BegunMapping) -> Path:
     return begun.path
 
 
-def _lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -> Iterator[str]:
+def _make_lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -> Iterator[str]:
     fmu = os.path.relpath(archive.path, path.parent)
-    yield _HEAD.format(fmu=archive.path.name, file=path.name)
+    yield _HEAD_COMMENT.format(fmu=archive.path.name, file=path.name)
     yield toml_text({"fmu": fmu, "title": archive.model})
     yield "\n[ports]\n"
     taken = {each.variable.name for each in findings if each.variable}
     for each in findings:
         yield from _port_lines(each, archive, taken)
-    yield from _section(
+    yield from _make_table(
         "units",
         [
-            _open(f'{each.port} = "{KINDS[each.port].quantity.si}"', each.trouble)
+            _open_line(f'{each.port} = "{KINDS[each.port].quantity.si}"', each.trouble)
             for each in findings
             if each.part == "units"
         ],
     )
-    yield from _section(
-        "range", [_open("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
+    yield from _make_table(
+        "range", [_open_line("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
     )
     for title, variables in (
         ("inputs", archive.inputs),  # without a line: the FMU's start value
         ("parameters", archive.parameters),
     ):
         free = [v for v in variables if v.name not in taken and v.type != "String"]
-        yield from _section(title, [_with_comment(f"# {_key(v)} = {v.start or 0.0:g}", _describe(v)) for v in free])
+        yield from _make_table(title, [_with_comment(f"# {_key(v)} = {v.start or 0.0:g}", _describe(v)) for v in free])
 
 
-def _section(title: str, lines: Sequence[str]) -> Sequence[str]:
-    """Return a table of the file with these lines; empty without lines."""
+def _make_table(title: str, lines: Sequence[str]) -> Sequence[str]:
+    """Return the text lines of a table with these lines; empty without lines."""
     return [f"\n[{title}]\n", *lines] if lines else []
 
 
 def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterator[str]:
-    """Yield the line of a port; optional ports without a candidate have none."""
+    """Yield the line of a port; none for an optional port without a candidate."""
     if each.variable is not None:
         line = f"{each.port} = {_toml_string(each.variable.name)}"
         is_ready = not each.trouble or each.port in NEEDED
         about = "; ".join([_describe(each.variable), *each.notes])
         yield _with_comment(line, about) if is_ready else _with_comment(f"# {line}", each.trouble)
     elif each.trouble:
-        yield _open(f'{each.port} = ""', each.trouble)
-        free = [v for v in _of(archive, KINDS[each.port].causality) if v.name not in taken and each.port in NEEDED]
+        yield _open_line(f'{each.port} = ""', each.trouble)
+        free = [v for v in _select(archive, KINDS[each.port].causality) if v.name not in taken and each.port in NEEDED]
         yield from (f"#     {_toml_string(v.name)}: {_describe(v)}\n" for v in free)
 
 
-def _of(archive: Archive, causality: str) -> Sequence[Variable]:
+def _select(archive: Archive, causality: str) -> Sequence[Variable]:
     return {"input": archive.inputs, "output": archive.outputs}.get(causality, archive.parameters)
 
 
-def _open(line: str, trouble: str) -> str:
+def _open_line(line: str, trouble: str) -> str:
     return f"# OPEN: {trouble}\n# {line}\n"
 
 
@@ -140,7 +140,7 @@ def _with_comment(line: str, comment: str, column: int = 32) -> str:
 
 
 def _describe(v: Variable) -> str:
-    """Return what an FMU declares of a variable: unit, range, start, description."""
+    """Return a text of what an FMU declares of a variable: unit, range, start, description."""
     ends = [f"{value:g}" if value is not None else "" for value in (v.min, v.max)]
     parts = [
         f"[{v.unit}]" if v.unit else "no unit",

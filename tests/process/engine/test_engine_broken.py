@@ -130,7 +130,7 @@ def test_a_flight_refuses_it_in_one_line(
     """Before anything of it was loaded here; a check says the same and leaves a page."""
     broken = next(each for each in BROKEN if each.name == name)
     for limit in TIME_LIMITS:
-        monkeypatch.setattr(check, "TIME_LIMIT_S", limit)
+        monkeypatch.setattr(check, "MAX_CHECK_S", limit)
         with pytest.raises(SystemExit) as left:
             main(["fly", "hover", "--engine", str(archives[name]), "--out", str(tmp_path / "flight")])
         out, err = capfd.readouterr()
