@@ -319,7 +319,7 @@ def summarize(
     complaints = _complaints(setup.expectation, outcome, flat)
     met = None if setup.expectation is None else not complaints
     lost = None if outcome == "completed" else Lost(duration, setup.planned_s)
-    results = _assess(setup, limits, FlightSignals(log, setup.step_s, flat, setup.event_times_s), lost)
+    results = assess_flight(setup, limits, FlightSignals(log, setup.step_s, flat, setup.event_times_s), lost)
     margin, decided_by = smallest_margin(results, lost)
     kept = all(result.kept for result in results if result.source == "require") if setup.requires else None
     return Summary(
@@ -356,7 +356,7 @@ def summarize(
     )
 
 
-def _assess(
+def assess_flight(
     setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: Lost | None
 ) -> list[RequirementResult]:
     """Return the flight's result for each requirement."""

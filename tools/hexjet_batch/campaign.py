@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
+from math import ceil
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,13 +19,13 @@ from cosim.base.errors import InputError
 from cosim.base.storage.cache import RecentCache
 from cosim.results.limits import find_exceeded, flight_limits, make_limit_inputs
 from cosim.results.log.columns import logged_vehicle
-from cosim.results.metrics import columns, flatten, flight_metrics, metric_names
-from cosim.results.requirements import FlightSignals, Lost, RequirementResult, flight_requirements
+from cosim.results.metrics import Reach, columns, flatten, flight_metrics, metric_names
+from cosim.results.requirements import FlightSignals, Lost
 from cosim.results.requirements.signals import event_times
-from cosim.results.requirements.stated import columns_of, stated_requirements
+from cosim.results.requirements.stated import columns_of
 from cosim.results.resolved_scenario import resolve
 from cosim.results.setup import make_setup
-from cosim.results.summary import Setup
+from cosim.results.summary import Setup, assess_flight
 from cosim.simulation.build import build
 from cosim.studies import (
     Flight,
@@ -39,7 +41,7 @@ from cosim.studies import (
 )
 from hexjet_batch.fly import Group, fly_groups
 from hexjet_batch.log import FlightLog
-from hexjet_batch.make import read_flight
+from hexjet_batch.make import Known, read_flight
 from hexjet_batch.numbers import Numbers
 from hexjet_batch.referee import judge
 
@@ -48,12 +50,11 @@ if TYPE_CHECKING:
 
 __all__ = ["BatchWorkers", "check", "judge"]
 
-BATCH, JSBSIM = "batch", "jsbsim"
 Metrics = dict[str, float | None]
-Known = RecentCache[Any]
 _setups: RecentCache[Setup] = RecentCache(16)
 # The tables of the last flights: new memory costs more than what is done in it.
 _memory: dict[str, Array] = {}
+_known = Known(1024)
 
 
 def check(study: Study) -> None:
@@ -85,21 +86,21 @@ class Chunk(Flight):
 class BatchWorkers:
     """Flies a study's flights on arrays, in the processes of other workers.
 
-    ``together``: flights of one chunk, by default up to 1024 whose logs come to 0.8 GB.  A chunk with which three
-    processes were lost is flown by JSBSim, flight by flight.
+    ``together``: flights of one chunk, by default those whose logs, of some 25 columns, come to ``memory_gb``.  A
+    chunk with which three processes were lost is flown by JSBSim, flight by flight.
     """
 
-    def __init__(self, workers: Workers, together: int | None = None) -> None:
+    def __init__(self, workers: Workers, together: int | None = None, memory_gb: float = 0.8) -> None:
         if together is not None and together < 1:
             raise InputError(f"together = {together}: at least 1 flight")
-        self._workers, self._together = workers, together
+        self._workers, self._together, self._bytes = workers, together, 1e9 * memory_gb
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.studies.Workers`."""
         under_way: dict[int, Chunk] = {}
         lost: list[Flight] = []
-        together = self._together or min(1024, max(1, 2_560_000 // study.base().steps))
-        chunks = (under_way.setdefault(chunk.number, chunk) for chunk in _chunks(flights, together))
+        most = self._together or max(1, int(self._bytes / (25 * 8 * study.base().steps)))
+        chunks = (under_way.setdefault(chunk.number, chunk) for chunk in _chunks(flights, most))
         for row in self._workers.fly(study, chunks):
             chunk, rows = under_way.pop(int(row["flight"] or 0)), row.get("rows")
             if rows is None:
@@ -107,22 +108,20 @@ class BatchWorkers:
             else:
                 yield from rows  # type: ignore[misc]  # a chunk's
         for row in self._workers.fly(study.changed(batch=False), lost):
-            yield row | {"by": JSBSIM}
+            yield row | {"by": "jsbsim"}
 
 
-def _chunks(flights: Iterable[Flight], together: int) -> Iterator[Chunk]:
-    """Yield chunks of one controller each, which fly together best, numbered like their first flights."""
-    waiting: dict[str, list[Flight]] = defaultdict(list)
-    for flight in flights:
-        waiting[flight.controller].append(flight)
-        if len(waiting[flight.controller]) == together:
-            yield _chunk(waiting.pop(flight.controller))
-    yield from map(_chunk, waiting.values())
+def _chunks(flights: Iterable[Flight], most: int, least: int = 500) -> Iterator[Chunk]:
+    """Yield chunks numbered like their first flights: equal ones for all processors, of ``most`` flights at most.
 
-
-def _chunk(flights: Sequence[Flight]) -> Chunk:
-    first = flights[0]
-    return Chunk(first.number, first.draw, first.controller, first.seed, {}, tuple(flights))
+    ``least``: flights to which a chunk is not cut, as the overhead of a step is that of as many then.
+    """
+    waiting, processors = iter(flights), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    while found := list(islice(waiting, most * processors)):
+        size = min(most, max(least, ceil(len(found) / processors)))
+        for first in range(0, len(found), size):
+            own = tuple(found[first : first + size])
+            yield Chunk(own[0].number, own[0].draw, own[0].controller, own[0].seed, {}, own)
 
 
 def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
@@ -136,7 +135,7 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
     seconds = (time.perf_counter() - begin) / max(len(rows), 1)
     alone = study.changed(batch=False)
     return [
-        rows[place] | {"wall_s": seconds} if place in rows else fly_one(alone, flight) | {"by": JSBSIM}
+        rows[place] | {"wall_s": seconds} if place in rows else fly_one(alone, flight) | {"by": "jsbsim"}
         for place, flight in enumerate(flights)
     ]
 
@@ -145,18 +144,17 @@ def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenar
     """Return the rows of the flights that a batch judges, by their places."""
     places, stated = list(scenarios), study.base().model_dump_json()
     blank = failed_row(study, flights[0], "")
-    same = {"worker": worker_name(), "by": BATCH, "log_sha256": None}
+    same = {"worker": worker_name(), "by": "batch", "log_sha256": None}
     rows: dict[int, Row] = {}
-    for group in fly_groups(list(scenarios.values()), memory=_memory):
+    for group in fly_groups(list(scenarios.values()), _memory, _known, are_covered=False):
         known = Known(64) if group.log.is_alike() else None
         for i, flat in _measure(group):
-            place = places[group.numbers[i]]
+            place = places[cast(int, group.numbers[i])]
             flight, setup = flights[place], _setup_of(stated, scenarios[place])
             # The log of a flight that ended early is shorter, and so are its steps.
             shared = None if i in group.endings else known
-            own: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller}
-            own |= {"seed": flight.seed, **flight.values}
-            rows[place] = {**blank, **own, **_judge(study, setup, group, i, flat, shared), **same}
+            own = {"flight": flight.number, **{name: getattr(flight, name) for name in ("draw", "controller", "seed")}}
+            rows[place] = {**blank, **own, **flight.values, **_judge(study, setup, group, i, flat, shared), **same}
     return rows
 
 
@@ -182,7 +180,7 @@ def _measure(group: Group, together: int = 16) -> Iterator[tuple[int, Metrics]]:
         yield i, flatten(flight_metrics(group.flight(i).log, group.n.step, _reach(group.n, i)))
 
 
-def _reach(n: Numbers, own: Any) -> Any:
+def _reach(n: Numbers, own: Any) -> Reach:
     """Return the ranges of throttles and tilts as metrics read them: numbers, or what some flights have of arrays."""
 
     def column(value: Any) -> Any:
@@ -190,7 +188,7 @@ def _reach(n: Numbers, own: Any) -> Any:
 
     ends = zip(map(column, n.reach[0]), map(column, n.reach[1]), strict=True)
     tilt = None if n.servo is None else column(n.servo.range_rad)
-    return SimpleNamespace(throttle=tuple(ends), tilt_rad=tilt, servos=None)
+    return Reach.model_construct(throttle=tuple(ends), tilt_rad=tilt)
 
 
 def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, known: Known | None) -> Row:
@@ -201,8 +199,7 @@ def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, know
     lost = None if flown.ending.outcome == "completed" else Lost(steps * step, scenario.duration_s)
     limits = flight_limits(make_limit_inputs(scenario, scenario.resolved_vehicle()[0]), log, step, known)
     signals = FlightSignals(log, step, flat, event_times(scenario) if scenario.require else {})
-    required = flight_requirements(limits, {}, stated_requirements(scenario))
-    results = [RequirementResult.of(each.assess(signals, lost)) for each in required]
+    results = assess_flight(setup, limits, signals, lost)
     summary = SimpleNamespace(
         **dict(setup) | {"planned_s": scenario.duration_s},
         outcome=flown.ending.outcome,

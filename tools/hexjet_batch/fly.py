@@ -19,10 +19,11 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Limits
 from cosim.vehicle.airframe import start_height
 from hexjet_batch.log import BatchLog, FlightLog, state_values
-from hexjet_batch.make import read_flight
-from hexjet_batch.numbers import Numbers, flatten, is_absent, stack, stack_rows
+from hexjet_batch.make import Known, read_flight
+from hexjet_batch.numbers import Numbers, describe, is_absent, stack
 from hexjet_batch.script import Script, find_mode
 from hexjet_batch.stages.airframe import Motion
+from hexjet_batch.stages.predictors import mix
 from hexjet_batch.stages.rotations import to_euler
 from hexjet_batch.stages.sensors import Noise
 from hexjet_batch.stages.step import altitude_of, start, step
@@ -41,12 +42,12 @@ class BatchFlight(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Flights that flew together: their numbers in what was asked for, scenarios, numbers by name, rows and log.
+    """Flights that flew together: their numbers in what was asked for (None: a copy), scenarios, numbers, rows, log.
 
     ``endings`` has those that did not fly to the end: rows, ending, values of one more row, and the reason.
     """
 
-    numbers: Sequence[int]
+    numbers: Sequence[int | None]
     scenarios: Sequence[Scenario]
     n: Numbers
     rows: int
@@ -57,7 +58,7 @@ class Group(NamedTuple):
         """Return one of them."""
         completed = self.rows, Ending("completed", f"flew {self.rows} steps"), None, ""
         rows, ending, last, why = self.endings.get(i, completed)
-        return BatchFlight(self.numbers[i], ending, FlightLog(self.log.tables, i, rows, last), why)
+        return BatchFlight(self.numbers[i] or 0, ending, FlightLog(self.log.tables, i, rows, last), why)
 
 
 def fly_batch(scenarios: Sequence[Scenario], together: int = 1024) -> Iterator[BatchFlight]:
@@ -66,43 +67,52 @@ def fly_batch(scenarios: Sequence[Scenario], together: int = 1024) -> Iterator[B
     ``together``: flights in the memory at once, enough for the overhead of a step to vanish.  Raises InputError for
     what a batch does not cover.
     """
-    for group in fly_groups(scenarios, together):
-        yield from map(group.flight, range(len(group.numbers)))
-
-
-def fly_groups(scenarios: Sequence[Scenario], together: int = 1024, memory: Any = None) -> Iterator[Group]:
-    """Yield what :func:`fly_batch` flies, group by group.
-
-    With a ``memory`` the logs of one last until the next, and what is not covered is left out.
-    """
     if together < 1:
         raise InputError(f"together = {together}: a batch has at least 1 flight")
-    groups: dict[Any, list[tuple[int, Scenario, Numbers, list[float]]]] = {}
-    known: dict[Any, Any] = {}
+    for first in range(0, len(scenarios), together):
+        for group in fly_groups(scenarios[first : first + together]):
+            for i, number in enumerate(group.numbers):
+                if number is not None:
+                    yield group.flight(i)._replace(number=first + number)
+
+
+def fly_groups(
+    scenarios: Sequence[Scenario], memory: Any = None, known: Known | None = None, *, are_covered: bool = True
+) -> Iterator[Group]:
+    """Fly scenarios and yield those of one structure together.
+
+    ``memory``: where logs are kept for the next; ``known``: what flights share; not ``are_covered``: leave others out.
+    """
+    groups: dict[Any, dict[Any, list[Any]]] = {}
+    known = Known(1024) if known is None else known
     for number, scenario in enumerate(scenarios):
-        row: list[float] = []
         try:
             own, limits = read_flight(scenario, known), scenario.resolved_vehicle()[0].limits
         except InputError:
-            if memory is None:
+            if are_covered:
                 raise
             continue
-        key = (flatten(own, row), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
-        groups.setdefault(key, []).append((number, scenario, own, row))
-        if len(groups[key]) == together:
-            yield _fly_group(groups.pop(key), memory)
-    for group in groups.values():
-        yield _fly_group(group, memory)
+        structure = own.structure, describe((own.engine, own.needs_air, own.airflow, own.flown.fuel))
+        key = structure, scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario))
+        groups.setdefault(key, {}).setdefault(own.kind, []).append((number, scenario, own))
+    for kinds in groups.values():
+        yield _fly_group(list(kinds.values()), memory)
 
 
-def _fly_group(group: Sequence[Any], memory: Any) -> Group:
-    """Fly scenarios of one structure."""
-    numbers_asked, scenarios, flights, values = zip(*group, strict=True)
-    n, script, noise, heights, lowest, limits, motion = prepare(scenarios, stack_rows(flights[0], values))
+def _fly_group(kinds: Sequence[list[Any]], memory: Any) -> Group:
+    """Fly scenarios of one structure, those whose predictors are of one kind side by side."""
+    for own in kinds:
+        # Sums over arrays of one flight have another order: it flies with a copy, which nobody reads.
+        own += [(None, *own[0][1:])] * (len(own) == 1)
+    numbers, scenarios, each = zip(*(flight for own in kinds for flight in own), strict=True)
+    predictors = [stack([flight.predictors for _, _, flight in own]) for own in kinds]
+    n = stack([flight.replace(predictors=None, kind=None) for flight in each])
+    n = n.replace(predictors=mix(predictors, [*map(len, kinds)]))
+    n, script, noise, heights, lowest, limits, motion = prepare(scenarios, n)
     rows = scenarios[0].steps
-    log = BatchLog(scenarios, rows, n.jets, memory)
-    flies = np.ones(len(group), dtype=np.bool_)
-    endings: dict[int, tuple[int, Ending | None, Any, str]] = {}
+    log = BatchLog(scenarios, rows, n.jets, {} if memory is None else memory)
+    flies = np.array([number is not None for number in numbers])
+    endings: dict[int, tuple[int, Ending | None, Any, str]] = dict.fromkeys(np.flatnonzero(~flies), (0, None, None, ""))
     with np.errstate(all="ignore"):  # lost flights go on to infinity
         state = start(n, motion, heights, script.at(0)[1])
         for k in range(rows):
@@ -111,12 +121,14 @@ def _fly_group(group: Sequence[Any], memory: Any) -> Group:
                 inputs = inputs._replace(draws=noise.at(k))
             state, outputs = step(n, state, inputs)
             log.add(command, inputs, outputs)
-            altitude = altitude_of(state)
-            burns = ~np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
-            goes_on = is_within(limits, state.motion) & (altitude > lowest) & burns
+            altitude, out = altitude_of(state), outputs.report.out
+            goes_on = is_within(limits, state.motion) & (altitude > lowest)
+            burns = ~np.any(np.atleast_2d(out) > 0.0, axis=0) if np.ndim(out) else np.ones_like(goes_on)
+            if (goes_on := goes_on & burns).all():
+                continue
             for i in np.flatnonzero(flies & ~goes_on).tolist():
                 flies[i] = False
-                if not burns[i % burns.size] or altitude[i] <= lowest[i]:
+                if not burns[i] or altitude[i] <= lowest[i]:
                     why = "near the ground" if altitude[i] <= lowest[i] else "an engine went out"
                     endings[i] = k + 1, None, None, why
                 else:
@@ -124,7 +136,7 @@ def _fly_group(group: Sequence[Any], memory: Any) -> Group:
             if not flies.any():
                 break
     log.finish()
-    return Group(numbers_asked, scenarios, n, rows, log, endings)
+    return Group(numbers, scenarios, n, rows, log, endings)
 
 
 def prepare(
@@ -134,7 +146,8 @@ def prepare(
 
     After the noise: the heights of the start, those below which a flight is not judged [m], limits, first motion.
     """
-    n = stack([read_flight(scenario) for scenario in scenarios]) if numbers is None else numbers
+    known = Known(64)
+    n = stack([read_flight(scenario, known) for scenario in scenarios]) if numbers is None else numbers
     vehicles = [scenario.resolved_vehicle()[0] for scenario in scenarios]
     heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
     noise = None

@@ -52,8 +52,8 @@ class FlightLog:
 
     @property
     def has_numbers(self) -> bool:
-        """Whether each column has a number everywhere or nowhere."""
-        finite = [np.isfinite(self[name]) for name in self._tables]
+        """Whether each set-point has a number everywhere or nowhere; the other columns of a whole flight have."""
+        finite = [np.isfinite(self[name]) for name in SETPOINTS]
         return all(np.all(each) or not np.any(each) for each in finite)
 
     def __len__(self) -> int:
@@ -64,17 +64,10 @@ class BatchLog:
     """The recording of a batch: after ``finish`` its ``tables`` have a line a flight, or one that all share, by column.
 
     ``rows``: at most; ``jets``: the rows of throttles and engines; ``memory``: where tables are kept, which the next
-    batch with the same takes over; ``block``: steps that are turned into lines of flights at once, in the cache.
+    batch with the same takes over.
     """
 
-    def __init__(
-        self,
-        scenarios: Sequence[Scenario],
-        rows: int,
-        jets: Numbers,
-        memory: dict[str, Array] | None = None,
-        block: int = 64,
-    ) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], rows: int, jets: Numbers, memory: dict[str, Array]) -> None:
         self._vehicle = logged_vehicle(scenarios[0].resolved_vehicle()[0])
         self._columns = columns(self._vehicle)
         # Nothing fails, nor touches the ground.
@@ -84,30 +77,23 @@ class BatchLog:
         self._first = {name.format(jet): name.format(rows.index(row) + 1)
                        for name, rows in ((THROTTLE, jets.channels), (FLOW, jets.engines))
                        for jet, row in enumerate(rows, 1)}  # fmt: skip
-        self._flights, self._jets, self._block = len(scenarios), jets, block
-        self._memory = {} if memory is None else memory
+        self._flights, self._jets, self._memory, self._turned = len(scenarios), jets, memory, 0
         self._rows: list[list[Any]] = []
-        self._turned = 0
         self.tables = {name: np.empty((1, rows)) for name in self._columns if self._first.get(name, name) == name}
 
-    def add(self, command: Command, inputs: Inputs, outputs: Outputs) -> None:
-        """Record a step."""
+    def add(self, command: Command, inputs: Inputs, outputs: Outputs, block: int = 64) -> None:
+        """Record a step; ``block``: steps that become lines of flights together, in the cache."""
         values = self._usual | self._values(command, inputs, outputs)
         self._rows.append([values.get(name, np.nan) for name in self.tables])
-        if len(self._rows) == self._block:
+        if len(self._rows) == block:
             self._turn()
 
     def _turn(self) -> None:
-        rows = slice(self._turned, self._turned + len(self._rows))
         for name, values in zip(self.tables, zip(*self._rows, strict=True), strict=True):
-            block: Any = values
-            varies = [isinstance(value, np.ndarray) and value.ndim > 0 for value in values]
-            if any(varies):
-                if len(self.tables[name]) < self._flights:
-                    self._widen(name)
-                same = () if all(varies) else [np.broadcast_to(value, self._flights) for value in values]
-                block = np.concatenate(same or values)
-            self.tables[name][:, rows] = np.reshape(block, (len(self._rows), -1)).T
+            if len(self.tables[name]) < self._flights and any(np.ndim(value) for value in values):
+                self._widen(name)
+            for row, value in enumerate(values, self._turned):
+                self.tables[name][:, row] = value
         self._turned += len(self._rows)
         self._rows.clear()
 

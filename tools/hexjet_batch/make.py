@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import exp
+from math import cos, exp, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.geodesy import gravity
 from cosim.base.signals import AXES
+from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import PREDICTORS
@@ -21,26 +22,25 @@ from cosim.control.schedule import SCHEDULE_RESOLUTION, GainSchedule
 from cosim.engine import EngineSpec, find_source
 from cosim.simulation.controllers.models import make_predictors, make_thrust_map
 from cosim.simulation.engines import flown_engines, load_engines
-from cosim.simulation.script.command_script import CommandScript
 from cosim.simulation.script.mismatch import apply_mismatch, compute_engine_mismatch
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Schedule, Vehicle, load_vehicle
 from cosim.vehicle.airframe import start_height
 from cosim.vehicle.atmosphere import standard_density
-from hexjet_batch.numbers import Numbers, name_values
-from hexjet_batch.stages.airframe import earth_rate
-from hexjet_batch.stages.engines import P220, DelayedLag, Fitted, P220Of2025
+from hexjet_batch.numbers import Numbers, describe, name_values
+from hexjet_batch.script import find_signals
+from hexjet_batch.stages.engines import P220, DelayedLag, Fitted
 from hexjet_batch.stages.loops import ScheduleNumbers
 from hexjet_batch.stages.predictors import read_predictor
 from hexjet_batch.stages.turbine import Turbine
 
+Known = RecentCache[Any]
 # The kind of each engine of the library.
 KINDS: dict[str, Any] = {
     **dict.fromkeys(("turbojet", "edf", "edf-as-flown", "motor"), DelayedLag()),
     "fitted": Fitted(),
     **dict.fromkeys(("turbine-20", "turbine-100", "turbine-220", "jetcat-p300"), Turbine()),
     "p220": P220(),
-    "p220-2025": P220Of2025(),
 }
 
 
@@ -61,7 +61,7 @@ REFUSED: dict[str, Callable[[Scenario, Vehicle], Any]] = {
     "a JSBSim model of one's own (`model`)": lambda s, v: (
         v.model and not _is_shipped(s.resolved_vehicle()[1] / v.model)
     ),
-    "a speed ahead on a wing": lambda s, v: "ahead_m_s" in CommandScript(s, 0.0).signals,
+    "a speed ahead on a wing": lambda s, v: "ahead_m_s" in find_signals(s),
     "hinges, surfaces and jets that do not point up": lambda s, v: v.allocation == "effectiveness",
     "jets with an airflow of their own": lambda s, v: any(jet.airflow is not None for jet in v.jets),
     "banks that are not balanced (`bank_imbalance_kg_m`)": lambda s, v: v.servo and v.servo.bank_imbalance_kg_m,
@@ -77,23 +77,66 @@ REFUSED: dict[str, Callable[[Scenario, Vehicle], Any]] = {
 }
 
 
-def read_flight(scenario: Scenario, known: dict[Any, Any] | None = None) -> Numbers:
+def read_flight(scenario: Scenario, known: Known | None = None) -> Numbers:
     """Return the numbers of a flight; ``known`` keeps what flights share.  Raises InputError for what is refused."""
-    vehicle, where = scenario.resolved_vehicle()[0], f"scenario {scenario.name}"
+    vehicle, where, known = scenario.resolved_vehicle()[0], f"scenario {scenario.name}", known or Known(64)
     for what, is_there in REFUSED.items():
         if is_there(scenario, vehicle):
             raise InputError(f"{where}: {what}: not flown in a batch; fly it without batch")
     flown = apply_mismatch(vehicle, scenario.mismatch)
     factors, late = compute_engine_mismatch(scenario.mismatch, len(vehicle.jets))
-    engine, engines, thrust_map, predictors = _believe(scenario, vehicle, {} if known is None else known)
+    height = scenario.environment.ground_m + start_height(vehicle, scenario.initial)
+    key = scenario.folder, height, scenario.model_dump_json(include=_ASKED), vehicle.model_dump_json(include=_BELIEVED)
+    stations, laws = known.get(key, lambda: _read_laws(scenario, vehicle))
+    differs = scenario.mismatch.model_dump_json(include={"engine_parameters", "stations", "delay_samples"})
+    places = tuple(jet.position_m for jet in flown.jets)
+
+    def make() -> tuple[Numbers, bool, Numbers]:
+        engines = flown_engines(scenario, vehicle, stations)
+        needs_air, channels = engines[0].has_port("ambient_temperature"), laws.channels
+        jets = Numbers(
+            places=places,
+            banks=channels if vehicle.servo is not None else (0,) * len(places),
+            channels=channels,
+            engines=tuple(range(len(places))) if needs_air else channels,
+            rotors=tuple(jet.spin * spec.rotor_inertia for jet, spec in zip(flown.jets, engines, strict=True)),
+            reactions=tuple(jet.reaction_m for jet in flown.jets),
+        )
+        return _engine(engines, scenario.step_s, late, where), needs_air, jets
+
+    engine, needs_air, jets = known.get((key, differs, places), make)
+    # JSBSim's flight has the same tables: they keep their names.
+    tables = name_values(vehicle.model_dump(include={"sensors", "airflow"}))
+    return Numbers(
+        xp=np,
+        **vars(laws),
+        jets=jets,
+        factors=factors or (1.0,) * len(places),
+        engine=engine,
+        needs_air=needs_air,
+        airflow=tables.airflow,
+        flown=_body(scenario, flown),
+        sensors=_sensors(tables.sensors, scenario),
+    )
+
+
+# What the controller is made for, of a scenario and of its vehicle.
+_ASKED = {"name", "aircraft", "controller", "step_s", "added_delay_samples", "stations", "engine", "engine_parameters",
+          "engine_unchecked", "engine_isolated"}  # fmt: skip
+_BELIEVED = {"name", "jets", "identified", "control", "mass_kg", "servo", "allocation"}
+
+
+def _read_laws(scenario: Scenario, vehicle: Vehicle) -> tuple[list[EngineSpec], Numbers]:
+    """Return the assumed engine of each station, and the numbers of controller and servos."""
+    where, step, control, servo = f"scenario {scenario.name}", scenario.step_s, vehicle.control, vehicle.servo
+    engine, *stations = load_engines(scenario, vehicle)
+    thrust_map = make_thrust_map(vehicle, engine, stations)[0]
+    predictors = tuple(read_predictor(made, where) for made in make_predictors(scenario, vehicle, engine))
     weight = vehicle.mass_kg * GRAVITY
     hover = thrust_map.fraction(weight / len(vehicle.jets))
-    step, control, servo = scenario.step_s, vehicle.control, vehicle.servo
     lift = (thrust_map.low + thrust_map.span) * len(vehicle.jets)
     if not (control.allocation.throttle_min < hover < control.allocation.throttle_max and lift > weight):
         raise InputError(f"{where}: engine {engine.name} does not hold {vehicle.name} up")
-    # JSBSim's flight has the same tables: they keep their names.
-    tables = name_values(vehicle.model_dump(include={"sensors", "servo", "airflow"}))
     gains = name_values(control.model_dump(include={"attitude", "rate", "altitude", "allocation"}))
     leads = [_lead(getattr(control.lead, name, None), step) for name in (*AXES, "altitude")]
     rates = [getattr(gains.rate, axis) for axis in AXES]
@@ -107,25 +150,14 @@ def read_flight(scenario: Scenario, known: dict[Any, Any] | None = None) -> Numb
         channels = tuple(range(len(vehicle.jets)))
         signs = RotorAllocator(vehicle.jets, control.allocation, hover).signs
         allocation = gains.allocation.replace(method="rotors", signs=signs)
-    flying = _engine(engines, step, late, where)
-    inverse, needs_air = thrust_map.stations[0], engines[0].has_port("ambient_temperature")
-    return Numbers(
-        xp=np,
+    inverse = thrust_map.stations[0]
+    laws = Numbers(
         step=step,
-        jets=Numbers(
-            places=tuple(jet.position_m for jet in flown.jets),
-            banks=channels,
-            channels=channels,
-            engines=tuple(range(len(vehicle.jets))) if needs_air else channels,
-            rotors=tuple(jet.spin * spec.rotor_inertia for jet, spec in zip(flown.jets, engines, strict=True)),
-            reactions=tuple(jet.reaction_m for jet in flown.jets),
-            factors=factors or (1.0,) * len(vehicle.jets),
-        ),
+        kind=describe(predictors),
+        channels=channels,
         attitude=gains.attitude,
-        rate=tuple(
-            axis.replace(predictor=predictor, lead=lead)
-            for axis, predictor, lead in zip(rates, predictors, leads[:3], strict=True)
-        ),
+        rate=tuple(axis.replace(lead=lead, step=step) for axis, lead in zip(rates, leads[:3], strict=True)),
+        predictors=predictors,
         height=gains.altitude.replace(
             mass_kg=vehicle.mass_kg, low=thrust_map.low, span=thrust_map.span, jets=len(vehicle.jets), lead=leads[3],
             step=step,
@@ -137,38 +169,20 @@ def read_flight(scenario: Scenario, known: dict[Any, Any] | None = None) -> Numb
             throttles=None if inverse is None else tuple(inverse.throttles),
             thrusts=() if inverse is None else tuple(inverse.thrusts),
         ),
-        engine=flying,
-        needs_air=needs_air,
         reach=tuple(
             thrust_map.throttle((share,) * len(vehicle.jets))
             for share in (control.allocation.throttle_min, control.allocation.throttle_max)
         ),
-        servo=tables.servo,
-        airflow=tables.airflow,
-        flown=_body(scenario, flown),
-        sensors=_sensors(tables.sensors, scenario),
+        servo=None if servo is None else name_values(servo.model_dump()),
     )  # fmt: skip
-
-
-def _believe(scenario: Scenario, vehicle: Vehicle, known: dict[Any, Any]) -> Any:
-    """Return the assumed engine, those that fly, the map of thrust and the predictors, made once of the same."""
-    height = scenario.environment.ground_m + start_height(vehicle, scenario.initial)
-    asked = ("name", "aircraft", "controller", "step_s", "added_delay_samples", "stations", "engine",
-             "engine_parameters", "engine_unchecked", "engine_isolated")  # fmt: skip
-    stated: Any = {**dict.fromkeys(asked, True), "mismatch": {"engine_parameters", "stations"}}
-    told: Any = {"name": True, "jets": True, "identified": True, "control": {"predictor"}}
-    texts = scenario.model_dump_json(include=stated), vehicle.model_dump_json(include=told)
-    if (key := (scenario.folder, height, vehicle.allocation, *texts)) not in known:
-        engine, *stations = load_engines(scenario, vehicle)
-        where, thrust_map = f"scenario {scenario.name}", make_thrust_map(vehicle, engine, stations)[0]
-        predictors = [read_predictor(made, where) for made in make_predictors(scenario, vehicle, engine)]
-        known[key] = engine, flown_engines(scenario, vehicle, stations), thrust_map, predictors
-    return known[key]
+    # What flights that fly together share, but for their predictors.
+    return stations, laws.replace(structure=describe(laws.replace(predictors=None, kind=None)))
 
 
 def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
     """Return the rigid body that flies, where it flies."""
     place, fuel = scenario.environment, flown.fuel
+    latitude, turn = radians(place.latitude_deg), 7.292115e-5  # rad/s, of WGS 84
     height = place.ground_m + start_height(flown, scenario.initial)
     tank = None if fuel is None else name_values(fuel.model_dump()).replace(share=scenario.initial.fuel)
     return Numbers(
@@ -181,7 +195,7 @@ def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
         damping_n_m_s=flown.aero.damping_n_m_s,
         density=standard_density(height),
         gravity=gravity(place.latitude_deg, height),
-        earth_rate=earth_rate(place.latitude_deg),
+        earth_rate=(turn * cos(latitude), -turn * sin(latitude)),
         ground_m=place.ground_m,
     )
 
@@ -235,8 +249,10 @@ def _engine(engines: Sequence[EngineSpec], step: float, late: int, where: str) -
     others = [engine for engine in engines if engine is not first]
     if any(engine.path != first.path or engine.parameters != first.parameters for engine in others):
         raise InputError(f"{where}: engines that differ by station: not flown in a batch; fly it without batch")
-    if name not in KINDS or not _is_of_library(first, name):
-        raise InputError(f"{where}: engine {first.name}, which is not the library's: fly it without batch")
+    # The library's, perhaps by a file that gives it other parameters alone.
+    plain = all((p.scale, p.offset, p.gain, p.bias) == (1.0, 0.0, 1.0, 0.0) for p in first.ports.values())
+    if name not in KINDS or not (first.library or (plain and first.path.resolve() == find_source(name).path.resolve())):
+        raise InputError(f"{where}: engine {first.name}: not flown in a batch; fly it without batch")
     if first.internal_step is not None and abs(first.internal_step - step) > 1e-9:
         raise InputError(f"{where}: engine {first.name} takes several steps in one of control: fly it without batch")
     numbers = {key: float(value) for key, value in first.parameters.items()}
@@ -247,14 +263,3 @@ def _engine(engines: Sequence[EngineSpec], step: float, late: int, where: str) -
         numbers["full_rise"] = (ratio - 1.0) / numbers["compressor_efficiency"]
     delay = round(numbers.get("delay_samples", 0.0)) + late
     return Numbers(**{**numbers, "kind": KINDS[name], "delay": delay, "step": step, "xp": np})
-
-
-def _is_of_library(engine: EngineSpec, name: str) -> bool:
-    """Return whether an engine is the library's, perhaps by a file that gives it other parameters alone."""
-    plain = all((p.scale, p.offset, p.gain, p.bias) == (1.0, 0.0, 1.0, 0.0) for p in engine.ports.values())
-    return engine.library or (plain and engine.path.resolve() == _library_path(name))
-
-
-@cache
-def _library_path(name: str) -> Path:
-    return find_source(name).path.resolve()

@@ -55,8 +55,9 @@ def judge(folder: Path, workers: Workers, nearest: int = 10, share: float = 0.01
     campaign = open_campaign(folder)
     if campaign.referee.get("flights") == len(campaign):
         return
-    (folder / REFEREE).unlink(missing_ok=True)  # of fewer flights
-    campaign = open_campaign(folder)
+    if campaign.referee:  # of fewer flights
+        (folder / REFEREE).unlink()
+        campaign = open_campaign(folder)
     chosen, random = choose(campaign, nearest, share)
     rows = {number: campaign.row(number) for number in chosen}
     study = campaign.study.changed(batch=False)

@@ -38,22 +38,28 @@ class Script:
         self._has_payload = any(entry.kind == "payload" for scenario in scenarios for entry in scenario.disturbance)
         self._gusts = _read_gusts([scenario for scenario, _ in pairs])
         self._last: tuple[Command, Disturbance] | None = None
+        self._payload: Any = None
         self._setpoint: tuple[Any, Quaternion] = (None, (1.0, 0.0, 0.0, 0.0))
 
     def at(self, k: int) -> tuple[Command, Inputs]:
         """Return what is asked for in step ``k``, which must be the next, and all that acts in it."""
         if self._last is None or self._changes is None or k in self._changes:
             command = stack([script.at(k) for script in self._commands])
-            self._last = command, stack([script.at(k)._replace(gust=None) for script in self._disturbances])
+            acting = stack([script.at(k)._replace(gust=None) for script in self._disturbances])
+            # The same object as long as it stays: the mass is that of the step before then.
+            if self._has_payload and not (
+                self._last and all(map(np.array_equal, acting.payload, self._last[1].payload))
+            ):
+                self._payload = acting.payload[0], tuple(acting.payload[1:])
+            self._last = command, acting
         command, acting = self._last
         if command.attitude is not self._setpoint[0]:
             roll, pitch, yaw = map(np.asarray, command.attitude)
             self._setpoint = command.attitude, from_euler(roll, pitch, yaw, np)
-        mass, *place = acting.payload
         return command, Inputs(
             k, self._setpoint[1], command.altitude, command.rate, command.collective, acting.force, acting.moment,
             acting.torque_command, acting.torque_output, acting.torque_seen, self._wind(k, acting.wind),
-            (mass, tuple(place)) if self._has_payload else None,
+            self._payload,
         )  # fmt: skip
 
     def _wind(self, k: int, steady: Vector) -> Vector:
@@ -86,11 +92,16 @@ def _read_gusts(scenarios: Sequence[Scenario]) -> list[Any]:
 
 def find_mode(scenario: Scenario) -> tuple[Any, ...]:
     """Return what flights must share to be asked together: rates or angles, and from when on a collective."""
-    if not scenario.command:
-        return ()
-    script = CommandScript(scenario, 0.0)
+    signals = find_signals(scenario)
     # A table may ask for a collective; when any begins is as the script says it.
-    return script.signals, scenario.command if "collective" in script.signals else None
+    return signals, scenario.command if "collective" in signals else None
+
+
+def find_signals(scenario: Scenario) -> list[str]:
+    """Return what a scenario's commands are of; a table's file says it."""
+    if any(entry.kind in ("table", "sticks") for entry in scenario.command):
+        return CommandScript(scenario, 0.0).signals
+    return sorted({entry.signal for entry in scenario.command if hasattr(entry, "signal")})
 
 
 def _asked(scenario: Scenario) -> tuple[Any, ...]:

@@ -17,11 +17,8 @@ from hexjet_batch.stages.step import Outputs, start, step
 try:
     import jax
 except ModuleNotFoundError as error:
-    if error.name != "jax":
-        raise
-    raise ModuleNotFoundError(
-        "hexjet_batch.with_jax needs jax, which is not installed: pip install jax", name="jax"
-    ) from None
+    text = f"hexjet_batch.with_jax needs {error.name}, which is not installed: pip install jax"
+    raise ModuleNotFoundError(text, name=error.name) from None
 
 
 def make_flight(scenarios: Sequence[Scenario]) -> tuple[Numbers, Callable[[Numbers], Outputs]]:

@@ -118,19 +118,19 @@ def load_vehicle(
         For an unknown aircraft (lists the known ones), a path where none is, or a wrong key.
     """
     path = find_aircraft(name, folder)
-    tables, vehicle = _read_cached(path)
+    texts = _read_sources(path)
+    tables, vehicle = _vehicles.get((path, *texts), lambda: _read_vehicle(path))
     if overrides:
-        vehicle = validate(Vehicle, merge(tables, _default_bank_inertia(overrides)), where)
+        key = (path, *texts, repr(overrides))
+        stated = _default_bank_inertia(overrides)
+        vehicle = _vehicles.get(key, lambda: (tables, validate(Vehicle, merge(tables, stated), where)))[1]
     return vehicle, path.parent
 
 
 def read_tables(name: str, folder: Path = Path()) -> dict[str, Any]:
     """Return the tables of an aircraft's file, scaling applied; raise InputError as :func:`load_vehicle`."""
-    return _read_cached(find_aircraft(name, folder))[0]
-
-
-def _read_cached(path: Path) -> tuple[dict[str, Any], Vehicle]:
-    return _vehicles.get((path, *_read_sources(path)), lambda: _read_vehicle(path))
+    path = find_aircraft(name, folder)
+    return _vehicles.get((path, *_read_sources(path)), lambda: _read_vehicle(path))[0]
 
 
 def _default_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:

@@ -48,9 +48,9 @@ def shifted(**values: Callable[[Scenario], Any]) -> Any:
     """What flies a batch of scenarios in which these keys are otherwise."""
     fly_groups = on_arrays.fly_groups
 
-    def fly(scenarios: list[Scenario], **memory: Any) -> Any:
+    def fly(scenarios: list[Scenario], *memory: Any, **options: Any) -> Any:
         changed = ({key.replace("__", "."): value(each) for key, value in values.items()} for each in scenarios)
-        return fly_groups([with_values(*both) for both in zip(scenarios, changed, strict=True)], **memory)
+        return fly_groups([with_values(*both) for both in zip(scenarios, changed, strict=True)], *memory, **options)
 
     return fly
 

@@ -6,7 +6,6 @@ by the mean rate with its bend, velocity by the forces turned with the attitude 
 
 from __future__ import annotations
 
-from math import cos, radians, sin
 from typing import Any, NamedTuple
 
 from cosim.base.constants import GRAVITY
@@ -46,11 +45,6 @@ class Motion(NamedTuple):
     rate: Vector
     acceleration: Vector
     force: Vector
-
-
-def earth_rate(latitude_deg: float, rate: float = 7.292115e-5) -> tuple[float, float]:
-    """Return the Earth's rate [rad/s] about north and down; ``rate``: that of WGS 84."""
-    return rate * cos(radians(latitude_deg)), -rate * sin(radians(latitude_deg))
 
 
 def air_at(height: Any) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import inf, pi
 from typing import Any, NamedTuple
 
-from hexjet_batch.numbers import Numbers, is_absent
+from hexjet_batch.numbers import Numbers, is_absent, limit
 from hexjet_batch.stages.delays import make_ring, push
 
 RPM = pi / 30.0  # rad/s
@@ -65,7 +65,7 @@ class DelayedLag:
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         ring, y = s
-        ring, u = push(ring, k, n.delay, n.xp.clip(throttle, 0.0, 1.0), n.xp)
+        ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, n.xp), n.xp)
         y = n.pole * y + n.gain * u
         return (ring, y), Report(n.newton_per_unit * y)
 
@@ -74,7 +74,7 @@ class Fitted:
     """The engine of a bench log: delay, static curve, two lags of which the first may change, limits of the rate."""
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
-        thrust = self._curve(n, n.xp.clip(throttle, 0.0, 1.0))
+        thrust = self._curve(n, limit(throttle, 0.0, 1.0, n.xp))
         return (make_ring(n.delay, throttle, n.xp), thrust, thrust), Report(thrust)
 
     def _curve(self, n: Numbers, u: Any) -> Any:
@@ -83,10 +83,10 @@ class Fitted:
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         (ring, x, y), xp = s, n.xp
-        ring, u = push(ring, k, n.delay, xp.clip(throttle, 0.0, 1.0), xp)
+        ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, xp), xp)
         f, lag = self._curve(n, u), n.lag
         if not is_absent(n.lag_full):
-            level = xp.clip((y - n.offset) / n.gain, 0.0, 1.0)
+            level = limit((y - n.offset) / n.gain, 0.0, 1.0, xp)
             lag = xp.where(xp.asarray(n.lag_full) == 0.0, lag, lag + (n.lag_full - lag) * level)
         e = self._fade(n, lag)
         new = f + e * (y - f)
@@ -117,9 +117,6 @@ class P220:
     K_T, K_TT, K_D, K_DD, K_TD = 0.237755, -0.012799, -0.860374, 0.023606, 0.008599
     B_U, B_T, B_D, B_UU, CONSTANT = 1.139026, 0.019914, -0.050257, 0.000302, -0.692913
 
-    def _drive(self, percent: Any) -> Any:
-        return percent + self.B_UU * percent * percent
-
     def _acceleration(self, thrust: Any, rate: Any, v: Any) -> Any:
         own = self.K_T * thrust + self.K_TT * thrust * thrust + self.K_D * rate + self.K_DD * rate * rate
         by_drive = (self.B_U + self.B_T * thrust + self.B_D * rate) * v
@@ -130,7 +127,8 @@ class P220:
         return (-b - xp.sqrt(b * b - 4.0 * self.K_TT * (self.B_U * v + self.CONSTANT))) / (2.0 * self.K_TT)
 
     def _input(self, n: Numbers, throttle: Any) -> Any:
-        return self._drive(n.idle_percent + (100.0 - n.idle_percent) * throttle)
+        percent = n.idle_percent + (100.0 - n.idle_percent) * throttle
+        return percent + self.B_UU * percent * percent
 
     def _report(self, thrust: Any, xp: Any) -> Report:
         load = (xp.maximum(thrust, self.IDLE_THRUST) - self.IDLE_THRUST) / (self.FULL_THRUST - self.IDLE_THRUST)
@@ -144,34 +142,9 @@ class P220:
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         ring, thrust, rate = s
-        ring, u = push(ring, k, n.delay, n.xp.clip(throttle, 0.0, 1.0), n.xp)
+        ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, n.xp), n.xp)
         v = self._input(n, u)
         thrust, rate = runge_kutta(
             lambda at, slope: (slope, self._acceleration(at, slope, v)), thrust, rate, n.step / n.time_factor
         )
         return (ring, thrust, rate), self._report(thrust, n.xp)
-
-
-class P220Of2025(P220):
-    """The same by the identification of 2025, in standardised numbers."""
-
-    C = (
-        *(-0.464730485, -8.13171858, -6.19539230, 0.661113140, 1.67673231, -0.483287064, 8.77996617),
-        *(-1.01096376, -0.586442286, 0.519093322, -0.423782666, -1.45705257, -0.00783052261),
-    )
-    M_T, S_T, M_U, S_U = 108.309, 65.793, 47.333, 31.483
-
-    def _drive(self, percent: Any) -> Any:
-        w = (percent - self.M_U) / self.S_U
-        return w + self.C[12] * w * w
-
-    def _acceleration(self, thrust: Any, rate: Any, v: Any) -> Any:
-        a, d, c = (thrust - self.M_T) / self.S_T, rate / self.S_T, self.C
-        f = c[0] + c[1] * a + c[2] * d + c[3] * a * d + c[4] * a * a + c[5] * d * d
-        g = c[6] + c[7] * a + c[8] * d + c[9] * a * d + c[10] * a * a + c[11] * d * d
-        return self.S_T * (f + g * v)
-
-    def _at_rest(self, v: Any, xp: Any) -> Any:
-        c = self.C
-        p, q, r = c[4] + c[10] * v, c[1] + c[7] * v, c[0] + c[6] * v
-        return self.M_T + self.S_T * 2.0 * r / (xp.sqrt(q * q - 4.0 * p * r) - q)

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.constants import GRAVITY
 from cosim.control.allocation.allocation import MIN_HOVER_FRACTION
 from cosim.control.altitude import MIN_UPRIGHT
-from hexjet_batch.numbers import Numbers, is_absent
+from hexjet_batch.numbers import Numbers, is_absent, limit
 from hexjet_batch.stages.rotations import Quaternion, Vector
 
 
@@ -38,37 +38,37 @@ def update_attitude(n: Numbers, setpoint: Quaternion, measured: Quaternion, xp: 
         double * (aw * bz - ax * by + ay * bx - az * bw),
     )
     limited = zip(n.gain_1_s, error, n.rate_limit_rad_s, strict=True)
-    return tuple(xp.clip(gain * e, -most, most) for gain, e, most in limited)
+    return tuple(limit(gain * e, -most, most, xp) for gain, e, most in limited)
 
 
-def start_rate(n: Numbers, zero: Any, xp: Any) -> RateState:
+def start_rate(predictor: Any, zero: Any, xp: Any) -> RateState:
     """Return the state of an axis at rest."""
-    predictor = None if n.predictor is None else n.predictor.start(zero, xp)
-    return RateState(predictor, zero, zero, zero, zero, (zero, zero))
+    begun = None if predictor is None else predictor.start(zero, xp)
+    return RateState(begun, zero, zero, zero, zero, (zero, zero))
 
 
 def update_rate(
-    n: Numbers, s: RateState, k: Any, step: float, setpoint: Any, measured: Any, unallocated: Any, xp: Any
+    n: Numbers, predictor: Any, s: RateState, k: Any, setpoint: Any, measured: Any, unallocated: Any, xp: Any
 ) -> RateState:
     """Return the state after a step; its ``command`` is the torque asked for."""
-    predictor, rate = s.predictor, measured
-    if n.predictor is not None:
-        predictor, rate = n.predictor.update(predictor, k, measured, s.command - unallocated, xp)
+    predicting, rate = s.predictor, measured
+    if predictor is not None:
+        predicting, rate = predictor.update(predicting, k, measured, s.command - unallocated, xp)
     error = setpoint - rate
     integral = s.integral
     if not is_absent(n.i):
-        moved = xp.clip(integral + step * n.i * error, -n.integral_limit, n.integral_limit)
+        moved = limit(integral + n.step * n.i * error, -n.integral_limit, n.integral_limit, xp)
         integral = xp.where(unallocated * error <= 0.0, moved, integral)
     command, slope = n.p * error + integral, s.slope
     if not is_absent(n.d):
         # The first step has no slope yet.
-        share = step / (n.d_filter_s + step) * (k > 0)
-        slope = slope + share * ((rate - s.predicted) / step - slope)
+        share = n.step / (n.d_filter_s + n.step) * (k > 0)
+        slope = slope + share * ((rate - s.predicted) / n.step - slope)
         command = command - n.d * slope
     lead = s.lead
     if n.lead is not None:
         command, lead = update_lead(n.lead, lead, command, unallocated)
-    return RateState(predictor, integral, slope, rate, command, lead)
+    return RateState(predicting, integral, slope, rate, command, lead)
 
 
 def update_lead(n: Vector, state: tuple[Any, Any], value: Any, unallocated: Any) -> tuple[Any, tuple[Any, Any]]:
@@ -84,9 +84,9 @@ def update_height(
 ) -> tuple[Any, tuple[Any, Any]]:
     """Return the collective [share of thrust], integral [m/s^2] and state of the lead, None before the first."""
     integral, lead = s
-    climb = xp.clip(n.position_1_s * (asked - measured.altitude), -n.descent_limit_m_s, n.climb_limit_m_s)
+    climb = limit(n.position_1_s * (asked - measured.altitude), -n.descent_limit_m_s, n.climb_limit_m_s, xp)
     error = climb + measured.velocity[2]
-    moved = xp.clip(integral + n.step * n.integral_1_s2 * error, -n.integral_limit_m_s2, n.integral_limit_m_s2)
+    moved = limit(integral + n.step * n.integral_1_s2 * error, -n.integral_limit_m_s2, n.integral_limit_m_s2, xp)
     integral = xp.where(unallocated * error <= 0.0, moved, integral)
     _, x, y, _ = measured.attitude
     upright = xp.maximum(1.0 - 2.0 * (x * x + y * y), MIN_UPRIGHT)
@@ -116,14 +116,14 @@ class ScheduleNumbers(NamedTuple):
         """Return the columns at these levels, a row each."""
         table, last = xp.asarray(self.table), len(self.table) - 1
         place = (level - self.low) / (self.high - self.low) * last
-        row = xp.clip(xp.floor(place), 0, last - 1).astype(np.int64)
+        row = limit(xp.floor(place), 0, last - 1, xp).astype(np.int64)
         weight = (place - row)[:, None]
         return (table[row] + weight * (table[row + 1] - table[row])).T
 
     def update(self, state: tuple[Any, Any, Any], share: Any, xp: Any) -> tuple[Any, Any, Any]:
         """Return level, the level of the gains and the gains of the next step, after one of this share of thrust."""
         level, last, gains = state
-        level = level + self.filter * (xp.clip(share, self.low, self.high) - level)
+        level = level + self.filter * (limit(share, self.low, self.high, xp) - level)
         moved = xp.abs(level - last) >= self.resolution
         if xp is not np:
             return level, xp.where(moved, level, last), xp.where(moved, self.at(level, xp), gains)
@@ -157,12 +157,12 @@ def allocate_banks(n: Numbers, collective: Any, torque: Vector, xp: Any) -> Allo
     """Return what two banks give: roll before collective, pitch before yaw."""
     roll, pitch, yaw = torque
     half = 0.5 * (n.throttle_max - n.throttle_min)
-    r = xp.clip(roll, -half, half)
+    r = limit(roll, -half, half, xp)
     spread = xp.abs(r)
     c = xp.minimum(xp.maximum(collective, n.throttle_min + spread), n.throttle_max - spread)
     ratio = xp.maximum((c + n.idle) / (n.hover + n.idle), MIN_HOVER_FRACTION)
     asked_pitch, asked_yaw = n.pitch_sign * pitch / ratio, yaw / ratio
-    p = xp.clip(asked_pitch, -n.range_rad, n.range_rad)
+    p = limit(asked_pitch, -n.range_rad, n.range_rad, xp)
     room = n.range_rad - xp.abs(p)
     y = xp.minimum(xp.maximum(asked_yaw, -room), room)
     # Exactly 0 where everything fits: the integrals stop at any residual.
@@ -183,5 +183,5 @@ def allocate_rotors(n: Numbers, collective: Any, torque: Vector, xp: Any) -> All
     y = xp.minimum(xp.maximum(yaw, -for_yaw), for_yaw)
     span = xp.abs(r) + xp.abs(p) + xp.abs(y)
     c = xp.minimum(xp.maximum(collective, low + span), high - span)
-    share = xp.stack([xp.clip(c + a * r + b * p + d * y, low, high) for a, b, d in n.signs])
+    share = xp.stack([limit(c + a * r + b * p + d * y, low, high, xp) for a, b, d in n.signs])
     return share, None, (roll - r, pitch - p, yaw - y, collective - c)

@@ -6,7 +6,11 @@ the same ones.  ``update(state, k, measured, applied)`` gives its next state and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.control.predictors.smith import (
@@ -87,10 +91,11 @@ class ObserverNumbers(NamedTuple):
 
     def start(self, zero: Any, xp: Any) -> Any:
         """Return the state at rest, with no command in transport."""
-        return (zero,) * len(self.gain), xp.stack([zero] * len(self.weights))
+        weights = xp.stack([xp.asarray(weight) for weight in self.weights * 2])
+        return (zero,) * len(self.gain), xp.stack([zero] * len(self.weights)), weights
 
     def update(self, state: Any, k: Any, measured: Any, applied: Any, xp: Any) -> tuple[Any, Any]:
-        x, ring = state
+        x, ring, weights = state
         rows = len(self.weights)
         ring = put(ring, k % rows, applied)
         first, second = ring[(k + 1) % rows], ring[(k + 2) % rows]
@@ -100,10 +105,39 @@ class ObserverNumbers(NamedTuple):
         ]
         error = measured - _sum(self.output, ahead)
         x = tuple(value + gain * error for value, gain in zip(ahead, self.gain, strict=True))
-        weights = xp.roll(xp.stack([xp.asarray(weight) for weight in self.weights]), k + 1, axis=0)
+        # The weights in the order of the ring, from two turns of them: what NumPy takes without a copy.
+        begin = (-k - 1) % rows
+        own = weights[begin : begin + rows] if isinstance(k, int) else xp.roll(weights, -begin, axis=0)[:rows]
         # By no library of linear algebra, whose sums differ with the number of flights.
-        in_transport = xp.einsum("i...,i...->...", weights, ring)
-        return (x, ring), _sum(self.of_state, x) + in_transport
+        in_transport = xp.einsum("i...,i...->...", own, ring)
+        return (x, ring, weights), _sum(self.of_state, x) + in_transport
+
+
+class Mixed(NamedTuple):
+    """Predictors of several kinds, each with the flights that have it, which follow each other; None: no predictor."""
+
+    kinds: list[tuple[Any, slice]]
+
+    def start(self, zero: Any, xp: Any) -> Any:
+        """Return the states at rest."""
+        return tuple(None if kind is None else kind.start(zero[own], xp) for kind, own in self.kinds)
+
+    def update(self, state: Any, k: Any, measured: Any, applied: Any, xp: Any) -> tuple[Any, Any]:
+        """Return the next states and the rates to feed back, of all flights."""
+        found = [
+            (s, measured[own]) if kind is None else kind.update(s, k, measured[own], applied[own], xp)
+            for (kind, own), s in zip(self.kinds, state, strict=True)
+        ]
+        states, rates = zip(*found, strict=True)
+        return states, xp.concat(rates)
+
+
+def mix(predictors: Sequence[tuple[Any, ...]], counts: Sequence[int]) -> tuple[Any, ...]:
+    """Return the predictors of the axes of flights of several kinds, of each kind so many flights."""
+    if len(predictors) == 1:
+        return predictors[0]
+    own = [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]
+    return tuple(Mixed(list(zip(axis, own, strict=True))) for axis in zip(*predictors, strict=True))
 
 
 def _sum(factors: Any, values: Any) -> Any:
@@ -159,14 +193,10 @@ def _modal_numbers(predictor: ModalPredictor) -> ObserverNumbers:
 
     poles, shares, estimates = real(predictor.poles), real(predictor.shares), predictor.with_disturbance
     order, rest = len(poles), (0.0,) if estimates else ()
-    rows = [
-        (*(pole if i == j else 0.0 for j in range(order)), *([1.0] if estimates else []))
-        for i, pole in enumerate(poles)
-    ]
-    if estimates:
-        rows.append((*[0.0] * order, 1.0))
+    rows = np.diag([*poles, *(1.0 for _ in rest)])
+    rows[:order, order:] = 1.0
     return ObserverNumbers(
-        tuple(rows),
+        tuple(map(tuple, rows.tolist())),
         tuple(1.0 - share for share in shares) + rest,
         shares + rest,
         real(predictor.residues) + rest,

@@ -100,7 +100,9 @@ def sample(n: Numbers, s: SensorState, k: Any, true: Motion, altitude: Any, draw
         attitude = _unit(multiply(attitude, (1.0, *turn)), xp)
         altitude = altitude + sensors.barometer.noise_m * draws[12] + sensors.barometer.bias_m
         fix = add(fix, draws[9:12], sensors.gnss.velocity_noise_m_s)
-    fix = _select((k + 1) % sensors.gnss.period_samples == 0, fix, s.fix, xp)
+    is_new = (k + 1) % sensors.gnss.period_samples == 0
+    if is_new is not True:
+        fix = s.fix if is_new is False else tuple(xp.where(is_new, a, b) for a, b in zip(fix, s.fix, strict=True))
     filtered = add(s.rate, add(seen, s.rate, -1.0), fade(n.step, gyro.filter_s, xp))
     values: list[Any] = [filtered, attitude, fix, (altitude,)]
     rings = list(s.rings)
@@ -109,12 +111,6 @@ def sample(n: Numbers, s: SensorState, k: Any, true: Motion, altitude: Any, draw
             rings[i], values[i] = push(rings[i], k, late, xp.stack(values[i]), xp)
     told = Measured(tuple(values[0]), tuple(values[1]), tuple(values[2]), values[3][0])
     return SensorState(filtered, fix, lean, tuple(rings)), told
-
-
-def _select(is_new: Any, new: Vector, old: Vector, xp: Any) -> Vector:
-    if isinstance(is_new, bool):
-        return new if is_new else old
-    return tuple(xp.where(is_new, a, b) for a, b in zip(new, old, strict=True))
 
 
 def _quantise(vector: Vector, resolution: Any, xp: Any) -> Vector:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from cosim.base.constants import GRAVITY
-from hexjet_batch.numbers import Numbers, is_absent
+from hexjet_batch.numbers import Numbers, is_absent, limit
 from hexjet_batch.stages.airframe import Mass, Motion, air_at, change_mass, drag_of, mass_with, move
 from hexjet_batch.stages.delays import make_ring, push
 from hexjet_batch.stages.engines import Air, Report
@@ -63,6 +63,7 @@ class State(NamedTuple):
     tilt_rate: Vector
     spin: Vector | None
     burnt: Any
+    payload: Any
     gains: Any  # level, level of the gains, the gains
     start: tuple[Any, Any]  # down [m] and height above the ground [m]
 
@@ -92,15 +93,15 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
     hover, throttle = hold_up(n, burnt)
     gains = None
     if n.schedule is not None:
-        level = xp.clip(hover, n.schedule.low, n.schedule.high)
+        level = limit(hover, n.schedule.low, n.schedule.high, xp)
         gains = (level, level, n.schedule.at(level, xp))
     sensors, told = start_sensors(n, motion, height + zero)
     tilt = None if n.servo is None else (zero, zero)
-    mass, rate = _mass(n, burnt, None), tuple(start_rate(axis, zero, xp) for axis in n.rate)
+    mass, rate = _mass(n, burnt, None), tuple(start_rate(own, zero, xp) for own in n.predictors)
     added, begin = make_ring(n.added_delay, zero, xp), (motion.position[2], height + zero)
     s = State(
         motion, mass, told, sensors, rate, (zero,) * 4, (zero, None), added, None, tilt, (zero, zero), None, burnt,
-        gains, begin,
+        None, gains, begin,
     )  # fmt: skip
     engines, report = n.engine.kind.start(n.engine, _to_engines(n, throttle), _air(n, s, inputs.wind))
     return s._replace(engines=engines, spin=_spin(n, report, tilt))
@@ -131,7 +132,7 @@ def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
     moment = add(moment, reaction)
 
     mass, motion = s.mass, s.motion
-    if fuel is not None or u.payload is not None:
+    if fuel is not None or u.payload is not s.payload:
         mass = _mass(n, burnt, u.payload)
         motion = change_mass(motion, s.mass, mass)
     force, moment = add(force, u.force), add(moment, u.moment)
@@ -146,7 +147,7 @@ def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
     sensors, told = sample(n, s.sensors, u.k, moved, altitude, u.draws)
     after = s._replace(
         motion=moved, mass=mass, measured=told, sensors=sensors, engines=engines, tilt=tilt, tilt_rate=tilt_rate,
-        spin=spin, burnt=burnt,
+        spin=spin, burnt=burnt, payload=u.payload,
     )  # fmt: skip
     left = None if fuel is None else fuel.mass_kg - s.burnt
     at = altitude_of(s)
@@ -162,8 +163,8 @@ def _control(n: Numbers, s: State, u: Inputs) -> tuple[Vector, Vector, Any, Allo
     if rates is None:
         rates = update_attitude(attitude, u.setpoint, measured.attitude, xp)
     axes = tuple(
-        update_rate(axis, state, u.k, n.step, rates[i], measured.rate[i], s.unallocated[i], xp)
-        for i, (axis, state) in enumerate(zip((roll, *n.rate[1:]), s.rate, strict=True))
+        update_rate(axis, n.predictors[i], s.rate[i], u.k, rates[i], measured.rate[i], s.unallocated[i], xp)
+        for i, axis in enumerate((roll, *n.rate[1:]))
     )
     torque = tuple(state.command for state in axes)
     collective, held = u.collective, (s.height[0], None)
@@ -197,7 +198,7 @@ def to_throttle(n: Numbers, share: Any) -> Any:
         slope = (curve.throttles[i + 1] - curve.throttles[i]) / (y - x)
         inside = xp.maximum(thrust - x, 0.0) if i else thrust - x
         value = value + slope * (inside if i == last else xp.minimum(inside, y - x))
-    return xp.clip(value, 0.0, 1.0)
+    return limit(value, 0.0, 1.0, xp)
 
 
 def _to_engines(n: Numbers, rows: Any) -> Any:
@@ -211,15 +212,12 @@ def _turn_servos(n: Numbers, tilt: Vector | None, command: Vector | None) -> Vec
     xp, servo = n.xp, n.servo
     gain, most, end = fade(n.step, servo.lag_s, xp), servo.rate_limit_rad_s * n.step, servo.range_rad
     pairs = zip(tilt, command, strict=True)
-    return tuple(angle + xp.clip(gain * (xp.clip(goal, -end, end) - angle), -most, most) for angle, goal in pairs)
+    return tuple(angle + limit(gain * (limit(goal, -end, end, xp) - angle), -most, most, xp) for angle, goal in pairs)
 
 
-def _groups(n: Numbers, tilt: Vector | None) -> list[tuple[list[int], Vector]]:
-    """Return the groups of jets that point the same way, each with its axis [unit, body]."""
-    if tilt is None:
-        return [(list(range(len(n.jets.places))), (0.0, 0.0, -1.0))]
-    sides = [[jet for jet, of in enumerate(n.jets.banks) if of == bank] for bank in range(len(tilt))]
-    return [(jets, (n.xp.sin(a), 0.0, -n.xp.cos(a))) for jets, a in zip(sides, tilt, strict=True)]
+def _axes(tilt: Vector | None, xp: Any) -> list[tuple[Any, Any]]:
+    """Return where the jets of each bank point, or all where none tilts: ahead and down [unit, body]."""
+    return [(0.0, -1.0)] if tilt is None else [(xp.sin(angle), -xp.cos(angle)) for angle in tilt]
 
 
 def _air(n: Numbers, s: State, wind: Vector) -> Air:
@@ -227,12 +225,13 @@ def _air(n: Numbers, s: State, wind: Vector) -> Air:
     if not n.needs_air:
         return Air(0.0, 0.0, 0.0)
     body = rotate_back(s.motion.attitude, add(s.motion.velocity, wind, -1.0))
-    speeds: dict[int, Any] = {}
-    for jets, axis in _groups(n, s.tilt):
-        turning = cross(axis, s.motion.rate)
-        for jet in jets:
-            speeds[jet] = _dot(body, axis) + _dot(n.jets.places[jet], turning)
-    return Air(*air_at(n.flown.ground_m + altitude_of(s)), n.xp.stack([speeds[jet] for jet in sorted(speeds)]))
+    axes = [(x, 0.0, z) for x, z in _axes(s.tilt, n.xp)]
+    turning = [cross(axis, s.motion.rate) for axis in axes]
+    speeds = [
+        _dot(body, axes[bank]) + _dot(place, turning[bank])
+        for place, bank in zip(n.jets.places, n.jets.banks, strict=True)
+    ]
+    return Air(*air_at(n.flown.ground_m + altitude_of(s)), n.xp.stack(speeds))
 
 
 def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
@@ -244,17 +243,19 @@ def _wrench(n: Numbers, s: State, report: Report, tilt: Vector | None, wind: Vec
     """Return the force [N] of jets and intakes, and their moment [N m] about the centre of gravity as built."""
     force: Vector = (0.0, 0.0, 0.0)
     moment: Vector = (0.0, 0.0, 0.0)
-    for jets, axis in _groups(n, tilt):
-        thrusts = [n.jets.factors[jet] * report.thrust[n.jets.engines[jet]] for jet in jets]
+    for bank, (x, z) in enumerate(_axes(tilt, n.xp)):
+        jets = [jet for jet, own in enumerate(n.jets.banks) if own == bank]
+        thrusts = [n.factors[jet] * report.thrust[n.jets.engines[jet]] for jet in jets]
         places = [n.jets.places[jet] for jet in jets]
-        force = add(force, axis, sum(thrusts))
-        moment = add(moment, cross(tuple(_dot(lever, thrusts) for lever in zip(*places, strict=True)), axis))
-        reactions = [n.jets.reactions[jet] for jet in jets]
-        if not is_absent(*reactions):
-            moment = add(moment, axis, -_dot(reactions, thrusts))
+        push, twist = sum(thrusts[1:], thrusts[0]), _dot([n.jets.reactions[jet] for jet in jets], thrusts)
+        a, b, c = (_dot(lever, thrusts) for lever in zip(*places, strict=True))
+        force = add((x * push, 0.0, z * push), force)
+        moment = add((b * z, c * x - a * z, -b * x), moment)
+        if not is_absent(twist):
+            moment = (moment[0] - x * twist, moment[1], moment[2] - z * twist)
         if n.airflow is not None:
-            push, twist = _intakes(n, s, thrusts, places, axis, wind)
-            force, moment = add(force, push), add(moment, twist)
+            drag, twist = _intakes(n, s, thrusts, places, (x, 0.0, z), wind)
+            force, moment = add(force, drag), add(moment, twist)
     return force, moment
 
 
@@ -285,8 +286,9 @@ def _spin(n: Numbers, report: Report, tilt: Vector | None) -> Vector | None:
     if is_absent(*n.jets.rotors):
         return None
     total: Vector = (0.0, 0.0, 0.0)
-    for jets, axis in _groups(n, tilt):
-        total = add(total, axis, sum(n.jets.rotors[jet] * report.speed[n.jets.engines[jet]] for jet in jets))
+    axes = _axes(tilt, n.xp)
+    for rotor, bank, row in zip(n.jets.rotors, n.jets.banks, n.jets.engines, strict=True):
+        total = add(total, (axes[bank][0], 0.0, axes[bank][1]), rotor * report.speed[row])
     return total
 
 

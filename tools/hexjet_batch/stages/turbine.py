@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hexjet_batch.numbers import Numbers, is_absent
+from hexjet_batch.numbers import Numbers, is_absent, limit
 from hexjet_batch.stages.delays import make_ring, push
 from hexjet_batch.stages.engines import RPM, Air, Report, bisect, or_infinite, runge_kutta
 
@@ -36,8 +36,8 @@ class Turbine:
 
     def _inlet(self, n: Numbers, air: Air) -> Inlet:
         xp = n.xp
-        temperature = xp.clip(air.temperature, 150.0, 400.0)
-        pressure, v = xp.clip(air.pressure, 1e3, 2e5), xp.clip(air.speed, 0.0, 300.0)
+        temperature = limit(air.temperature, 150.0, 400.0, xp)
+        pressure, v = limit(air.pressure, 1e3, 2e5, xp), limit(air.speed, 0.0, 300.0, xp)
         t2 = temperature + v * v / (2.0 * CP_AIR)
         ram = t2 / temperature
         p2 = pressure * (1.0 + n.ram_recovery * (ram * ram * ram * xp.sqrt(ram) - 1.0))
@@ -83,9 +83,6 @@ class Turbine:
         idle = (n.idle_speed / n.full_speed) ** n.thrust_exponent
         return n.full_speed * RPM * (idle + (1.0 - idle) * throttle) ** (1.0 / n.thrust_exponent)
 
-    def _damping(self, n: Numbers, w: Any) -> Any:
-        return n.speed_gain * w / (n.full_speed * RPM)
-
     def _most_fuel(self, n: Numbers, a: Inlet, w: Any, command: Any) -> Any:
         """Return the ECU's most fuel: a richest mixture and, where it is limited, the temperature."""
         flow = self._air_flow(n, a, w)
@@ -93,7 +90,7 @@ class Turbine:
         if is_absent(n.exhaust_limit):
             return richest
         most = or_infinite(n.exhaust_limit, n.xp)
-        high = n.xp.clip(command, low, richest)
+        high = limit(command, low, richest, n.xp)
         hot = self._gas_path(n, a, w, high)[2] > most
         if isinstance(hot, np.ndarray) and not hot.any():
             return richest
@@ -107,16 +104,16 @@ class Turbine:
         error = (reference - w) / (n.full_speed * RPM)
         low, speed = n.leanest_command * self._air_flow(n, a, w), w / (n.full_speed * RPM)
         if is_absent(n.fuel_integral):
-            command = integral - self._damping(n, w)
+            command = integral - n.speed_gain * w / (n.full_speed * RPM)
             high = self._most_fuel(n, a, w, command)
             free = ((command > low) | (error > 0.0)) & ((command < high) | (error < 0.0))
             integral = integral + xp.where(free, n.step * n.integral_gain * error, 0.0)
-            return xp.clip(command, low, high), integral, last
+            return limit(command, low, high, xp), integral, last
         gain = n.step * n.fuel_integral * speed**n.fuel_integral_exponent
         change = gain * error + n.fuel_response * (error - last)
         least, most = or_infinite(n.fuel_fall, xp), or_infinite(n.fuel_ramp, xp)
-        command = asked + xp.clip(change, -n.step * asked * least, n.step * most)
-        return xp.clip(command, low, self._most_fuel(n, a, w, command)), integral, error
+        command = asked + limit(change, -n.step * asked * least, n.step * most, xp)
+        return limit(command, low, self._most_fuel(n, a, w, command), xp), integral, error
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
         """Return engines in equilibrium at their throttle: the speed demanded, or the nearest that mixtures allow."""
@@ -139,19 +136,27 @@ class Turbine:
         w = xp.where(speeds_up(demand, lean(demand)), faster, w)
         richest = n.richest_command * self._air_flow(n, a, w)
         fuel = bisect(lambda f: self._acceleration(n, a, w, f) < 0.0, lean(w), richest, xp)
-        state = (make_ring(n.delay, throttle, xp), w, fuel, demand, fuel + self._damping(n, w), fuel, 0.0 * fuel)
+        state = (
+            make_ring(n.delay, throttle, xp),
+            w,
+            fuel,
+            demand,
+            fuel + n.speed_gain * w / (n.full_speed * RPM),
+            fuel,
+            0.0 * fuel,
+        )
         return state, self._report(n, a, w, fuel)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         ring, w, fuel, reference, *governor = s
         xp, a, h = n.xp, self._inlet(n, air), n.step
-        ring, u = push(ring, k, n.delay, xp.clip(throttle, 0.0, 1.0), xp)
+        ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, xp), xp)
         fall, rise = h * n.deceleration * reference, h * n.acceleration * reference
         if not is_absent(n.reference_fall):
             fall = xp.minimum(fall, h * RPM * or_infinite(n.reference_fall, xp))
         if not is_absent(n.reference_rise):
             rise = xp.minimum(rise, h * RPM * or_infinite(n.reference_rise, xp))
-        reference = reference + xp.clip(self._demanded(n, u) - reference, -fall, rise)
+        reference = reference + limit(self._demanded(n, u) - reference, -fall, rise, xp)
         asked, integral, last = self._fuel_command(n, a, (ring, w, fuel, reference, *governor))
         w, fuel = runge_kutta(
             lambda w, f: (self._acceleration(n, a, w, f), (asked - f) / n.pump_time_constant), w, fuel, h
