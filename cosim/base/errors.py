@@ -15,19 +15,19 @@ STDOUT_NAME = "standard output"  # name of standard output in errors
 
 
 class InputError(ValueError):
-    """The user's input is wrong: one line that names what, where and what is allowed (exit status 2)."""
+    """Raised for wrong input of the user, with one line on what, where and what is allowed (exit status 2)."""
 
 
 class NotIdentifiedError(InputError):
-    """A sweep or a log from which no model can be identified: a line with reason and remedy (exit status 1)."""
+    """Raised for a sweep or log that identifies no model, with one line on reason and remedy (exit status 1)."""
 
 
 class FlightError(RuntimeError):
-    """A flight failed: the run ends as ``failed`` and its log is kept (exit status 1)."""
+    """Raised if a flight fails: the run ends as ``failed`` and its log is kept (exit status 1)."""
 
 
 class Notice(UserWarning):
-    """An input was ignored or reinterpreted, and the flight goes on: one line, issued once."""
+    """Warning in one line, issued once, that an input was ignored or reinterpreted."""
 
 
 def notify(text: str, category: type[Warning] = Notice) -> None:
@@ -39,7 +39,7 @@ def notify(text: str, category: type[Warning] = Notice) -> None:
 
 
 class EngineError(FlightError):
-    """An engine returned an error or a value that is not finite; the message names engine, step and time."""
+    """Raised if an engine returns an error or a value that is not finite; names engine, step and time."""
 
 
 _IMPORT_MACHINERY = ("<frozen importlib", str(Path(importlib.__file__).parent))  # places left out of tracebacks

@@ -45,7 +45,7 @@ except ImportError:
 
 
 class HostError(FlightError):
-    """A process failed; the message is a clause such as ``the process did not answer within 4 s``."""
+    """Raised if a process fails; the message is a clause such as ``the process did not answer within 4 s``."""
 
 
 def python_command(code: str, *arguments: str, seconds: int | None = None, megabytes: float | None = None) -> list[str]:

@@ -50,7 +50,7 @@ class SweepTuning(NamedTuple):
     min_hz: float = 0.1
     span: float = 20.0
     corners: float = 4.0
-    # Fraction of an axis's torque from engines, from which on their lag is included.
+    # If engines give at least this fraction of an axis's torque, their lag limits the band.
     min_share: float = 0.05
     # First amplitude, in the unit of the axis; reduced while the command saturates.
     amplitude: float = 0.02
@@ -115,7 +115,7 @@ def identify_axis(
     requested, subject = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
     flight, response, notes = _fly_until_coherent(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
-    # Pitch and yaw turn the jets instead of throttling them, and what hinges and engines share has no single engine's
+    # Pitch and yaw turn the jets instead of throttling them, and an axis shared by hinges and engines has no single
     # delay.
     own_delay = flight.engine.transport_delay if axis == "roll" and not accelerates else None
     fits = _fit_forms(response, lags, hold, None if own_delay is None else own_delay / base.step_s)

@@ -92,7 +92,7 @@ class ConnectedStation:
         self._socket = socket.socket(server.family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            # Exclusive for the moment of binding only, so that no other program takes the port.
+            # The port may be shared only while the socket is bound, so that no other program takes it.
             for opened in (server, self._socket):
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind(server.getsockname())
