@@ -23,13 +23,13 @@ from cosim.simulation.controllers.guard import GuardedController, GuardedPredict
 from cosim.simulation.guided_pilot import GuidedPilot
 from cosim.simulation.plugins import GuardedObserver, WindTable
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
-from hexjet_export.vehicle.ports import _ControllerOutside, _EnginesOutside, _PilotOutside
+from hexjet_export.vehicle.ports import _ExternalController, _ExternalEngines, _SetpointPilot
 from hexjet_sitl.block import AutopilotBlock
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
 
 
-def controller(block: Cascade | GuardedController | _ControllerOutside) -> protocols.Controller:
+def controller(block: Cascade | GuardedController | _ExternalController) -> protocols.Controller:
     return block
 
 
@@ -43,7 +43,7 @@ def allocator(block: TiltAllocator | RotorAllocator | EffectivenessAllocator) ->
     return block
 
 
-def engines(block: EngineBank | IsolatedBank | _EnginesOutside) -> protocols.Engines:
+def engines(block: EngineBank | IsolatedBank | _ExternalEngines) -> protocols.Engines:
     return block
 
 
@@ -51,7 +51,7 @@ def sensors(block: SensorSuite | FaultySensors) -> protocols.Sensors:
     return block
 
 
-def pilot(block: GuidedPilot | Autopilot | _PilotOutside) -> protocols.Pilot:
+def pilot(block: GuidedPilot | Autopilot | _SetpointPilot) -> protocols.Pilot:
     return block
 
 

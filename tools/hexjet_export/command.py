@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cosim.commands import Command
 
-_OPTIONS = {"scenario": "--scenario"}  # options named unlike their argument
-_METAVARS = {"engine": "[N=]NAME|FILE", "name": "NAME"}  # placeholders in the help
+_OPTIONS = {"scenario": "--scenario"}  # command-line option by argument
+_METAVARS = {"engine": "[N=]NAME|FILE", "name": "NAME"}  # placeholders of values in the help
 
 controller = Command(
     "export controller",

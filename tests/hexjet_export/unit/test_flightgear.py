@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Sample
 from hexjet_export.logs import flightgear
-from hexjet_export.logs.flightgear import FORMAT, PACKET_BYTES, RATE_1_S, FlightGear, pack_state, parse_address
+from hexjet_export.logs.flightgear import FORMAT, PACKET_BYTES, PACKETS_PER_S, FlightGear, pack_state, parse_address
 
 # Where fields begin, counted by hand from FGNetFDM in net_fdm.hxx: types and array lengths as they stand there.
 PLACES = {
@@ -106,7 +106,7 @@ def test_a_flight_sends_sixty_packets_a_second(samples: list[Sample]) -> None:
         for sample in samples:
             viewer.observe(sample)
         viewer.close()
-        got = [listening.recv(2048) for _ in range(round(0.4 * RATE_1_S))]
+        got = [listening.recv(2048) for _ in range(round(0.4 * PACKETS_PER_S))]
     assert {len(each) for each in got} == {PACKET_BYTES}
     times = [decoded(each)["phi"] for each in got]
     assert times[0] == pytest.approx(samples[0].state.euler[0], abs=1e-6)

@@ -24,8 +24,8 @@ from hexjet_export.controller.predictor_form import Form
 # A file compiled into a program, or that includes its headers, has the program's licence. PX4's BSD-3-Clause leaves the
 # choice to the user.
 PROGRAM_LICENCES = {"ardupilot": "GPL-3.0-or-later", "betaflight": "GPL-3.0-or-later"}
-AUTOPILOTS = ("px4", "ardupilot", "betaflight")  # programs with an adapter
-_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}  # names in texts
+AUTOPILOTS = ("px4", "ardupilot", "betaflight")  # autopilots that have an adapter
+_TITLES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}  # autopilots' names in messages
 _SCALE_ORIGINS = {  # origin of each program's torque scale
     "px4": "by its control allocation with the vehicle's geometry",
     "ardupilot": "half of the motors' range, and the whole range of tilts",
@@ -40,11 +40,11 @@ def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vec
     (throttle without tilts).  What touches or includes code of the autopilot's has its licence in
     :data:`PROGRAM_LICENCES`, the rest that of ``labels``.  Raises InputError for an autopilot that is not known.
     """
-    if autopilot not in _ADAPTERS:
+    if autopilot not in _RENDERERS:
         raise InputError(f"autopilot {autopilot!r}: allowed: {', '.join(AUTOPILOTS)}")
     thrust = form["thrust"]
     curve: int | None = None
-    # Its allocation inverts a throttle by one curve: the reference's, or that of the first station.
+    # The adapter converts throttle to thrust by one curve: the reference engine's, or else that of the first station.
     if not thrust["identity"]:
         curve = thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"]
     values = make_common_values(form, labels) | {
@@ -67,18 +67,18 @@ def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vec
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
     controller_files = render_controller(form, labels, single=True) | render_files(rates, values)
-    return _ADAPTERS[autopilot](n, controller_files, values)
+    return _RENDERERS[autopilot](n, controller_files, values)
 
 
-def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return template values for a file of the autopilot's program."""
+def _add_program_licence(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the template values with the autopilot's licence, for files that are compiled into it."""
     return dict(values) | {"licence": licence_line(values["program_licence"])}
 
 
-def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """Return Betaflight's adapter: a patch with all files, and a README."""
+def _render_betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the files of Betaflight's adapter: a patch with all sources, and a README."""
     program_files = {f"{n}_betaflight.h": "adapters/betaflight.h", f"{n}_betaflight.c": "adapters/betaflight.c"}
-    files = dict(controller_files) | render_files(program_files, _as_program(values))
+    files = dict(controller_files) | render_files(program_files, _add_program_licence(values))
     sources = sorted(name for name in files if name.endswith(".c"))
     patch = render_files({"": "adapters/betaflight.patch"}, dict(values) | {"sources": sources})[""]
     for name, text in sorted(files.items()):
@@ -89,18 +89,18 @@ def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str
     return {f"{n}-betaflight.patch": patch} | readme
 
 
-def _ardupilot(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """Return ArduPilot's adapter: a backend of ``AC_CustomControl``, as files for its folder."""
+def _render_ardupilot(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the files of ArduPilot's adapter: a backend of ``AC_CustomControl``, and a README."""
     name = f"AC_CustomControl_{values['Class']}"
     program_files = {f"{name}.h": "adapters/ardupilot.h", f"{name}.cpp": "adapters/ardupilot.cpp"}
-    files = dict(controller_files) | render_files(program_files, _as_program(values))
+    files = dict(controller_files) | render_files(program_files, _add_program_licence(values))
     return {f"AC_CustomControl/{file}": text for file, text in files.items()} | render_files(
         {"README.md": "adapters/ardupilot.md"}, values
     )
 
 
-def _px4(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
-    """Return PX4's adapter: one module, in a folder for ``EXTERNAL_MODULES_LOCATION``."""
+def _render_px4(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the files of PX4's adapter: one module for ``EXTERNAL_MODULES_LOCATION``, and a README."""
     sources = [f"{n}_px4.cpp", *sorted(name for name in controller_files if name.endswith(".c"))]
     program_files = {
         f"{n}_px4.cpp": "adapters/px4.cpp",
@@ -112,8 +112,8 @@ def _px4(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any])
     return {f"src/modules/{n}/{file}": text for file, text in module.items()} | render_files(outer_files, values)
 
 
-_ADAPTERS: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {  # for each autopilot
-    "px4": _px4,
-    "ardupilot": _ardupilot,
-    "betaflight": _betaflight,
+_RENDERERS: dict[str, Callable[[str, Mapping[str, str], Mapping[str, Any]], dict[str, str]]] = {  # by autopilot
+    "px4": _render_px4,
+    "ardupilot": _render_ardupilot,
+    "betaflight": _render_betaflight,
 }

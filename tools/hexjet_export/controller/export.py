@@ -26,22 +26,22 @@ from hexjet_export.controller.vectors import INPUT_QUANTITIES, RecordedFlight, l
 
 @dataclass(frozen=True)
 class ExportedController:
-    """The files of an exported controller, and the measurements of its C."""
+    """Files of an exported controller, and the measurements of its compiled C."""
 
     folder: Path
     files: list[str]
     steps: int  # steps of the flight in the test vectors
-    measured: Measurements | None  # None: no C compiler was found
-    without_fmus: str | None  # why there are no FMUs, or None
+    measured: Measurements | None  # None if there is no C compiler
+    without_fmus: str | None  # why there are no FMUs; else None
 
 
 class ControllerExport(Result):
-    """A controller as C99, with its test and its FMUs.
+    """Result of ``hexjet export controller``: the controller as C99, its test and its FMUs.
 
     Attributes
     ----------
     exported : ExportedController
-        Everything.
+        Files and measurements.
     """
 
     def __init__(self, exported: ExportedController, loops: bool) -> None:
@@ -51,7 +51,7 @@ class ControllerExport(Result):
 
     @property
     def folder(self) -> Path:
-        """The folder that the files are in."""
+        """The folder that holds the files."""
         return self.exported.folder
 
     @property
@@ -64,7 +64,7 @@ class ControllerExport(Result):
         return asdict(self.exported) | {"folder": str(self.exported.folder)}
 
     def lines(self) -> list[str]:
-        """Return how the test went."""
+        """Return the printed lines: whether the C repeats the flight, its measurements, and why there are no FMUs."""
         done = self.exported
         verdict = {None: "was not compared with", True: "repeats", False: "does not repeat"}[self.same]
         figures = [f"{quantity}: {value}" for quantity, value in list_figures(done.measured, self._loops)]
@@ -146,7 +146,7 @@ def export_controller(
     labels = Labels(name, f"{flown.aircraft_name} with {flown.controller}", licence, ())  # checks the name
     with build(flown) as simulation:
         form = make_form(simulation, loops)
-        origin = _origin(flown, source, simulation.engine.name, simulation.engine.sha256)
+        origin = _describe_origin(flown, source, simulation.engine.name, simulation.engine.sha256)
         vectors = record_vectors(simulation)
     labels = replace(labels, origin=origin)
     sources = render_sources(form, vectors, labels)
@@ -161,7 +161,7 @@ def export_controller(
             (folder / file).write_text(text, encoding="utf-8")
         measurements = measure(folder, name)
         archives, reason = _build_fmus(form, vectors, labels, sources, folder) if fmus else ([], "left out, as asked")
-        readme = _readme(form, vectors, labels, measurements, archives, [*inside])
+        readme = _render_readme(form, vectors, labels, measurements, archives, [*inside])
         (folder / "README.md").write_text(readme, encoding="utf-8")
         remember_written(folder, [folder / archive for archive in archives])
     except OSError as error:
@@ -173,7 +173,7 @@ def export_controller(
 
 
 def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
-    """Return files of an adapter under another licence than requested, one line each."""
+    """Return a note for each autopilot whose adapter must have another licence than the requested one."""
     programs = {each: PROGRAM_LICENCES.get(each) for each in inside}
     return [
         f"licence {licence}: not for what touches or includes {autopilot}'s code: {program}"
@@ -182,7 +182,7 @@ def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
     ]
 
 
-def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
+def _describe_origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
     lines = [
         f"aircraft {scenario.aircraft_name}, engine {engine} (sha256 {sha256[:16]}), controller {scenario.controller}"
         + (f" of {source}" if source else ""),
@@ -193,7 +193,7 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
     return tuple(lines)
 
 
-def _readme(
+def _render_readme(
     form: Form,
     vectors: RecordedFlight,
     labels: Labels,
@@ -225,7 +225,7 @@ def _readme(
 
 
 def list_figures(measurements: Measurements | None, loops: bool = False) -> list[tuple[str, str]]:
-    """Return the measurements as pairs of a quantity's name and its value in words."""
+    """Return each measurement as its quantity and its value in words."""
     first, second, unit = ("the collective", "torque", "") if loops else ("throttle", "tilt", " rad")
     if measurements is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
@@ -255,17 +255,14 @@ def list_figures(measurements: Measurements | None, loops: bool = False) -> list
     return lines
 
 
-# ---- the same C in the FMI adapter of the engines
-
-
 def _build_fmus(
     form: Form, vectors: RecordedFlight, labels: Labels, sources: dict[str, str], folder: Path
 ) -> tuple[list[str], str | None]:
-    """Build the FMUs in ``folder``; return their names and, if none, the reason."""
+    """Build the FMUs from the same C in ``folder``; return their names and, if none, the reason."""
     n, jets = labels.name, form["jets"]
     if form["loops"]:
         return [], "the loops alone are C for a mixer of yours"
-    # Without servos there are no tilts.
+    # Only the allocations to banks and to hinges have tilt outputs.
     tilts = form["allocation"]["kind"] in ("tilt", "effectiveness")
     outputs = [each for each in list_outputs(jets, form["servos"]) if tilts or not each[0].name.startswith("tilt_")]
     with temporary("export-") as build_folder:
@@ -292,7 +289,7 @@ def _build_fmus(
             ledger={},
             rotor_inertia=0.0,
             flame_out={},
-            variables=_variables(vectors, [quantity for quantity, _ in outputs]),
+            variables=_define_fmu_variables(vectors, [quantity for quantity, _ in outputs]),
         )
         archives = []
         try:
@@ -307,7 +304,7 @@ def _build_fmus(
     return archives, None
 
 
-def _variables(vectors: RecordedFlight, outputs: Sequence[Quantity]) -> tuple[VariableDefinition, ...]:
+def _define_fmu_variables(vectors: RecordedFlight, outputs: Sequence[Quantity]) -> tuple[VariableDefinition, ...]:
     on_ground, text = float(vectors.on_ground), "1: it starts standing"
     parameter = VariableDefinition("on_ground", 1, "parameter", True, None, 0.0, 1.0, on_ground, text)
     inputs = [q._replace(start=vectors.burnt) if q.name == "fuel_burnt" else q for q in INPUT_QUANTITIES]

@@ -25,15 +25,15 @@ from hexjet_export.controller.vectors import (
 )
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"  # folder of the C templates
-# Headers with these names are included by the C or by the adapter of the FMUs.
+# Names that a controller may not have, as headers of these names are included by its C or by its FMU.
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
-NO_LICENCE = "not stated (choose a licence)"  # text if none was stated
+NO_LICENCE = "not stated (choose a licence)"  # text for files without a licence
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Name, title and licence of the files as the user chose them, and the origin of their numbers."""
+    """Name, title and licence of the exported files as the user chose them, and the origin of their numbers."""
 
     name: str  # C identifier, used in file names too
     title: str
@@ -73,19 +73,19 @@ def render_sources(form: Form, vectors: RecordedFlight, labels: Labels) -> dict[
 
 
 def render_controller(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
-    """Return the C files of the controller alone; ``single``: single precision is the default."""
+    """Return the C files of the controller without test; ``single`` makes single precision the default."""
     n = labels.name
     files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
     return render_files(files, make_common_values(form, labels) | {"single": single})
 
 
 def licence_line(licence: str | None) -> str:
-    """Return the first line of a file with this licence."""
+    """Return the first line of a source file, a comment that states this licence."""
     return f"/* SPDX-License-Identifier: {licence or 'NOASSERTION'} */"
 
 
 def make_common_values(form: Form, labels: Labels) -> dict[str, Any]:
-    """Return the variables that every C template gets."""
+    """Return the template values that every C file gets."""
     f = _prepare_form(form)
     hinged = form["allocation"]["kind"] == "effectiveness"
     types, functions = render_solver(labels.name) if hinged else ("", "")
@@ -104,22 +104,22 @@ def make_common_values(form: Form, labels: Labels) -> dict[str, Any]:
         "least_upright": repr(MIN_UPRIGHT),
         "least_share": repr(MIN_HOVER_FRACTION),
         "origin": [part for line in labels.origin for part in textwrap.wrap(line.replace("*/", "* /"), 110)],
-        "values": _values(f),
+        "values": _list_parameters(f),
     }
 
 
 def render_files(files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:
     """Return the rendered files by their names; ``files`` maps these to the names of their templates."""
-    environment = _environment()
+    environment = _make_template_environment()
     return {name: environment.get_template(template).render(**values) for name, template in files.items()}
 
 
 def render(template: str, **values: Any) -> str:
     """Return one rendered template of this package."""
-    return str(_environment().get_template(template).render(**values))
+    return str(_make_template_environment().get_template(template).render(**values))
 
 
-def _environment() -> Any:
+def _make_template_environment() -> Any:
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -132,26 +132,26 @@ def _environment() -> Any:
         keep_trailing_newline=True,
         autoescape=False,
     )
-    environment.filters["c"] = _c
+    environment.filters["c"] = _format_c
     return environment
 
 
-def _c(value: Any, indent: str = "        ") -> str:
-    """Return a number, a list or a mapping as a C initializer; a string is C already."""
+def _format_c(value: Any, indent: str = "        ") -> str:
+    """Return a number, a list or a mapping as a C initializer; a string is returned unchanged."""
     if isinstance(value, str):
         return value
     if isinstance(value, Mapping):
         separator = f",\n{indent}" if any(isinstance(x, Sequence) for x in value.values()) else ", "
-        return "{" + separator.join(f".{key} = {_c(x)}" for key, x in value.items()) + "}"
+        return "{" + separator.join(f".{key} = {_format_c(x)}" for key, x in value.items()) + "}"
     if isinstance(value, Sequence):
-        text = "{" + ", ".join(_c(x) for x in value) + "}"
+        text = "{" + ", ".join(_format_c(x) for x in value) + "}"
         wrapped = textwrap.wrap(text, 90, break_long_words=False, break_on_hyphens=False)
         return wrapped[0] if len(wrapped) == 1 else ("\n" + indent).join(wrapped)
     return f"R({float(value)!r})"
 
 
 def _prepare_form(form: Form) -> Form:
-    """Return the form with additional template values: which C helpers are used."""
+    """Return the form with additional template values that say which C helpers are used."""
     axes = form["axes"]
     predictors = [axis["predictor"] for axis in axes]
     leads = [axis["lead"] for axis in axes] + [form["altitude"]["lead"]]
@@ -165,7 +165,7 @@ def _prepare_form(form: Form) -> Form:
     }
 
 
-def _values(f: Form) -> list[tuple[str, Any]]:
+def _list_parameters(f: Form) -> list[tuple[str, Any]]:
     """Return the fields of the C struct of parameters, in its order, with their values."""
     height, allocation, schedule = f["altitude"], f["allocation"], f["schedule"]
     values: list[tuple[str, Any]] = [

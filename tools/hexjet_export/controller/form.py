@@ -28,28 +28,28 @@ from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 from hexjet_export.controller.hinged import make_hinged_form
 from hexjet_export.controller.predictor_form import Form, make_predictor_form
 
-LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # exported laws
+LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # laws with a C form
 
 
 def make_form(simulation: Simulation, loops: bool = False) -> Form:
-    """Return the constants of a simulation's cascade before its flight, block by block.
+    """Return the constants of a simulation's control cascade, by block, for the C templates.
 
-    ``loops``: of the loops alone, without what allocates their outputs.
+    ``loops``: only the control loops, without the allocation to engines and servos.
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
     law = _law_axes(simulation)
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
-    schedule = _schedule(vehicle, step)
+    schedule = _make_schedule_form(vehicle, step)
     if schedule is not None and law is not None:
         raise InputError(f"controller {simulation.scenario.controller} has no C form where gains follow the thrust")
-    leads = [_lead(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
+    leads = [_make_lead_form(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
     rate = vehicle.control.rate
     predictors = cascade.rate.predictors
     axes = [
         {
             "name": axis,
-            "gains": _gains(gains, step),
+            "gains": _make_gains_form(gains, step),
             "predictor": make_predictor_form(predictor, axis),
             "lead": lead,
             "scheduled": schedule is not None and axis == "roll",
@@ -74,20 +74,20 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
             "velocity": height.velocity_1_s,
             "integral": height.integral_1_s2 * step,
             "limit": height.integral_limit_m_s2,
-            "lead": _lead(getattr(vehicle.control.lead, "altitude", None), step),
+            "lead": _make_lead_form(getattr(vehicle.control.lead, "altitude", None), step),
         },
         "schedule": schedule,
-        "allocation": _no_allocation(cascade, vehicle) if loops else _allocation(cascade, vehicle),
+        "allocation": _make_throttle_form(cascade, vehicle) if loops else _make_allocation_form(cascade, vehicle),
         "servos": list(vehicle.actuators),
         "loops": loops,
         "accelerations": vehicle.allocation == "effectiveness",
-        "thrust": _thrust(cascade.thrust_map, loops),
+        "thrust": _make_thrust_form(cascade.thrust_map, loops),
         "delay": 0 if loops else simulation.scenario.added_delay_samples,
     }
 
 
 def _law_axes(simulation: Simulation) -> list[Form] | None:
-    """Return the axes of a rate law that is a PID with a predictor on each; None where the built-in loops fly.
+    """Return the constants by axis of a rate law that is a PID with a predictor; None for the built-in loops.
 
     Raises InputError for any other controller from outside.
     """
@@ -102,7 +102,7 @@ def _law_axes(simulation: Simulation) -> list[Form] | None:
     return [
         {
             "name": name,
-            "gains": _gains(axis.gains, step),
+            "gains": _make_gains_form(axis.gains, step),
             "scale": scale,
             "predictor": make_predictor_form(axis.predictor, name),
             "lead": None,
@@ -112,7 +112,7 @@ def _law_axes(simulation: Simulation) -> list[Form] | None:
     ]
 
 
-def _gains(gains: RateGains, step: float) -> Form:
+def _make_gains_form(gains: RateGains, step: float) -> Form:
     return {
         "p": gains.p,
         "i": gains.i * step,
@@ -122,7 +122,7 @@ def _gains(gains: RateGains, step: float) -> Form:
     }
 
 
-def _lead(spec: EngineLead | bool | None, step: float) -> Form | None:
+def _make_lead_form(spec: EngineLead | bool | None, step: float) -> Form | None:
     if not isinstance(spec, EngineLead):
         return None
     names = ("most", "p", "q", "c1", "c2")
@@ -130,7 +130,7 @@ def _lead(spec: EngineLead | bool | None, step: float) -> Form | None:
     return {"order": 1 if spec.damping is None else 2, "constants": constants}
 
 
-def _schedule(vehicle: Vehicle, step: float) -> Form | None:
+def _make_schedule_form(vehicle: Vehicle, step: float) -> Form | None:
     spec = vehicle.control.schedule
     if not spec:
         return None
@@ -147,13 +147,13 @@ def _schedule(vehicle: Vehicle, step: float) -> Form | None:
     }
 
 
-def _no_allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
+def _make_throttle_form(cascade: Cascade, vehicle: Vehicle) -> Form:
     limits = vehicle.control.allocation
     return {"kind": "none", "low": limits.throttle_min, "high": limits.throttle_max, "hover": cascade.allocator.hover}
 
 
-def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
-    allocator, limits_form = cascade.allocator, _no_allocation(cascade, vehicle)
+def _make_allocation_form(cascade: Cascade, vehicle: Vehicle) -> Form:
+    allocator, limits_form = cascade.allocator, _make_throttle_form(cascade, vehicle)
     if isinstance(allocator, TiltAllocator) and vehicle.servo is not None:
         return limits_form | {
             "kind": "tilt",
@@ -179,18 +179,18 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
     )
 
 
-def _thrust(thrust_map: ThrustMap, loops: bool) -> Form:
+def _make_thrust_form(thrust_map: ThrustMap, loops: bool) -> Form:
     curves: list[Inverse] = []
 
-    def number(curve: Inverse | None) -> int | None:
+    def number_curve(curve: Inverse | None) -> int | None:
         if curve is None:
             return None
         if not any(curve is other for other in curves):
             curves.append(curve)
         return next(i for i, other in enumerate(curves) if other is curve)
 
-    reference = number(thrust_map.inverse)
-    stations = [] if loops else [number(curve) for curve in thrust_map.stations]
+    reference = number_curve(thrust_map.inverse)
+    stations = [] if loops else [number_curve(curve) for curve in thrust_map.stations]
     return {
         "identity": thrust_map.identity,
         "low": thrust_map.low,

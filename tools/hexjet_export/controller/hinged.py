@@ -17,8 +17,8 @@ from cosim.blocks import MAX_FIRST, MAX_ITERATIONS, EffectivenessAllocator
 from cosim.spec.vehicle import Vehicle
 
 SOURCE = Path(cosim.__file__).parent / "control" / "allocation" / "effectiveness.h"  # C source that is copied
-_TYPES = ("Vector", "Link", "JetStation", "ServoMover", "RowLevel", "Effectors")  # structures copied from the source
-_SIZES = {  # array sizes in the source and in ours
+_STRUCTURES = ("Vector", "Link", "JetStation", "ServoMover", "RowLevel", "Effectors")  # structures that are copied
+_SIZES = {  # array sizes: in the source, and here
     "MOST_JETS": "JETS",
     "MOST_MOVERS": "SERVOS",
     "MOST_LINKS": "LINKS",
@@ -28,7 +28,7 @@ _SIZES = {  # array sizes in the source and in ours
 
 
 def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str, Any]:
-    """Return the constants of the allocation.  Raises InputError for a vehicle with surfaces."""
+    """Return the constants of the allocation to hinges.  Raises InputError for a vehicle with surfaces."""
     if allocator.surfaces:
         raise InputError(
             f"{vehicle.name}: surfaces have no C form; with loops the loops alone are exported, for a "
@@ -37,7 +37,7 @@ def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dic
     known, servos = allocator.constants, len(vehicle.actuators)
     links = max(1, *(len(chain) for _, _, _, chain in known.stations))
     movers = [
-        {"point": _vector(point), "axis": _vector(axis), "wrench": [0.0] * 6}
+        {"point": _vector_form(point), "axis": _vector_form(axis), "wrench": [0.0] * 6}
         | {"least": least, "most": most, "step": step, "lead": lead}
         for point, axis, least, most, step, lead in known.hinges
     ]
@@ -46,8 +46,8 @@ def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dic
         "hinges": str(len(known.hinges)),
         "movers": str(len(known.hinges)),
         "jet": [
-            {"place": _vector(place), "axis": _vector(axis), "twist": twist, "links": str(len(chain))}
-            | ({"chain": [_link(*link) for link in chain]} if chain else {})
+            {"place": _vector_form(place), "axis": _vector_form(axis), "twist": twist, "links": str(len(chain))}
+            | ({"chain": [_link_form(*link) for link in chain]} if chain else {})
             for place, axis, twist, chain in known.stations
         ],
     }
@@ -78,30 +78,30 @@ def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dic
     }
 
 
-def _vector(value: Vector3) -> dict[str, float]:
+def _vector_form(value: Vector3) -> dict[str, float]:
     x, y, z = value
     return {"x": x, "y": y, "z": z}
 
 
-def _link(hinge: int, effect: float, carries: bool) -> dict[str, Any]:
+def _link_form(hinge: int, effect: float, carries: bool) -> dict[str, Any]:
     return {"hinge": str(hinge), "effect": effect, "carries": "true" if carries else "false"}
 
 
 def render_solver(name: str) -> tuple[str, str]:
-    """Return the types and the functions of the allocation with the names of a controller's files."""
+    """Return C types and functions of the allocation, their names prefixed by the controller's ``name``."""
     text = SOURCE.read_text(encoding="utf-8")
     _, _, text = text.partition("#define MOST_EFFECTORS (MOST_JETS + MOST_MOVERS)\n\n")
     types, _, functions = text.partition("/* --- functions, and what they alone know --- */\n\n")
     functions, _, _ = functions.rpartition("#endif")
     for size, here in _SIZES.items():
         types, functions = (re.sub(rf"\b{size}\b", f"{name.upper()}_{here}", part) for part in (types, functions))
-    for kind in _TYPES:
+    for kind in _STRUCTURES:
         types, functions = (re.sub(rf"\b{kind}\b", f"{name}_{kind}", part) for part in (types, functions))
-    return re.sub(r"\bReal\b", f"{name}_Real", types).rstrip() + "\n", _method() + functions.rstrip() + "\n"
+    return re.sub(r"\bReal\b", f"{name}_Real", types).rstrip() + "\n", _read_method_note() + functions.rstrip() + "\n"
 
 
-def _method() -> str:
-    """Return the source's comment on its method and origin."""
+def _read_method_note() -> str:
+    """Return the comment of the C source that explains the method and its origin."""
     head, _, _ = SOURCE.read_text(encoding="utf-8").partition(" */\n")
-    _, _, told = head.partition(" * --- What is solved ---\n *\n")
-    return "/* Allocation.\n *\n" + told.replace(" * --- By priority ---\n *\n", "") + " */\n"
+    _, _, method = head.partition(" * --- What is solved ---\n *\n")
+    return "/* Allocation.\n *\n" + method.replace(" * --- By priority ---\n *\n", "") + " */\n"

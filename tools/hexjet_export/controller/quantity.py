@@ -9,7 +9,7 @@ from cosim.engine.library import VariableDefinition
 
 
 class Quantity(NamedTuple):
-    """One input, output or parameter; ``start`` is unused for outputs."""
+    """One input, output or parameter of an FMU; ``start`` is unused for outputs."""
 
     name: str
     unit: str

@@ -22,7 +22,7 @@ from cosim.base.signals import (
 from cosim.blocks import Simulation
 from hexjet_export.controller.quantity import Quantity
 
-ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}  # numbers for the states of engines
+ENGINE_NUMBERS = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}  # number of each engine state in C
 INPUT_QUANTITIES = (  # inputs of the exported controller
     *(Quantity(f"{axis}_setpoint", "rad", f"Commanded attitude: {axis}") for axis in AXES),
     Quantity("altitude_setpoint", "m", "Commanded height above the ground"),
@@ -35,21 +35,20 @@ INPUT_QUANTITIES = (  # inputs of the exported controller
     Quantity("collective_commanded", "1", "1: a mean throttle is commanded instead of a height"),
     Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off"),
     *(Quantity(f"{axis}_rate", "rad/s", f"Measured body rate: {axis}") for axis in AXES),
-    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # the start value is upright
+    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # starts upright
     *(Quantity(f"attitude_{part}", "1", f"Measured attitude, quaternion body to NED: {part}") for part in "xyz"),
     Quantity("velocity_down", "m/s", "Measured velocity downwards"),
     Quantity("altitude", "m", "Measured height above the ground"),
     Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank"),
 )
-INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)  # names of INPUT_QUANTITIES
-
-
+INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
+# Inputs of the loops alone: also what the allocation could not realise in the step before.
 LOOP_INPUTS = (*INPUTS, *(f"unallocated_{name}" for name in (*AXES, "collective")))
-LOOP_OUTPUTS = (
+LOOP_OUTPUTS = (  # outputs of the loops alone
     *(f"shown_torque_{axis}" for axis in AXES),
     "shown_collective",
     *(f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted") for axis in AXES),
-)  # inputs of the loops alone
+)
 
 
 def list_outputs(jets: int, servos: Sequence[str] = SERVOS) -> list[tuple[Quantity, str]]:
@@ -85,16 +84,16 @@ def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, .
 
 @dataclass
 class RecordedFlight:
-    """A recorded flight: the start, then one row per step, inputs before outputs."""
+    """A flight recorded for test vectors: its start, then one row per step, inputs before outputs."""
 
     on_ground: bool = False
-    burnt: float = 0.0  # kg burnt
+    burnt: float = 0.0  # kg of fuel burnt at the start
     start: PerJet = ()  # throttles before the first step
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
 def make_loop_rows(vectors: RecordedFlight, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
-    """Return a flight's rows for the loops alone, with the previous step's unallocated part as input."""
+    """Return a flight's rows for the loops alone; what the step before left unallocated is an input."""
     names = list_output_names(jets, servos)
     left = [len(INPUTS) + names.index(name) for name in LOOP_INPUTS[len(INPUTS) :]]
     given = [len(INPUTS) + names.index(name) for name in LOOP_OUTPUTS]
@@ -147,7 +146,7 @@ class RecordingController:
             command.collective or 0.0,
             0.0 if command.rate is None else 1.0,
             0.0 if command.collective is None else 1.0,
-            ENGINES[engines],
+            ENGINE_NUMBERS[engines],
             *measured.rate,
             *measured.attitude,
             measured.velocity[2],
@@ -178,7 +177,7 @@ class RecordingController:
 
 
 def record_vectors(simulation: Simulation) -> RecordedFlight:
-    """Fly a simulation to its end and write down its controller's inputs and outputs.
+    """Fly a simulation to its end and return its controller's inputs and outputs of every step.
 
     Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
     """

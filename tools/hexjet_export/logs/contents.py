@@ -31,12 +31,12 @@ class LogLine(NamedTuple):
 
 
 def read_pilot(run: Run) -> list[Line]:
-    """Return a run's autopilot record; empty if none flew."""
+    """Return the lines of a run's autopilot record; empty if no autopilot flew."""
     return [] if run.folder is None else read_pilot_record(run.folder)
 
 
 def log_lines(run: Run, lines: Sequence[Line]) -> list[LogLine]:
-    """Return faults, verdicts, disturbances and contacts, their ends, the autopilot's messages, and the outcome."""
+    """Return events with their ends, the autopilot's changes of mode, outcome and exceeded limits as lines of text."""
     step, summary = run.summary.step_s, run.summary
     texts = []
     for event in list_events(run):
@@ -54,7 +54,7 @@ def log_lines(run: Run, lines: Sequence[Line]) -> list[LogLine]:
 
 
 def mode_changes(lines: Sequence[Line]) -> Iterator[tuple[int, str]]:
-    """Yield changes of mode and arming as lines of text, for a log's list of messages."""
+    """Yield the autopilot's changes of mode and arming, each as its step and a text."""
     states = [line for line in lines if line["kind"] == "state"]
     for before, line in pairwise(states):
         if line["armed"] != before["armed"]:
@@ -64,12 +64,12 @@ def mode_changes(lines: Sequence[Line]) -> Iterator[tuple[int, str]]:
 
 
 def describe_column(column: Column) -> str:
-    """Return unit, frame and meaning in a line, for formats whose fields have no units."""
+    """Return unit, frame and meaning of a column in one line, for formats whose fields have no units."""
     return f"[{column.unit}] {f'{column.frame}: ' if column.frame else ''}{column.meaning}"
 
 
 def read_flown_scenario(run: Run) -> Scenario | None:
-    """Return the flown scenario; None if lost or of another version, while the log remains."""
+    """Return the scenario that a run flew; None if it cannot be read (lost, or of another version)."""
     try:
         scenario = run.scenario
         scenario.resolved_vehicle()
@@ -79,9 +79,9 @@ def read_flown_scenario(run: Run) -> Scenario | None:
 
 
 def list_numbers(scenario: Scenario | None) -> dict[str, float]:
-    """Return every number of the vehicle, with its gains, and of the scenario: under its key, parted by ``/``.
+    """Return every number of a scenario and its vehicle by its key, whose parts are separated by ``/``.
 
-    Of the identified models only that of the engine that is flown.  What is whole is whole, truth is 0 or 1.
+    Only the flown engine's identified model is included.  Whole numbers stay whole, truth values are 0 or 1.
     """
     if scenario is None:
         return {}
@@ -89,16 +89,16 @@ def list_numbers(scenario: Scenario | None) -> dict[str, float]:
     vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
     family = Path(scenario.engine).name.removesuffix("-fmi2")  # engine family of the models
     vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
-    return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", table)])
+    return dict([*_flatten_numbers("vehicle", vehicle), *_flatten_numbers("scenario", table)])
 
 
-def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
+def _flatten_numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
     if isinstance(value, Mapping):
         for key, part in value.items():
-            yield from _leaves(f"{name}/{key}", part)
+            yield from _flatten_numbers(f"{name}/{key}", part)
     elif isinstance(value, list | tuple):
         for number, part in enumerate(value):
-            yield from _leaves(f"{name}/{number}", part)
+            yield from _flatten_numbers(f"{name}/{number}", part)
     elif isinstance(value, bool):
         yield name, int(value)
     elif isinstance(value, int | float):
@@ -106,7 +106,7 @@ def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 def quaternions(roll: Array, pitch: Array, yaw: Array) -> Array:
-    """Return quaternions w, x, y, z, shape (n, 4), of the yaw-pitch-roll sequence (rad): body to NED."""
+    """Return quaternions body to NED (w, x, y, z), shape (n, 4), of roll, pitch and yaw [rad]."""
     (cr, sr), (cp, sp), (cy, sy) = ((np.cos(0.5 * angle), np.sin(0.5 * angle)) for angle in (roll, pitch, yaw))
     return np.stack(
         (

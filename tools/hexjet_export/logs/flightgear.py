@@ -20,25 +20,25 @@ from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Sample
 from cosim.spec.scenario import Environment
 
-VERSION, ENGINES, TANKS, WHEELS, CONTROLS = 24, 4, 4, 3, 10  # of FGNetFDM, and its array sizes
+VERSION, ENGINES, TANKS, WHEELS, CONTROLS = 24, 4, 4, 3, 10  # version of FGNetFDM, and array sizes
 FORMAT = (  # FGNetFDM, version 24
     ">II3d"  # longitude, latitude, height
-    # agl, attitude, flow; rates; speed, climb; velocities; specific force; stall, slip
+    # Height above ground, attitude, flow angles; rates; air speed, climb; velocities; specific force; stall, slip.
     "6f3f2f3f3f3f2f"
-    f"I{ENGINES}I{9 * ENGINES}f"  # engines: state, then nine numbers each
+    f"I{ENGINES}I{9 * ENGINES}f"  # engines: state, nine numbers of each
     f"I{TANKS}f"
     f"I{WHEELS}I{3 * WHEELS}f"
     f"Iif{CONTROLS}f"  # time, warp, visibility, controls
 )
-PACKET_BYTES = 408  # bytes
-# Packets per second of flight: as often as FlightGear draws.
-RATE_1_S = 60.0
+PACKET_BYTES = 408  # size of FORMAT
+# As often as FlightGear draws.
+PACKETS_PER_S = 60.0
 VISIBILITY_M = 25_000.0  # chosen by us: clear air
-RUNNING, OFF = 2, 0  # values of eng_state
+RUNNING, OFF = 2, 0  # FlightGear's values of eng_state
 
 
 class FlightGear:
-    """Observer that sends packets to FlightGear, which need not listen."""
+    """Observer that sends the vehicle's state to FlightGear by UDP, whether or not it runs."""
 
     def __init__(self, address: str, environment: Environment) -> None:
         self._to = parse_address(address)
@@ -48,20 +48,20 @@ class FlightGear:
         self._sent = 0
 
     def observe(self, sample: Sample) -> None:
-        """Send a packet if one is due."""
-        if sample.time * RATE_1_S + 1e-9 < self._sent:
+        """Send a packet if one is due at this step."""
+        if sample.time * PACKETS_PER_S + 1e-9 < self._sent:
             return
         self._sent += 1
-        with suppress(OSError):  # nobody listens there
+        with suppress(OSError):  # FlightGear does not run there
             self._socket.sendto(pack_state(sample, self._map), self._to)
 
     def close(self) -> None:
-        """Send no more."""
+        """Close the socket."""
         self._socket.close()
 
 
 def parse_address(address: str) -> tuple[str, int]:
-    """Parse ``[HOST:]PORT``, on this machine without a host.  Raises InputError."""
+    """Return address and port of ``[HOST:]PORT``; without a host, of this machine.  Raises InputError."""
     host, _, port = address.rpartition(":")
     if not port.isdigit() or not 1 <= int(port) <= 65535:
         raise InputError(f"flightgear {address}: must be PORT or HOST:PORT, such as 5550")
@@ -84,14 +84,14 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
     p, q, r = state.rate
     turn = q * sin(roll) + r * cos(roll)
     feet, knot = 1.0 / 0.3048, 1852.0 / 3600.0  # feet per metre; m/s per knot
-    level = max(-1.5, min(1.5, pitch))  # keeps Euler rates finite
+    level = max(-1.5, min(1.5, pitch))  # keeps the Euler rates finite
     (north, east, down), wind, to_body = state.velocity, state.wind, conjugate(state.attitude)
     air = rotate(to_body, (north - wind[0], east - wind[1], down - wind[2]))
     u, v, w = rotate(to_body, state.velocity)
     speed = sqrt(sum(component * component for component in air))
     slip = asin(max(-1.0, min(1.0, air[1] / speed))) if speed > 0.0 else 0.0
     flow = atan2(air[2], air[0]) if hypot(air[0], air[2]) > 0.0 else 0.0
-    thrust, turning, heat = (_four(values) for values in (sample.engines.thrust, sample.engines.spool_speed,
+    thrust, turning, heat = (_pad_to_four_engines(each) for each in (sample.engines.thrust, sample.engines.spool_speed,
                                                       sample.engines.exhaust_temperature))  # fmt: skip
     nothing = [0.0] * ENGINES
     return struct.pack(
@@ -116,7 +116,7 @@ def pack_state(sample: Sample, where: Geodesy) -> bytes:
     )
 
 
-def _four(values: Sequence[float]) -> list[float]:
+def _pad_to_four_engines(values: Sequence[float]) -> list[float]:
     """Return the values of the first four engines, 0 if absent or not reported."""
     finite = [value if isfinite(value) else 0.0 for value in values[:ENGINES]]
     return finite + [0.0] * (ENGINES - len(finite))

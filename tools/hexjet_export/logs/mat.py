@@ -12,7 +12,7 @@ from cosim import InputError, Run
 from cosim.logs import describe_columns, run_properties
 from hexjet_export.logs.contents import log_lines, read_pilot
 
-# MATLAB's iskeyword: a field of a structure may not have these names.
+# Names that a field of a MATLAB structure may not have (MATLAB's iskeyword).
 _KEYWORDS = {
     "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
     "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
@@ -55,8 +55,8 @@ def export_mat(run: Run, path: Path, max_values: int = 2**31) -> None:
         "events": {
             "time": np.array([[event.time_s] for event in events]),
             "severity": np.array([[float(event.severity)] for event in events]),
-            "kind": _cells([event.kind for event in events]),
-            "text": _cells([event.text for event in events]),
+            "kind": _make_cell_column([event.kind for event in events]),
+            "text": _make_cell_column([event.text for event in events]),
         },
         "metrics": {field: metrics[name] for name, field in fields(tuple(metrics)).items()},
         "metadata": run_properties(run.summary),
@@ -67,7 +67,7 @@ def export_mat(run: Run, path: Path, max_values: int = 2**31) -> None:
 
 
 def fields(names: tuple[str, ...], max_length: int = 63) -> dict[str, str]:
-    """Return valid field names of a MATLAB structure: at most 63 letters, digits and _, no two alike.
+    """Return a valid and unique field name of a MATLAB structure for each name: at most 63 letters, digits and _.
 
     ``max_length``: MATLAB's namelengthmax.
     """
@@ -87,7 +87,7 @@ def fields(names: tuple[str, ...], max_length: int = 63) -> dict[str, str]:
     return short_names
 
 
-def _cells(texts: list[str]) -> np.ndarray[Any, np.dtype[Any]]:
+def _make_cell_column(texts: list[str]) -> np.ndarray[Any, np.dtype[Any]]:
     """Return a column of MATLAB cells, each with a text."""
     cells = np.empty((len(texts), 1), dtype=object)
     cells[:, 0] = texts

@@ -27,7 +27,7 @@ from hexjet_export.logs.contents import (
     read_pilot,
 )
 
-# Topic of each column; columns of blocks are in /own.
+# Topics with the pattern of their columns' names; columns that blocks added are in CUSTOM.
 SUBJECTS = {
     "/attitude": r"(roll|pitch|yaw)(_setpoint|_measured)?_rad",
     "/rate": r"rate_[pqr](_measured|_predicted|_setpoint)?_rad_s",
@@ -43,13 +43,13 @@ SUBJECTS = {
     "/vehicle": r"mass_kg|on_ground|hull_contact",
     "/fault": r"fault_\w+|health_\d+",
 }
-CUSTOM, TIME = "/own", "/time"  # topics
+CUSTOM, TIME = "/own", "/time"  # topics without a pattern
 _PACKAGE = "hexjet"  # package name of our schemas
 _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # foxglove.Log level by syslog severity
 
 
 class Channel(NamedTuple):
-    """A channel of columns: number, columns, and layout of its messages."""
+    """Number, columns and message layout of a channel of log columns."""
 
     number: int
     columns: tuple[str, ...]
@@ -88,7 +88,7 @@ def export_mcap(run: Run, path: Path) -> None:
                 writer.add_attachment(0, 0, name, kind, (run.folder / name).read_bytes())
         channels = register_channels(writer, describe_columns(run))
         drawing = scene.Scene(writer, run.summary.step_s, read_flown_scenario(run))
-        texts = _texts(writer, log_lines(run, read_pilot(run)))
+        texts = _make_text_messages(writer, log_lines(run, read_pilot(run)))
         done, first, last = 0, 0, len(run.log) - 1
         for block in run.log.blocks(run.log.columns):
             messages = [*iterate_messages(channels, block, first), *drawing.messages(block, first, last)]
@@ -96,18 +96,18 @@ def export_mcap(run: Run, path: Path) -> None:
             while done < len(texts) and texts[done][0] < first:
                 messages.append(texts[done])
                 done += 1
-            _write(writer, sorted(messages, key=lambda message: message[0]))
-        _write(writer, texts[done:])
+            _write_messages(writer, sorted(messages, key=lambda message: message[0]))
+        _write_messages(writer, texts[done:])
         writer.finish()
 
 
-def _write(writer: Any, messages: Sequence[Timed]) -> None:
+def _write_messages(writer: Any, messages: Sequence[Timed]) -> None:
     for k, time, channel, content in messages:
         writer.add_message(channel, time, content, time, k)
 
 
 def group_by_channel(columns: Sequence[Column]) -> dict[str, list[Column]]:
-    """Group a log's columns by channel; ``time_s`` has its own."""
+    """Return a log's columns grouped by topic; ``time_s`` has a topic of its own."""
     custom = {column.name for column in custom_columns(columns)}
     groups: dict[str, list[Column]] = {}
     for column in columns:
@@ -118,7 +118,7 @@ def group_by_channel(columns: Sequence[Column]) -> dict[str, list[Column]]:
 
 
 def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
-    """Register and return the channels of a log's columns."""
+    """Register a channel for each topic of a log's columns and return them."""
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
     channels = []
@@ -145,12 +145,12 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
 
 
 def _varint(number: int) -> bytes:
-    """Return a number as Protocol Buffers write it: seven bits a byte, the lowest first."""
+    """Return a number as a Protocol Buffers varint: seven bits a byte, the lowest first."""
     return bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80]) + _varint(number >> 7)
 
 
 def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
-    """Yield one message per row and channel, with tag and eight bytes per field, so that layouts are fixed."""
+    """Yield one message per row and channel; each field is a tag and eight bytes, so all have one layout."""
     times = [round(1e9 * time) for time in block["time_s"].tolist()]
     for channel in channels:
         messages = np.zeros(len(times), dtype=channel.kind)
@@ -162,8 +162,8 @@ def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> I
             yield first + row, time, channel.number, content[row * size : (row + 1) * size]
 
 
-def _texts(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
-    """Register the channel for lines of text and return them as messages."""
+def _make_text_messages(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
+    """Register the channel of text lines and return the lines as its messages."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
     from mcap_protobuf.schema import register_schema
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from hexjet_export.logs.contents import Line
 
-# vehicle_status.nav_state of PX4's msg/VehicleStatus.msg; take-off and landing have own values.
+# Value of nav_state in PX4's msg/VehicleStatus.msg for each mode of the autopilot.
 NAV_STATE = {
     "MANUAL": 0,
     "ALTCTL": 1,
@@ -34,7 +34,7 @@ STANDBY, ARMED = 1, 2  # values of arming_state
 
 
 class Series(NamedTuple):
-    """A topic's values over time by field name; ``k`` are the steps."""
+    """Values of a topic over time by field name, and the step ``k`` of each."""
 
     k: NDArray[np.int64]
     values: dict[str, Array]
@@ -71,11 +71,11 @@ def estimates(lines: Sequence[Line]) -> Series | None:
         values = (*(value for pair in pairs for value in pair), -line["altitude"], line["yaw"], *_quality_fields(line))
         for column, value in zip(columns.values(), values, strict=True):
             column.append(value)
-    return Series(_steps(found), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
+    return Series(_read_steps(found), {name: np.array(column, dtype=np.float64) for name, column in columns.items()})
 
 
 def _quality_fields(line: Line) -> tuple[float, ...]:
-    """Return validity, height, climb and heading as estimated, and deviations; NaN for what an older record lacks."""
+    """Return validity, height, climb, heading and deviations as estimated; NaN for what an old record lacks."""
     positioned = line.get("positioned", True)
     valid, deviation = line.get("valid", {}), line.get("deviation", {})
     deviations = [deviation.get(name) for name in ("place_m", "speed_m_s", "height_m", "climb_m_s")]
@@ -92,20 +92,20 @@ def _quality_fields(line: Line) -> tuple[float, ...]:
 
 
 def parameters(lines: Sequence[Line]) -> tuple[dict[str, float], list[tuple[int, str, float]]]:
-    """Return every parameter at the start, and each change with its step."""
+    """Return the autopilot's parameters at the start, and each change as step, name and value."""
     first: dict[str, float] = next((line["values"] for line in lines if line["kind"] == "parameters"), {})
     return first, [(line["k"], line["name"], line["value"]) for line in lines if line["kind"] == "parameter"]
 
 
 def parameter(name: str, value: float) -> bytes:
-    """Return the content of a parameter message: an int32 where the vehicle counts, else a float32."""
+    """Return the content of a parameter message: int32 for a whole number, else float."""
     is_integer = isinstance(value, int)
     key = f"{'int32_t' if is_integer else 'float'} {name}".encode()
     return bytes([len(key)]) + key + struct.pack("<i" if is_integer else "<f", value)
 
 
 def _repeat(lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], steps: int, again: int) -> Series | None:
-    """Return the lines' fields at each line, and repeated every ``again`` steps in between; None without lines."""
+    """Return the fields' values at each line and every ``again`` steps until the next; None without lines."""
     if not lines:
         return None
     rows: list[tuple[int, Line]] = []
@@ -116,7 +116,7 @@ def _repeat(lines: Sequence[Line], fields: dict[str, Callable[[Line], float]], s
     return Series(np.array([k for k, _ in rows], dtype=np.int64), values)
 
 
-def _steps(lines: Sequence[Line]) -> NDArray[np.int64]:
+def _read_steps(lines: Sequence[Line]) -> NDArray[np.int64]:
     return np.array([line["k"] for line in lines], dtype=np.int64)
 
 
@@ -141,7 +141,7 @@ _MISSION: dict[str, Callable[[Line], float]] = {  # fields of mission_result
     "valid": lambda line: line["count"] > 0,
     "finished": lambda line: line["count"] > 0 and line["current"] >= line["count"],
 }
-# Types of fields; others are float.
+# ULog types of the fields; all others are float.
 TYPES = dict.fromkeys(("arming_state", "nav_state"), "uint8_t")
 TYPES |= dict.fromkeys(("seq_total", "seq_current", "seq_reached"), "int32_t")
 TYPES |= dict.fromkeys(

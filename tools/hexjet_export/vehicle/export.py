@@ -37,7 +37,7 @@ from hexjet_export.vehicle.ssp import write_ssp
 
 @dataclass(frozen=True)
 class ExportedVehicle:
-    """The files of an exported vehicle, and its interface."""
+    """Files of an exported vehicle, and its numbers of inputs and outputs."""
 
     folder: Path
     files: list[str]
@@ -48,12 +48,12 @@ class ExportedVehicle:
 
 
 class VehicleExport(Result):
-    """A vehicle exported as FMUs or as a system of them.
+    """Result of ``hexjet export vehicle``: the vehicle as FMUs, or as a system with its engines.
 
     Attributes
     ----------
     exported : ExportedVehicle
-        Everything.
+        Files and interface.
     """
 
     def __init__(self, exported: ExportedVehicle) -> None:
@@ -65,7 +65,7 @@ class VehicleExport(Result):
         return asdict(self.exported) | {"folder": str(self.exported.folder)}
 
     def lines(self) -> list[str]:
-        """Return the interface, and who flies the files."""
+        """Return the printed lines: numbers of inputs and outputs, communication step, and the Python that flies it."""
         done = self.exported
         return [
             f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple",
@@ -137,10 +137,10 @@ def export_vehicle(
     contents = VehicleContents("engines" not in outside and kind == "fmu", "controller" not in outside)
     if kind == "ssp" and not contents.controller:
         raise InputError("export vehicle: an ssp has the controller in the vehicle; outside may be engines")
-    flight = ExportedFlight(flown, contents, _no_exchange)
+    flight = ExportedFlight(flown, contents, _refuse_step)
     try:
-        resources = _resources(flight, contents)
-        definition = _as_engine(flight, labels)
+        resources = _make_resources(flight, contents)
+        definition = _make_engine_definition(flight, labels)
     finally:
         flight.close()
     folder = next(iter(targets.values())).parent
@@ -166,7 +166,7 @@ def export_vehicle(
 
 
 def _list_targets(out: Path, name: str, kind: str) -> dict[int, Path]:
-    """Return the files to write by the version of FMI.  Raises InputError for one, or a folder, that is in use."""
+    """Return the file to write per version of FMI.  Raises InputError for a file or a full folder that exists."""
     if out.suffix.lower() in (".fmu", ".ssp") and not out.is_dir():
         if out.suffix.lower() != f".{kind}":
             raise InputError(f"{out}: {kind} is written to a file .{kind}")
@@ -178,12 +178,12 @@ def _list_targets(out: Path, name: str, kind: str) -> dict[int, Path]:
     return {fmi: archive_path(out, name, fmi).with_suffix(f".{kind}") for fmi in FMI_VERSIONS}
 
 
-def _no_exchange() -> None:
+def _refuse_step() -> None:
     raise AssertionError("a flight that is only looked at does not step")
 
 
-def _resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str, bytes]:
-    """Return the FMU's resources: the flight with its files, the manifest for its process, and the interpreter."""
+def _make_resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str, bytes]:
+    """Return the FMU's resources: scenario with its files, manifest, and path of the Python interpreter."""
     resolved, files = resolve(flight.simulation)
     flight_files = {
         f"{FLIGHT}/{name}": source if isinstance(source, bytes) else read_file(source) for name, source in files.items()
@@ -202,8 +202,8 @@ def _resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str
     }
 
 
-def _as_engine(flight: ExportedFlight, labels: Labels) -> EngineDefinition:
-    """Return the vehicle as the FMU build takes an engine: variables, and the C that starts the process."""
+def _make_engine_definition(flight: ExportedFlight, labels: Labels) -> EngineDefinition:
+    """Return the vehicle as the FMU build takes an engine: variables, and the C that starts its process."""
     text, seed = "Of the sensors' noise and the turbulence", float(flight.simulation.scenario.seed)
     parameter = VariableDefinition("seed", 1, "parameter", True, None, 0.0, float(2**31 - 1), seed, text)
     return EngineDefinition(

@@ -36,17 +36,17 @@ from hexjet_export.controller.quantity import Quantity
 
 XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")  # suffixes of vectors and quaternions
 REPORTS = OUTPUTS  # outputs of an engine
-UNITS = {  # unit of each port
+UNITS = {  # unit of each engine port
     "throttle": "1", "thrust": "N", "spool_speed": "rad/s", "exhaust_temperature": "K", "fuel_flow": "kg/s",
     "force_forward": "N", "force_right": "N", "torque": "N.m",
     "run": "1", "ambient_pressure": "Pa", "ambient_temperature": "K", "air_speed": "m/s", "altitude": "m", "mach": "1",
     "density": "kg/m3", "total_pressure": "Pa", "total_temperature": "K",
 }  # fmt: skip
-_ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)  # state of engines by number
+_ENGINE_STATES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)  # engine state of each input number
 
 
 class OutputGroup(NamedTuple):
-    """Outputs that one function reads."""
+    """Outputs that are read by one function."""
 
     quantities: Sequence[Quantity]
     read: Callable[[], Sequence[float]]
@@ -54,7 +54,7 @@ class OutputGroup(NamedTuple):
 
 @dataclass(frozen=True)
 class VehicleContents:
-    """Parts that the exported vehicle contains."""
+    """Whether the exported vehicle contains its engines and its controller."""
 
     engines: bool = True
     controller: bool = True
@@ -65,7 +65,7 @@ class ExportedFlight:
 
     ``exchange`` is called in every step where the flight needs inputs: before it the :attr:`outputs` are those of
     ``t_k``, after it :attr:`input_values` holds the inputs by name.  Raises InputError as :func:`build` does, and for a
-    flight that cannot be had so.
+    flight that cannot be exported.
     """
 
     def __init__(self, scenario: Scenario, contents: VehicleContents, exchange: Callable[[], None]) -> None:
@@ -93,20 +93,20 @@ class ExportedFlight:
         self._groups = tuple(self._list_outputs())
         self.outputs = tuple(quantity for group in self._groups for quantity in group.quantities)
         self.input_values: dict[str, float] = {quantity.name: quantity.start for quantity in self.inputs}
-        # Blocks that outside ones replace are still built and measured, so that the inputs are the same.
+        # Blocks that are replaced by external ones are built all the same, so that the inputs do not depend on them.
         if contents.engines:
             simulation.propulsion.engines.bank = _ObservedEngines(bank, self)
         else:
             bank.close()
-            simulation.propulsion.engines.bank = _EnginesOutside(self, bank.wants_ambient)
+            simulation.propulsion.engines.bank = _ExternalEngines(self, bank.wants_ambient)
         if contents.controller:
-            simulation.pilot = _PilotOutside(self, simulation.pilot, simulation.command_script)
+            simulation.pilot = _SetpointPilot(self, simulation.pilot, simulation.command_script)
         else:
-            simulation.controller = _ControllerOutside(self, simulation.controller)
+            simulation.controller = _ExternalController(self, simulation.controller)
 
     @property
     def ambient(self) -> Ambient:
-        """Ambient air at the engines now."""
+        """Ambient air at the engines in this step."""
         simulation = self.simulation
         wind = simulation.state.wind if simulation.k else self._wind
         return simulation.propulsion.ambient(simulation.state, wind)
@@ -116,7 +116,7 @@ class ExportedFlight:
         return tuple([float(value) for group in self._groups for value in group.read()])
 
     def read_engine_output(self) -> EngineOutput:
-        """Return the outside engines' outputs from the inputs; NaN for a quantity that they do not have."""
+        """Return the external engines' outputs from the inputs; NaN for what an engine does not report."""
         input_values = self.input_values
         return EngineOutput(
             *[tuple([input_values.get(f"{name}_{jet}", nan) for jet in self.jet_numbers]) for name in REPORTS]
@@ -128,7 +128,7 @@ class ExportedFlight:
         return range(1, self.jets + 1)
 
     def read_per_jet(self, name: str) -> PerJet:
-        """Return the input of this name of every jet."""
+        """Return the values of an input that every jet has."""
         return tuple([self.input_values[f"{name}_{jet}"] for jet in self.jet_numbers])
 
     def _list_inputs(self) -> Iterator[Quantity]:
@@ -140,7 +140,7 @@ class ExportedFlight:
                         yield Quantity(f"{name}_{jet}", UNITS[name], f"Of the engine of jet {jet}: {name}", start)
 
     def _list_setpoints(self) -> Iterator[Quantity]:
-        """List set-points for the internal controller, which replace the scenario's commands."""
+        """List set-points for the internal controller, which may replace the scenario's commands."""
         command = self.simulation.command_script.at(0)
         yield Quantity("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
         for axis, angle in zip(AXES, command.attitude, strict=True):
@@ -165,7 +165,7 @@ class ExportedFlight:
             yield Quantity("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
             yield Quantity("tilt_right", "rad", "Tilt asked of the right servo, positive forward")
         else:
-            for n, name in enumerate(_name_movables(vehicle)):
+            for n, name in enumerate(_list_movables(vehicle)):
                 yield Quantity(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
 
     def _list_outputs(self) -> Iterator[OutputGroup]:
@@ -177,7 +177,7 @@ class ExportedFlight:
         else:
             yield from self._list_command()
         vehicle = self.simulation.vehicle
-        names = ("left", "right") if vehicle.servo is not None else _name_movables(vehicle)
+        names = ("left", "right") if vehicle.servo is not None else _list_movables(vehicle)
         text = "Where the {} servo stands" if vehicle.servo is not None else "Where the servo {} stands"
         positions = [
             Quantity(f"servo_{name}", "rad" if vehicle.servo is not None else _unit_of(vehicle, n), text.format(name))
@@ -193,7 +193,7 @@ class ExportedFlight:
         yield from self._list_measured()
 
     def _list_command(self) -> Iterator[OutputGroup]:
-        """List the scenario's command, for a controller outside."""
+        """List the scenario's command, for an external controller."""
         yield OutputGroup(_list("{}_setpoint", AXES, "rad", "Commanded attitude: {}"), lambda: self.command.attitude)
         height = Quantity("altitude_setpoint", "m", "Commanded height above the ground")
         yield OutputGroup([height], lambda: (self.command.altitude,))
@@ -206,7 +206,7 @@ class ExportedFlight:
         yield OutputGroup([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
     def _list_reports(self) -> Iterator[OutputGroup]:
-        """List outputs and reports of internal engines."""
+        """List thrust and other outputs of internal engines."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
             indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has_port(name)]
@@ -228,10 +228,10 @@ class ExportedFlight:
             text = f"Around the engine of jet {i + 1}"
             yield OutputGroup(
                 [Quantity(f"{port}_{i + 1}", UNITS[port], f"{text}: {port}") for port in ports],
-                self._reader_of_air(i, ports),
+                self._make_air_reader(i, ports),
             )
 
-    def _reader_of_air(self, jet: int, ports: Sequence[str]) -> Callable[[], Sequence[float]]:
+    def _make_air_reader(self, jet: int, ports: Sequence[str]) -> Callable[[], Sequence[float]]:
         def read() -> Sequence[float]:
             if not ports:
                 return ()
@@ -269,7 +269,7 @@ class ExportedFlight:
         yield OutputGroup(velocity, lambda: now.measured.velocity)
         height = Quantity("measured_altitude", "m", "Measured height above the ground")
         yield OutputGroup([height], lambda: (now.measured.altitude,))
-        if all(isfinite(value) for value in now.measured.specific_force):  # the vehicle has an accelerometer
+        if all(isfinite(value) for value in now.measured.specific_force):  # there is an accelerometer
             force = _list("measured_specific_force_{}", XYZ, "m/s2", "Measured specific force, body: {}")
             yield OutputGroup(force, lambda: now.measured.specific_force)
 
@@ -279,14 +279,14 @@ class ExportedFlight:
 
 
 class _ObservedEngines:
-    """Internal engines with throttles recorded as outputs."""
+    """Internal engines whose throttles are kept as outputs."""
 
     def __init__(self, inner: Engines, flight: ExportedFlight) -> None:
         self._inner, self._flight = inner, flight
         self.wants_ambient = inner.wants_ambient
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        self._flight.throttle = _per_jet(throttle, self._flight.jets)
+        self._flight.throttle = _repeat_per_jet(throttle, self._flight.jets)
         return self._inner.reset(throttle, ambient)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -303,15 +303,15 @@ class _ObservedEngines:
         self._inner.close()
 
 
-class _EnginesOutside:
-    """Placeholder for external engines: step ``k``'s throttles are outputs, thrusts at its end inputs."""
+class _ExternalEngines:
+    """Placeholder for external engines: throttles of step ``k`` are outputs, thrusts at its end inputs."""
 
     def __init__(self, flight: ExportedFlight, wants_ambient: bool) -> None:
         self._flight, self.wants_ambient = flight, wants_ambient
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         flight = self._flight
-        flight.throttle, flight.run = _per_jet(throttle, flight.jets), [1.0] * flight.jets
+        flight.throttle, flight.run = _repeat_per_jet(throttle, flight.jets), [1.0] * flight.jets
         return flight.read_engine_output()
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -333,8 +333,8 @@ class _EnginesOutside:
         """Do nothing, as there is nothing to free."""
 
 
-class _PilotOutside:
-    """Pilot that flies commanded set-points of the inputs, or else the scenario's."""
+class _SetpointPilot:
+    """Pilot that flies set-points from the inputs while they are commanded, else the scenario's."""
 
     def __init__(self, flight: ExportedFlight, inner: Pilot | None, commander: CommandScript) -> None:
         self._flight, self._inner, self._commander = flight, inner, commander
@@ -353,7 +353,7 @@ class _PilotOutside:
         if input_values["commanded"] > 0.5:
             roll, pitch, yaw = (input_values[f"{axis}_setpoint"] for axis in AXES)
             p, q, r = (input_values[f"{axis}_rate_setpoint"] for axis in AXES)
-            self.engines = _ENGINES[(input_values["engines"] > 0.5) + (input_values["engines"] > 1.5)]
+            self.engines = _ENGINE_STATES[(input_values["engines"] > 0.5) + (input_values["engines"] > 1.5)]
             return Command(
                 (roll, pitch, yaw),
                 input_values["altitude_setpoint"],
@@ -367,7 +367,7 @@ class _PilotOutside:
         return command
 
 
-class _ControllerOutside:
+class _ExternalController:
     """Placeholder for an external controller; the built-in one sets throttles before the first step."""
 
     signals = ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, nan, nan)
@@ -404,21 +404,22 @@ class _ControllerOutside:
         """Do nothing, as no engine counts as failed."""
 
 
-def _name_movables(vehicle: Vehicle) -> tuple[str, ...]:
+def _list_movables(vehicle: Vehicle) -> tuple[str, ...]:
     """Return names of hinges and surfaces; empty with two banks, or if nothing moves."""
     return vehicle.actuators if vehicle.servo is None and vehicle.ranges else ()
 
 
 def _unit_of(vehicle: Vehicle, index: int) -> str:
+    """Return the unit of a hinge's angle [rad] or a surface's deflection [1]."""
     return "rad" if index < len(vehicle.hinges) else "1"
 
 
-def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
+def _repeat_per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
     return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
 
 
 def _list(name: str, parts: Iterable[object], unit: str, text: str) -> list[Quantity]:
-    """Return one quantity per part, whose name replaces the brackets."""
+    """Return one quantity per part, whose name replaces the braces in name and text."""
     return [Quantity(name.format(part), unit, text.format(part)) for part in parts]
 
 

@@ -15,20 +15,20 @@ from typing import Any, NoReturn
 
 from cosim.base.storage.files import write_all
 
-MANIFEST = "vehicle.json"  # description in the archive
-FLIGHT = "flight"  # folder of scenario and its files
-ANY_VERSION = "HEXJET_ANY_VERSION"  # environment variable: allow any version
+MANIFEST = "vehicle.json"  # description of the vehicle in the FMU
+FLIGHT = "flight"  # folder of the scenario and its files
+ANY_VERSION = "HEXJET_ANY_VERSION"  # variable that allows other versions
 
 
 class _RestartError(Exception):
-    """Raised when the importer starts the flight anew."""
+    """Raised when the importer starts the flight again."""
 
 
 class _DisconnectedError(Exception):
-    """Raised when the importer has gone."""
+    """Raised when the importer has closed the connection."""
 
 
-class _Socket:
+class _ImporterSocket:
     def __init__(self) -> None:
         self._file = os.dup(0)
         nothing = os.open(os.devnull, os.O_RDONLY)
@@ -58,7 +58,7 @@ class _Socket:
 
 
 def describe_version_differences(manifest: dict[str, str], here: dict[str, str]) -> str:
-    """Describe the versions that differ from those that made the archive; empty if none."""
+    """Describe the versions that differ from those that made the FMU; empty if none does."""
     differences = [
         f"{name} {here.get(name, 'missing')} in place of {text}"
         for name, text in manifest.items()
@@ -68,9 +68,9 @@ def describe_version_differences(manifest: dict[str, str], here: dict[str, str])
 
 
 class _Server:
-    """Server that flies the vehicle until the importer ends."""
+    """Server that flies the vehicle, step by step as the importer requests, until it disconnects."""
 
-    def __init__(self, socket: _Socket, folder: Path) -> None:
+    def __init__(self, socket: _ImporterSocket, folder: Path) -> None:
         from cosim import InputError, Scenario, versions
         from cosim.base.storage.files import read_json
         from cosim.base.trust import trust
@@ -113,7 +113,7 @@ class _Server:
         self._listen()
 
     def _listen(self) -> None:
-        """Wait for the importer's next request.  Raises _RestartError for a start, _DisconnectedError."""
+        """Read the importer's next request.  Raises _RestartError if it is a start."""
         request, count, seed, *input_values = self._socket.receive(self._in)
         self._answer_due = True
         self._flight.input_values.update(zip(self._inputs, input_values, strict=True))
@@ -123,7 +123,7 @@ class _Server:
             raise _RestartError
 
     def _start(self) -> None:
-        """Reset the flight to ``t = 0`` with the present inputs and parameters."""
+        """Reset the flight to ``t = 0`` with the current inputs and seed."""
         if self._requested_seed != self._seed:
             input_values = self._flight.input_values
             self._flight.close()
@@ -132,7 +132,7 @@ class _Server:
         self._flight.simulation.reset()
 
     def _fly(self) -> NoReturn:
-        """Fly step after step.  Raises FlightError when the flight is over."""
+        """Start the flight and step it as requested.  Raises FlightError when it is over."""
         from cosim import FlightError
 
         self._start()
@@ -147,7 +147,7 @@ class _Server:
                 raise FlightError(f"the flight is over: {ending.outcome}, {ending.reason}")
 
     def serve(self) -> None:
-        """Serve requests until the importer ends."""
+        """Answer requests until the importer disconnects."""
         from cosim import EngineError, FlightError, InputError
 
         flying = False
@@ -170,8 +170,8 @@ class _Server:
 
 
 def main(folder: str) -> int:
-    """Serve the importer that started this process."""
-    socket = _Socket()
+    """Fly the vehicle in ``folder`` for the importer at standard input; return the exit status."""
+    socket = _ImporterSocket()
     try:
         server = _Server(socket, Path(folder))
     except _DisconnectedError:
