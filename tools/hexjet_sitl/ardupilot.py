@@ -44,23 +44,23 @@ from hexjet_sitl.lockstep import (
     to_pulse,
 )
 
-PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10  # first ports; spacing of instances
-# Its estimator accepts GNSS about 44 s after its start and only then has a level and a position: 60 s chosen by us. It
-# holds the motors for 2 s (ARMING_DELAY_SEC) after arming and releases them within 1 s (twice MOT_SPOOL_TIME) after
-# throttle is raised. Full stick: ATC_ANGLE_MAX and PILOT_Y_RATE as shipped.
+PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10  # first ports; ports per instance
+# ArduPilot's estimator has no position before it accepts GNSS, some 44 s after its start: 60 s chosen by us. Its motors
+# stand still for 2 s (ARMING_DELAY_SEC) after arming and follow the throttle within 1 s (twice MOT_SPOOL_TIME) after it
+# is raised. Full stick: ATC_ANGLE_MAX and PILOT_Y_RATE as shipped.
 START_TIMING = StartTiming(
     before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, stick_moves_heading=True
 )
-_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports on TCP; 3 and 4 are GNSS
-# Its frame rate starts at 1200 and approaches SIM_RATE_HZ by about one per frame.
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports; 3 and 4 are for GNSS
+# ArduPilot's frame rate starts at 1200 Hz and approaches SIM_RATE_HZ by about one per frame.
 _RATE_SETTLING_FRAMES = 2400
-# Raised if the vehicle's GNSS fails: RC16_OPTION 65, with which ArduPilot has no fix.
+# Transmitter channel that is high while the vehicle's GNSS fails: RC16_OPTION 65, with which ArduPilot has no fix.
 GNSS_CHANNEL = 16
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # channel 5 selects the mode, 7 arms
-_SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by magic: rate, count, pulses [us]
-_STICKS = Struct("<16H")  # channels of a stick packet
-# A line between two line ends; its parser needs no blank after a colon, and one after a comma.
-_STATE = (
+_SERVO_PACKETS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by magic: rate, count, pulses
+_STICK_PACKET = Struct("<16H")  # sixteen pulses [us]
+# JSON of one state between two line ends; ArduPilot's parser needs a blank after a comma, and none after a colon.
+_STATE_LINE = (
     b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
 )
@@ -69,18 +69,18 @@ _STATE = (
 Release = tuple[int, int]
 NEWEST_RELEASE: Release = (4, 8)  # assumed if the release is unknown
 FLOWN_RELEASES: tuple[Release, ...] = ((4, 6), (4, 8))  # dev of October 2024 and April 2026
-_TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")  # release in the program's output
+_RELEASE_TEXT = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")  # release in the program
 
 
 def read_release(program: Path | None) -> tuple[Release, str]:
-    """Return the release found in a program's texts, and a remark if it was not flown, or "".
+    """Return the release of ArduCopter that a program's texts state, and a remark on one that was not flown.
 
-    The newest for one that states none, or is started by hand.
+    The newest release is returned for a program that states none, or that is started by hand.
     """
     if program is None:
         return NEWEST_RELEASE, ""
     named = f"parameters are named as of {NEWEST_RELEASE[0]}.{NEWEST_RELEASE[1]}"
-    title = _TITLE.search(program.read_bytes())
+    title = _RELEASE_TEXT.search(program.read_bytes())
     if title is None:
         return NEWEST_RELEASE, f"{program}: states no version of ArduCopter: its {named}"
     release = int(title[1]), int(title[2])
@@ -89,11 +89,11 @@ def read_release(program: Path | None) -> tuple[Release, str]:
 
 
 class TransmitterChannel(NamedTuple):
-    """One transmitter channel other than sticks, such as a switch."""
+    """Transmitter channel without a stick, such as a switch, and its pulse."""
 
     number: int
-    pulse: int  # pulse in us
-    since_s: float | None = None  # s, low before; None: from the start
+    pulse: int  # us
+    since_s: float | None = None  # s of flight, low before; None: always
 
 
 def parse_channel(text: str, where: str) -> TransmitterChannel:
@@ -111,7 +111,7 @@ def parse_channel(text: str, where: str) -> TransmitterChannel:
 
 
 class ArduPilot(Autopilot):
-    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for an unsuitable step."""
+    """ArduPilot SITL in lockstep, started with ``setup.defaults``.  Raises InputError for an unsuitable step."""
 
     name = "ardupilot"
     timing = START_TIMING
@@ -142,33 +142,33 @@ class ArduPilot(Autopilot):
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(MAX_STICKS_INTERVAL_S / step))
-        self._count = -1  # number of the last packet
+        self._count = -1  # number of the last servo packet
 
     @property
     def sticks_port(self) -> int:
-        """UDP port at which it receives the sticks."""
+        """UDP port at which ArduPilot receives the sticks."""
         return RC_PORT + PORT_SPACING * self.setup.instance
 
     def start(self) -> None:
-        """Listen, start the program, and wait for its first packet.  Raises InputError or FlightError."""
-        self._socket = self._begin(socket.SOCK_DGRAM, self._port)
+        """Listen, start the program, and wait for its first servo packet.  Raises InputError or FlightError."""
+        self._socket = self._open_listener(socket.SOCK_DGRAM, self._port)
         log = self._folder / "ardupilot.log"
         if self.program is not None:
-            # ArduPilot would not report that its port for sticks is taken.
+            # ArduPilot does not report that its port for sticks is taken.
             listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
-            self._program = Program(self._command(), self._folder, log, {})
+            self._program = Program(self._make_command(), self._folder, log, {})
         timer = AnswerTimer(self.name, 60.0, self._program, f"sent nothing to port {self._port}")
         while self._peer is None:
             try:
                 packet, sender = timer.receive_packet(self._socket)
             except FlightError as error:
                 raise self._describe_start(error, log, "ArduCopter's SITL") from None
-            if (servos := self._servos(packet)) is None:
+            if (servos := self._unpack_servos(packet)) is None:
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
             self._peer, self._count = sender, servos[2]
 
-    def _command(self) -> list[str]:
-        """Return the command line that starts it."""
+    def _make_command(self) -> list[str]:
+        """Return the command line that starts ArduPilot."""
         place, launch = self._place, self.setup
         home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
         command = [str(self.program), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
@@ -179,7 +179,7 @@ class ArduPilot(Autopilot):
         return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
 
     def _check_rate(self, rate: int) -> None:
-        """Refuse a frame rate that differs from the flight's after it had time to settle."""
+        """Raise FlightError if ArduPilot's frame rate, once settled, differs from the flight's."""
         if self.counts.frames == _RATE_SETTLING_FRAMES and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
@@ -187,27 +187,27 @@ class ArduPilot(Autopilot):
             )
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
+        """Send a frame with the sticks, and return ArduPilot's answer to it."""
         assert self._socket is not None
         assert self._peer is not None
         counts, sock, peer = self.counts, self._socket, self._peer
-        state = self._state(frame)
+        state = self._format_state(frame)
         pulses = self._transmitter.compute_pulses(frame)
         if pulses != self._pulses or counts.frames % self._sticks_every == 0:
             self._pulses = pulses
-            self._out.sendto(_STICKS.pack(*pulses), (LOCAL, self.sticks_port))
+            self._out.sendto(_STICK_PACKET.pack(*pulses), (LOCAL, self.sticks_port))
         sock.sendto(state, peer)
         sent_at = monotonic()
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
         while True:
             packet, sender = timer.receive_packet(sock)
-            servos = self._servos(packet)
+            servos = self._unpack_servos(packet)
             if servos is None:
                 counts.foreign += 1
                 continue
             count = servos[2]
-            if sender != peer:  # a second or restarted program
+            if sender != peer:  # from another or a restarted program
                 counts.foreign += 1
                 continue
             if count == self._count:
@@ -217,22 +217,22 @@ class ArduPilot(Autopilot):
                     sent_at = monotonic()
                 continue
             if count < self._count:
-                counts.repeated += 1  # a late copy
+                counts.repeated += 1  # an old packet, late
                 continue
             if count != self._count + 1:
                 raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
             self._count = count
             self._count_answer(timer)
             self._check_rate(servos[1])
-            return self._answer(servos[3:])
+            return self._convert_pulses(servos[3:])
 
-    def _servos(self, packet: bytes) -> tuple[int, ...] | None:
+    def _unpack_servos(self, packet: bytes) -> tuple[int, ...] | None:
         if len(packet) < 2:
             return None
-        form = _SERVOS.get(packet[0] | packet[1] << 8)
+        form = _SERVO_PACKETS.get(packet[0] | packet[1] << 8)
         return form.unpack(packet) if form is not None and form.size == len(packet) else None
 
-    def _answer(self, pulses: tuple[int, ...]) -> ActuatorOutputs:
+    def _convert_pulses(self, pulses: tuple[int, ...]) -> ActuatorOutputs:
         jets = self._jets
         throttle = tuple([clip((pulse - 1000.0) / 1000.0, 0.0, 1.0) for pulse in pulses[:jets]])
         tilt = (0.0, 0.0)
@@ -244,18 +244,18 @@ class ArduPilot(Autopilot):
             tilt = (left, right)
         return ActuatorOutputs(throttle, tilt, max(throttle) > 0.0)
 
-    def _state(self, frame: SensorFrame) -> bytes:
-        """Return the state's line; of its height its simulation makes the barometer, by which the estimator flies."""
-        return _STATE % (
+    def _format_state(self, frame: SensorFrame) -> bytes:
+        """Return a frame as a JSON line; ArduPilot's simulation makes the barometer from its height."""
+        return _STATE_LINE % (
             frame.time, *frame.rate, *frame.force, *frame.position[:2], -frame.altitude, *frame.attitude,
             *frame.velocity,
         )  # fmt: skip
 
     def check_parameters(self) -> str:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`.
+        """Raise FlightError for given parameters that ArduCopter's log does not list; see :class:`Autopilot`.
 
-        It says nothing of a name that it does not have; but when it is armed it begins a log, with all that it has.
-        What belongs to a group that is switched off is not among them: it would do nothing either.
+        ArduPilot accepts unknown names silently; but when it is armed it begins a log that lists all its parameters.
+        Those of a group that is switched off are not listed: they would do nothing either.
         """
         if self._program is None or self.setup.defaults is None or self.counts.answers == 0:
             return ""
@@ -271,9 +271,9 @@ class ArduPilot(Autopilot):
         return ""
 
     def report(self) -> FirmwareReport:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`; from its newest log.
+        """Return version, parameters and messages from ArduPilot's newest log of this flight.
 
-        It logs no severity of what it says.
+        ArduPilot logs no severities: all messages are informational.
         """
         logs = self._new_logs()
         if not logs:
@@ -283,12 +283,13 @@ class ArduPilot(Autopilot):
 
 
 class Transmitter:
-    """Sticks and switches as pulses [us], for an ArduCopter in Stabilize with these parameters.
+    """Sticks and switches as pulses [us], for ArduCopter in Stabilize with these parameters.
 
-    Its throttle stick is no throttle: what it does with it is undone here, so that the mean throttle of the engines is
-    what the sticks state.  The stick is bent so that its middle is MOT_THST_HOVER, enlarged for the lean that is asked
-    for (ATC_ANGLE_BOOST), and put between MOT_SPIN_MIN and MOT_SPIN_MAX (``Mode::get_pilot_desired_throttle``,
-    ``AC_AttitudeControl_Multi::get_throttle_boosted``, ``AP_Motors_Thrust_Linearization``).
+    ArduCopter's throttle stick is no throttle: its conversions are inverted here, so that the mean throttle of the
+    engines is what the sticks state.  The stick is bent so that its middle is MOT_THST_HOVER, enlarged for the
+    commanded lean (ATC_ANGLE_BOOST), and put between MOT_SPIN_MIN and MOT_SPIN_MAX
+    (``Mode::get_pilot_desired_throttle``, ``AC_AttitudeControl_Multi::get_throttle_boosted``,
+    ``AP_Motors_Thrust_Linearization``).
     """
 
     def __init__(self, parameters: Mapping[str, float], channels: Sequence[TransmitterChannel], step: float) -> None:
@@ -300,12 +301,12 @@ class Transmitter:
         self._channels, self._half_step = channels, 0.5 * step
 
     def compute_pulses(self, frame: SensorFrame) -> list[int]:
-        """Return the sixteen channels at an instant."""
+        """Return the pulses [us] of the sixteen channels for a frame."""
         sticks = frame.sticks
         pulses = [
             to_pulse(sticks.roll),
             to_pulse(-sticks.pitch),  # stick forward is nose down
-            self._throttle(sticks),
+            self._throttle_pulse(sticks),
             to_pulse(sticks.yaw),
         ]
         mode = 2000 if sticks.holds_place else 1500  # FLTMODE6 or FLTMODE4
@@ -316,7 +317,7 @@ class Transmitter:
         pulses[GNSS_CHANNEL - 1] = 2000 if "gnss" in frame.silent else 1000
         return pulses
 
-    def _throttle(self, sticks: StickPositions) -> int:
+    def _throttle_pulse(self, sticks: StickPositions) -> int:
         if sticks.throttle <= 0.0:
             return 1000
         if sticks.holds_place:  # climb rate in proportion to the command
@@ -328,4 +329,4 @@ class Transmitter:
         nearest = bisect_left(self._curve, fraction)
         if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
             nearest -= 1
-        return 1000 + max(nearest, 1)  # 1000 is closed; motors idle above it
+        return 1000 + max(nearest, 1)  # 1000 is closed: motors stop

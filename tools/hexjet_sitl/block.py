@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class StationarySensors:
-    """The vehicle's own sensors while it is held still.
+    """The vehicle's own sensors while it stands still before the flight.
 
     They are those of the flight, with the same bias, filter, latency and size of noise: what an autopilot learns of
     them in the stand holds in the air, and nothing repeats, which it would take for a sensor that has died.  The noise
@@ -69,7 +69,7 @@ class AutopilotBlock:
         self.stand: StationarySensors | None = None
 
     def prepare(self, belief: Belief) -> None:
-        """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for an unsuitable vehicle."""
+        """Build the stick pilot for the vehicle.  Raises InputError for a vehicle that no autopilot can fly."""
         vehicle = belief.vehicle
         if vehicle.hinges or vehicle.surfaces or any(jet.axis is not None for jet in vehicle.jets):
             raise InputError(
@@ -92,7 +92,7 @@ class AutopilotBlock:
         self._pilot.reset()
 
     def begin(self, measured: Measured) -> None:
-        """Run the started autopilot through the time before the flight.  Raises InputError or FlightError.
+        """Exchange frames with the started autopilot for the time before the flight.  Raises InputError or FlightError.
 
         ``measured``: at the start of the flight.  In the stand :attr:`stand` says what is measured.
         """
@@ -105,19 +105,19 @@ class AutopilotBlock:
         answer = None
         for k in range(steps):
             sticks = StickPositions(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
-            answer = self._exchange(self.stand.sample(), StickPositions() if self._hands_off else sticks, ())
+            answer = self._exchange_frame(self.stand.sample(), StickPositions() if self._hands_off else sticks, ())
         if not self._hands_off and (answer is None or not answer.armed):
             raise FlightError(f"{self.label} was not armed within {timing.before_s:g} s{timing.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
-        """Exchange one step with the autopilot.  Raises FlightError if it does not answer."""
+        """Exchange one step's frame with the autopilot.  Raises FlightError if it does not answer."""
         sticks = StickPositions() if self._hands_off else self._pilot.update(command, measured, applied.burnt)
-        throttle, tilt, armed = self._exchange(measured, sticks, applied.engines.spool_speed)
+        throttle, tilt, armed = self._exchange_frame(measured, sticks, applied.engines.spool_speed)
         self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)
         self.rows.append((throttle, tilt, self.shown))
         return Actuation(throttle, tilt, Unallocated())
 
-    def _exchange(self, measured: Measured, sticks: StickPositions, spool: tuple[float, ...]) -> ActuatorOutputs:
+    def _exchange_frame(self, measured: Measured, sticks: StickPositions, spool: tuple[float, ...]) -> ActuatorOutputs:
         frame = SensorFrame(
             self._frames * self._belief.step_s,
             measured.rate,

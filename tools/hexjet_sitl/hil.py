@@ -15,20 +15,20 @@ from typing import NamedTuple
 
 from fastcrc import crc16
 
-MAGIC, HEADER, CHECKSUM = 0xFD, 10, 2  # MAVLink 2: first byte, sizes
-MAGIC_1, HEADER_1 = 0xFE, 6  # of a MAVLink 1 frame
+MAGIC, HEADER, CHECKSUM = 0xFD, 10, 2  # MAVLink 2: first byte, sizes [bytes]
+MAGIC_1, HEADER_1 = 0xFE, 6  # MAVLink 1: first byte, size of header
 _HEAD = Struct("<BBBBBBBHB")  # MAVLink 2 header
 
 
 class MessageFormat(NamedTuple):
-    """One kind of message: number, payload, and the CRC_EXTRA byte of its definition."""
+    """Format of a MAVLink message: its number, payload, and the CRC_EXTRA byte of its definition."""
 
     number: int
     payload: Struct
     extra: int
 
 
-HEARTBEAT = MessageFormat(0, Struct("<IBBBBB"), 50)  # id, fields and CRC_EXTRA of each
+HEARTBEAT = MessageFormat(0, Struct("<IBBBBB"), 50)  # id, fields, CRC_EXTRA
 RC_CHANNELS = MessageFormat(65, Struct("<I18HBB"), 118)
 HIL_ACTUATOR_CONTROLS = MessageFormat(93, Struct("<QQ16fB"), 47)  # time_usec, flags, controls, mode
 HIL_SENSOR = MessageFormat(107, Struct("<Q13fIB"), 108)
@@ -42,13 +42,13 @@ FORMATS = {  # formats by message id
 
 
 class FrameWriter:
-    """Writes the frames of one sender."""
+    """Writer of MAVLink 2 frames of one sender, numbered in sequence."""
 
     def __init__(self, system: int = 1, component: int = 200) -> None:
         self._system, self._component, self._sequence = system, component, 0
 
     def pack_frame(self, kind: MessageFormat, *values: float | int) -> bytes:
-        """Return the next frame; ``values`` in the order of the payload."""
+        """Return the next frame of a message whose ``values`` are in the order of its payload."""
         payload = kind.payload.pack(*values).rstrip(b"\0") or b"\0"
         number = kind.number
         head = _HEAD.pack(
@@ -60,13 +60,13 @@ class FrameWriter:
 
 
 class FrameReader:
-    """Reader of a stream of bytes for messages of :data:`KINDS`."""
+    """Reader of a stream of bytes for messages of :data:`FORMATS`."""
 
     def __init__(self) -> None:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[MessageFormat, tuple[float, ...]]]:
-        """Return all messages completed by ``data``, without unknown kinds and wrong checksums."""
+        """Return all messages completed by ``data``; unknown ones and those with a wrong checksum are dropped."""
         buffer = self._buffer + data
         messages: list[tuple[MessageFormat, tuple[float, ...]]] = []
         at, end = 0, len(buffer)

@@ -13,9 +13,9 @@ from cosim.base.frames import conjugate, rotate
 from cosim.base.geodesy import FLATTENING, SEMI_MAJOR
 from cosim.base.signals import Quaternion, Vector3
 
-# IGRF-14 of 2025 (IAGA Working Group V-MOD, 2024), nT: of each degree g of the orders from 0, then h of those from 1.
+# Coefficients of IGRF-14 for 2025 [nT] (IAGA Working Group V-MOD, 2024) by degree: g of orders from 0, h from 1.
 # fmt: off
-_IGRF = (
+_IGRF_NT = (
     ((-29350.0, -1410.3), (4545.5,)),
     ((-2556.2, 2950.9, 1648.7), (-3133.6, -814.2)),
     ((1360.9, -2404.2, 1243.8, 453.4), (-56.9, 237.6, -549.6)),
@@ -38,8 +38,8 @@ _IGRF = (
 # fmt: on
 
 
-def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:
-    """Return the Earth's field at the surface, north, east, down [gauss]: IGRF-14's terms up to ``degree``.
+def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF_NT)) -> Vector3:
+    """Return the Earth's magnetic field at the surface, north, east, down [gauss], from IGRF-14.
 
     ``V = a sum (a/r)^(n+1) (g cos(m p) + h sin(m p)) P_nm(cos t)``, ``t`` the geocentric colatitude, ``p`` the
     longitude, ``P`` normalised after Schmidt, and ``B = -grad V``; turned from the centre's vertical to the
@@ -49,11 +49,11 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
     c, s = cos(latitude), (1.0 - FLATTENING) ** 2 * sin(latitude)
     centric = atan2(s, c)
     ct, st = sin(centric), cos(centric)
-    radius = 6371200.0  # m, reference radius of the expansion
+    radius = 6371200.0  # m, of IGRF's expansion
     ratio = radius / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
     radial = south = east = 0.0
     for m in range(degree + 1):
-        # Functions of this order for all degrees and their derivatives in t, each from the two before it.
+        # Legendre functions of this order and their derivatives in t, each degree's from the two before it.
         value, slope, older, older_slope = *_sectoral(m, ct, st), 0.0, 0.0
         for n in range(m, degree + 1):
             if n > m:
@@ -63,7 +63,7 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
                 value, slope, older, older_slope = new, new_slope, value, slope
             if n == 0:
                 continue
-            g, h = _IGRF[n - 1][0][m], _IGRF[n - 1][1][m - 1] if m else 0.0
+            g, h = _IGRF_NT[n - 1][0][m], _IGRF_NT[n - 1][1][m - 1] if m else 0.0
             wave, turned = g * cos(m * p) + h * sin(m * p), m * (g * sin(m * p) - h * cos(m * p))
             size = ratio ** (n + 2)
             radial += (n + 1) * size * wave * value
@@ -75,7 +75,7 @@ def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int =
 
 
 def _sectoral(order: int, ct: float, st: float) -> tuple[float, float]:
-    """Return the first function of an order at a colatitude of this cosine and sine, and its derivative."""
+    """Return the first Legendre function of an order and its slope in t (``ct``: cos t, ``st``: sin t)."""
     factor = 1.0
     for m in range(2, order + 1):
         factor *= sqrt((2 * m - 1) / (2 * m))
@@ -83,5 +83,5 @@ def _sectoral(order: int, ct: float, st: float) -> tuple[float, float]:
 
 
 def to_body_field(field: Vector3, attitude: Quaternion) -> Vector3:
-    """Return the magnetic field in body axes [gauss] from that in north, east, down."""
+    """Return the magnetic field in body axes from that in north, east, down [gauss]."""
     return rotate(conjugate(attitude), field)

@@ -24,13 +24,13 @@ from cosim.base.signals import PerJet, Quaternion, State, Vector3
 from cosim.spec.vehicle import Vehicle
 
 LOCAL = "127.0.0.1"
-_TIMEVAL = Struct("@ll")  # seconds and microseconds
-# s between two checks of the program, so that its end is noticed at once.
+_TIMEVAL = Struct("@ll")  # C's struct: seconds, microseconds
+# Seconds between two checks of an autopilot's process, so that its end is noticed soon.
 CHECK_S = 0.25
 
 
 class StickPositions(NamedTuple):
-    """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and two switches."""
+    """Positions of a transmitter's sticks, as fractions of full stick, throttle from 0 to 1, and its two switches."""
 
     roll: float = 0.0  # 1: full right
     pitch: float = 0.0  # 1: full forward, nose down
@@ -40,7 +40,7 @@ class StickPositions(NamedTuple):
     holds_place: bool = False  # True: position hold; False: manual
 
 
-# As often as a receiver sends sticks.
+# Longest time [s] between two stick packets: a receiver sends them as often.
 MAX_STICKS_INTERVAL_S = 0.02
 
 
@@ -50,7 +50,7 @@ def to_pulse(fraction: float) -> int:
 
 
 class SensorFrame(NamedTuple):
-    """Sensors and sticks of one instant for an autopilot; see :mod:`hexjet_sitl.instruments`."""
+    """Measurements and sticks of one instant, as they are sent to an autopilot."""
 
     time: float  # s, by the autopilot's clock
     rate: Vector3  # rad/s, body
@@ -75,7 +75,7 @@ class ActuatorOutputs(NamedTuple):
 
 @dataclass
 class LockstepCounts:
-    """Counts of a lockstep: with none missing, each step was answered for its own frame."""
+    """Counts of frames and answers; with none missing, each step was answered for its own frame."""
 
     frames: int = 0  # frames sent
     answers: int = 0  # answers received
@@ -86,43 +86,43 @@ class LockstepCounts:
 
     @property
     def missing(self) -> int:
-        """Answers that never came."""
+        """Number of answers that never came."""
         return self.frames - self.boot - self.answers
 
 
 @dataclass(frozen=True)
 class StartTiming:
-    """Timing of an autopilot before its flight, and its full stick.
+    """Times at which an autopilot is armed and given throttle before its flight, and what full stick commands.
 
     The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
-    the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for all that it holds back
-    after either.
+    the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for its delays after
+    either.
     """
 
-    before_s: float  # from its first frame to the flight
-    arming_s: float
-    throttle_s: float
+    before_s: float  # s, from first frame to flight
+    arming_s: float  # s before the flight
+    throttle_s: float  # s before the flight
     lean_deg: float  # lean at full stick
     turn_deg_s: float  # turn rate at full stick
-    unarmed: str = ""  # message if it did not arm
+    unarmed: str = ""  # added to the error if it did not arm
     stick_moves_heading: bool = False  # True: the yaw stick turns the set-point
 
 
 class FirmwareReport(NamedTuple):
-    """Data from an autopilot's own log, if that is read."""
+    """Data from an autopilot's own log; empty if no log is read."""
 
     version: str = ""  # release and revision; empty: unknown
     parameters: Mapping[str, float] = {}  # all parameters that it flew with
     messages: Sequence[tuple[float, int, str]] = ()  # s since its first frame, severity, text
 
 
-# Sixteen characters, as in PX4 (PARAM_NAME_MAX of its generator) and ArduPilot (AP_MAX_NAME_SIZE). Names go into
-# environments, scripts and files of other programs.
+# At most sixteen characters, as in PX4 (PARAM_NAME_MAX of its generator) and ArduPilot (AP_MAX_NAME_SIZE). The rest is
+# refused, as names go into environments, scripts and files of other programs.
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 
 
 def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
-    """Raise InputError for a name that no parameter can have, and for a console's line that is more than one."""
+    """Raise InputError for a name that no parameter can have, or a console line with control characters."""
     for name in parameters:
         if not PARAMETER_NAME.fullmatch(name):
             allowed = "a capital letter, then capital letters, digits and _, sixteen characters at most"
@@ -136,17 +136,17 @@ def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
 class Setup:
     """Options of an autopilot, from ``hexjet sitl`` or a study's table [autopilot].
 
-    Of what belongs to one autopilot the others see nothing.
+    Options of one autopilot have no effect on the others.
     """
 
-    instance: int = 0  # number of the instance, if several run
-    limit_s: float = 5.0  # wall-clock limit of one answer
+    instance: int = 0  # number of the instance: moves ports
+    limit_s: float = 5.0  # s of wall time for one answer
     port: int | None = None  # Betaflight: first port
-    gains: str = "vehicle"  # "vehicle", a file; "stock": as shipped
-    lines: Sequence[str] = ()  # Betaflight: lines for its console
+    gains: str = "vehicle"  # "vehicle", "stock" (as shipped), a file
+    lines: Sequence[str] = ()  # Betaflight: lines for the console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: override computed ones
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's
-    hold_from_s: float | None = None  # PX4, ArduPilot: from here in hold mode
+    hold_from_s: float | None = None  # PX4, ArduPilot: s, then position hold
     hands_off: bool = False  # a ground station arms and flies it
     defaults: Path | None = None  # ArduPilot: parameter file
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE[@SECONDS]
@@ -157,19 +157,19 @@ class Setup:
 
 
 def describe_unknown(names: Sequence[str], existing: Collection[str], program: str) -> str:
-    """Return the words that refuse names of parameters that a program does not have, with the nearest that exists."""
+    """Return an error text on parameters that a program lacks, with the nearest name that it has."""
     closest = get_close_matches(names[0], sorted(existing), n=1)
     suggestion = f"; did you mean {closest[0]}?" if closest else ""
     return f"parameter {', '.join(names)}: this {program} has none of that name{suggestion}"
 
 
-COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of a terminal
-# Linux ends the program together with the thread that started it; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
+COLOUR_CODE = re.compile(r"\x1b\[[0-9;]*m")  # colour codes of a terminal
+# Code that makes Linux end a program with the thread that started it; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
 _END_WITH_PARENT = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
 
 
 class Program:
-    """A process started for a flight, with its output in a file; ended with its descendants."""
+    """Process of an autopilot, with its output in a file; it is ended with its descendants."""
 
     def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.name = Path(command[0]).name
@@ -194,20 +194,20 @@ class Program:
         return self.describe_end(0.0)
 
     def describe_end(self, wait: float) -> str:
-        """Return how the process ended, in words, within ``wait`` s of the clock; empty if it still runs."""
+        """Return how the process ended, waiting for that at most ``wait`` [s]; empty if it still runs."""
         return self.process.describe_end(wait)
 
     def close(self, patience: float = 0.0) -> None:
-        """End the process, after asking it to if it has ``patience`` s; may be called twice."""
+        """End the process: ask it to end, give it ``patience`` [s], then kill it; may be called twice."""
         if patience and self.process.poll() is None:
             self.process.terminate()
         self.process.end(patience)
 
 
 def find_configured_program(binary: Path | None, variable: str) -> Path | None:
-    """Return the program of ``binary``, or that this environment variable names; None if neither does.
+    """Return the program ``binary``, or that named by an environment variable; None if neither is given.
 
-    Raises InputError for what is no program.
+    Raises InputError for a file that is no program.
     """
     if binary is not None:
         return check_program(binary, "binary")
@@ -216,7 +216,7 @@ def find_configured_program(binary: Path | None, variable: str) -> Path | None:
 
 
 def check_program(path: Path, where: str) -> Path:
-    """Return the program behind links, as its files are beside it.  Raises InputError if invalid."""
+    """Return a program's path with links resolved, as its files are beside it.  Raises InputError if invalid."""
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     if not os.access(path, os.X_OK):
@@ -225,9 +225,9 @@ def check_program(path: Path, where: str) -> Path:
 
 
 def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket.socket:
-    """Return a loopback socket at a port, with a time-out for datagrams.
+    """Return a socket that listens at a port of this machine; one for datagrams has a time-out.
 
-    Raises InputError where it is taken; ``option`` states another.
+    Raises InputError if the port is taken; ``option`` is the option that states another.
     """
     sock = socket.socket(socket.AF_INET, kind)
     try:
@@ -245,7 +245,7 @@ def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket
 
 
 class AnswerTimer:
-    """Timeout of one answer that also watches the program, and describes what is missing."""
+    """Limit of the wait for one answer, which also fails if the autopilot's process ended."""
 
     def __init__(self, name: str, limit: float, program: Program | None, failure: str = "did not answer") -> None:
         self._name, self._limit, self._program, self._failure = name, limit, program, failure
@@ -253,7 +253,7 @@ class AnswerTimer:
         self._has_checked = False
 
     def remaining(self) -> float:
-        """Return the seconds to the next check.  Raises FlightError if the autopilot ended or hangs."""
+        """Return the seconds until the next check.  Raises FlightError if the autopilot ended or took too long."""
         if self._program is not None and (ended := self._program.end_description):
             raise FlightError(f"{self._name} {ended}")
         remaining = self._started + self._limit - monotonic()
@@ -262,9 +262,9 @@ class AnswerTimer:
         return min(remaining, CHECK_S)
 
     def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
-        """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
+        """Return the next packet and its sender's address.  Raises FlightError as :meth:`remaining`."""
         while True:
-            if self._has_checked:  # most frames are answered in one wait
+            if self._has_checked:  # most answers need one wait only
                 self.remaining()
             self._has_checked = True
             with suppress(BlockingIOError):
@@ -277,7 +277,7 @@ class AnswerTimer:
 
 
 def set_receive_timeout(sock: socket.socket) -> socket.socket:
-    """Make a socket raise BlockingIOError after :data:`CHECK_S`, and return it.
+    """Make a socket raise BlockingIOError after waiting :data:`CHECK_S`, and return it.
 
     It is one system call, where a time-out of Python's takes three.
     """
@@ -287,24 +287,24 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
 
 
 class Autopilot:
-    """An autopilot and its connection, started here or by hand (``program`` is None).
+    """Connection to an autopilot's program, which is started here, or by hand (``program`` is None).
 
-    Each has a class of its own, with :meth:`start` and :meth:`exchange`.
+    Each autopilot has a subclass with :meth:`start` and :meth:`exchange`.
     """
 
     name: ClassVar[str]
     timing: ClassVar[StartTiming]
     port_option: ClassVar[str] = "instance"  # option that states another port
-    log_pattern: ClassVar[str] = ""  # glob of its logs; empty: none are read
-    patience_s = 0.0  # s for it to end when asked to
+    log_pattern: ClassVar[str] = ""  # glob of logs; empty: none are read
+    patience_s = 0.0  # s for the program to end by itself
 
     def __init__(self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, setup: Setup) -> None:
         self.counts = LockstepCounts()
-        self.limit = setup.limit_s  # wall-clock limit of one answer, s
+        self.limit = setup.limit_s  # s of wall time for one answer
         self.setup, self.program = setup, program
-        self.endpoint = ""  # where a program started by hand connects
+        self.endpoint = ""  # where to connect one started by hand
         self.details: dict[str, Any] = {"gains": setup.gains}  # entries of the run's lockstep.json
-        self.remark = ""  # on a version that was never flown
+        self.remark = ""  # on a version that was never tested
         self._folder, self._step = folder, step
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None
@@ -312,7 +312,7 @@ class Autopilot:
         self._earlier_logs: set[tuple[int, Path]] = set()  # logs of other flights in this folder
 
     def start(self) -> None:
-        """Start it, and wait until it accepts frames.  Raises InputError or FlightError."""
+        """Start the program, and wait until it accepts frames.  Raises InputError or FlightError."""
         raise NotImplementedError
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
@@ -320,57 +320,57 @@ class Autopilot:
         raise NotImplementedError
 
     def check_parameters(self) -> str:
-        """After the flight, check for given parameters that it does not have.
+        """After the flight, check that the autopilot has all parameters that were given.
 
-        Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
-        Raises FlightError with the names.
+        Return why that cannot be checked; "" if it was, now or before the flight, or no name was given.  Raises
+        FlightError with the names that it lacks.
         """
         return ""
 
     def report(self) -> FirmwareReport:
-        """After the flight, return data from its own log."""
+        """After the flight, return data from the autopilot's own log."""
         return FirmwareReport()
 
     def close(self) -> None:
-        """End it; may be called twice."""
+        """End the program and close the sockets; may be called twice."""
         if self._program is not None:
             self._program.close(self.patience_s)
         for sock in reversed(self._sockets):
             sock.close()
 
-    def _begin(self, kind: socket.SocketKind, port: int) -> socket.socket:
-        """Make its folder, and return a socket that listens at a port of this machine.  Raises InputError."""
+    def _open_listener(self, kind: socket.SocketKind, port: int) -> socket.socket:
+        """Make the autopilot's folder, and return a socket that listens at a port.  Raises InputError."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._earlier_logs = self._find_logs()
-        return self._own(listen(kind, port, self.name, self.port_option))
+        return self._close_with_autopilot(listen(kind, port, self.name, self.port_option))
 
     def _describe_start(self, error: FlightError, log: Path, title: str) -> FlightError:
-        """Describe why it did not start: its last output, and whether it is the right program."""
+        """Return the error of a failed start with the program's last output, and ask if it is the right program."""
         lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
         last = next((line for line in reversed(lines) if line.strip()), "")
-        printed = f"; the last that it printed: {COLOUR.sub('', last).strip()} ({log})" if last else ""
+        printed = f"; the last that it printed: {COLOUR_CODE.sub('', last).strip()} ({log})" if last else ""
         return FlightError(f"{error}; is {self.program} {title}?{printed}" if self.program else f"{error}{printed}")
 
     def _find_logs(self) -> set[tuple[int, Path]]:
-        """Return the logs in its folder with modification times [ns]."""
+        """Return the logs in the autopilot's folder with their modification times [ns]."""
         paths = self._folder.glob(self.log_pattern) if self.log_pattern else ()
         return {(path.stat().st_mtime_ns, path) for path in paths}
 
     def _new_logs(self) -> list[Path]:
-        """Return the logs written since its start, newest last; none if started by hand.
+        """Return the logs written since the start, newest last; none for a program started by hand.
 
-        One of that name may have been there before.
+        A log of the same name may have been there before.
         """
         return [] if self._program is None else [path for _, path in sorted(self._find_logs() - self._earlier_logs)]
 
-    def _own(self, sock: socket.socket) -> socket.socket:
+    def _close_with_autopilot(self, sock: socket.socket) -> socket.socket:
         """Return a socket that is closed with the autopilot."""
         self._sockets.append(sock)
         return sock
 
     def _open_sender(self) -> socket.socket:
         """Return a socket for datagrams to the autopilot."""
-        sock = self._own(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sock = self._close_with_autopilot(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         sock.bind((LOCAL, 0))
         return sock
 
@@ -380,7 +380,7 @@ class Autopilot:
 
 
 def discard_packets(sock: socket.socket) -> None:
-    """Throw away the packets that wait."""
+    """Discard the packets that a socket has received so far."""
     sock.setblocking(False)
     with suppress(BlockingIOError):
         while True:

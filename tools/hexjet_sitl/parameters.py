@@ -22,21 +22,20 @@ from cosim.spec.vehicle import RateGains, Vehicle
 from hexjet_sitl.ardupilot import GNSS_CHANNEL, NEWEST_RELEASE, START_TIMING, Release
 from hexjet_sitl.lockstep import PARAMETER_NAME
 
-# Not every release has these, nor needs them.  From 1.16: a low-pass of yaw's torque, of 2 Hz as shipped, which no
-# design has.  After 1.17: a model of second order that the attitude set-point goes through.  As shipped, 50 rad/s, it
-# makes roll 40 ms late; and while the stick turns the heading, that set-point is the heading itself, so much earlier,
-# and its loop holds the turn back: a yaw designed for 1 % of overshoot had 6.  200 is the most that it takes.  How late
-# GNSS is: until 1.17, and after it.
+# Parameters that some releases lack, and do not need.  From 1.16: the low-pass of yaw's torque, 2 Hz as shipped, which
+# no design has.  After 1.17: the second-order model that filters the attitude set-point.  As shipped, 50 rad/s, it
+# makes roll 40 ms late; and while the stick turns the heading, the loop holds the turn back: a yaw designed for 1 % of
+# overshoot had 6 %.  200 rad/s is the most that PX4 accepts.  The last two: latency of GNSS, until 1.17 and after it.
 PX4_OF_SOME_RELEASES = ("MC_YAW_TQ_CUTOFF", "MC_REF_W_N", "EKF2_GPS_DELAY", "SENS_GPS0_DELAY")
-_HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
+_HOVER_RANGE = (0.1, 0.8)  # allowed range of MPC_THR_HOVER
 _MIN_IMU_HZ, _MAX_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 
 
 def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vector3:
-    """Return PX4's unit of torque: throttle for roll, rad of tilt for others (throttle without tilts).
+    """Return what PX4's unit of torque commands: throttle for roll, tilt [rad] or throttle for pitch and yaw.
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
-    rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
+    rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Only its size: the signs are those
     of :func:`px4_parameters`, with PX4's own CA_ROTOR_CT.  Raises InputError as :func:`tilt_pitch_sign`.
     """
     columns = []
@@ -59,7 +58,7 @@ def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vecto
 
 
 def refuse_effectiveness(autopilot: str, vehicle: Vehicle) -> None:
-    """Raise InputError for a vehicle with allocation by effectiveness, which autopilots cannot command."""
+    """Raise InputError for a vehicle with allocation by effectiveness, which autopilots do not have."""
     if vehicle.allocation == "effectiveness":
         raise InputError(
             f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose gains are not in an autopilot's torques"
@@ -67,26 +66,26 @@ def refuse_effectiveness(autopilot: str, vehicle: Vehicle) -> None:
 
 
 def pair_rate_gains(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
-    """Return for each axis its name, its gains, and the torque that they are divided by."""
+    """Return each axis's name, its rate gains, and the torque scale that the gains are divided by."""
     control = vehicle.control.rate
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
 
 def tilt_pitch_sign(vehicle: Vehicle, min_offset_m: float = 0.01) -> float:
-    """Return the sign of the pitch moment of a bank of PX4's that is tilted forward: 1 nose up, -1 nose down.
+    """Return the sign of the pitch moment of a bank that PX4 tilts forward: 1 nose up, -1 nose down.
 
     A thrust that is turned forward pushes forward at the height of its jet: nose up where that is below the centre of
-    gravity (z > 0).  Raises InputError for banks that PX4 has no words for: each of its tilts gives as much pitch as
-    the other, and turns the nose to the other side.  ``min_offset_m``: m, to the left or right, below which PX4 gives a
+    gravity (z > 0).  Raises InputError for banks that PX4 has no parameters for: each of its tilts gives as much
+    pitch as the other, and yaw to the other side.  ``min_offset_m``: m, to the left or right, below which PX4 gives a
     tilt no yaw.
     """
     levers = {side: [jet.position_m for jet in vehicle.jets if jet.servo == side] for side in ("left", "right")}
     heights = {side: sum(z for _, _, z in positions) for side, positions in levers.items()}
     if heights["left"] * heights["right"] <= 0.0:
         raise InputError(
-            f"px4: {vehicle.name}: its banks' jets stand {_height(heights['left'])} (left) and "
-            f"{_height(heights['right'])} (right) the centre of gravity; PX4 gives both tilts the same pitch: allowed "
-            "are both banks above it, or both below"
+            f"px4: {vehicle.name}: its banks' jets stand {_describe_height(heights['left'])} (left) and "
+            f"{_describe_height(heights['right'])} (right) the centre of gravity; PX4 gives both tilts the same pitch: "
+            "allowed are both banks above it, or both below"
         )
     for side, positions in levers.items():
         for x, y, _ in positions:
@@ -98,18 +97,18 @@ def tilt_pitch_sign(vehicle: Vehicle, min_offset_m: float = 0.01) -> float:
     return 1.0 if heights["left"] > 0.0 else -1.0
 
 
-def _height(lever: float) -> str:
+def _describe_height(lever: float) -> str:
     return "below" if lever > 0.0 else "above" if lever < 0.0 else "at the height of"
 
 
 def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
-    """Return PX4's parameters of a vehicle, on a board as in a simulation: geometry, rate and attitude gains, filters.
+    """Return PX4's parameters of a vehicle on any target: geometry, rate and attitude gains, filters.
 
     Control allocation is that of a multirotor, or of one with tilts.  PX4 takes what a tilt does from its direction and
-    the side of its rotors, wherever these stand in height: a tilt towards the front is nose down to it.  Of jets below
-    the centre of gravity that is wrong, so it is told of a tilt towards the back, which is nose up to it, and of the
-    other side's rotors, as by its rule the yaw of that tilt would be the wrong way round then. Raises InputError for a
-    vehicle that PX4 has no words for.  ``max_rotors``: limit of PX4's control allocation.
+    the side of its rotors, wherever these stand in height: a tilt towards the front is nose down to it.  For jets below
+    the centre of gravity that is wrong, so the tilt is declared towards the back, which PX4 takes for nose up, and for
+    the other side's rotors, as by PX4's rule the yaw of that tilt would have the wrong sign. Raises InputError for a
+    vehicle that PX4 has no parameters for.  ``max_rotors``: limit of PX4's control allocation.
     """
     jets, control = vehicle.jets, vehicle.control
     refuse_effectiveness("px4", vehicle)
@@ -133,8 +132,8 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
         parameters["CA_SV_TL_COUNT"] = 2
         for index in range(2):
             parameters |= {f"CA_SV_TL{index}_MINA": -limit, f"CA_SV_TL{index}_MAXA": limit}
-            parameters[f"CA_SV_TL{index}_TD"] = 180 if tilts_back else 0  # 180: tilts towards the back
-            parameters[f"CA_SV_TL{index}_CT"] = 3  # 3: for pitch and yaw
+            parameters[f"CA_SV_TL{index}_TD"] = 180 if tilts_back else 0  # 180 deg: tilts towards the back
+            parameters[f"CA_SV_TL{index}_CT"] = 3  # tilts control pitch and yaw
     for axis, gains, scale in pair_rate_gains(vehicle, px4_torque_scale(vehicle)):
         name = f"MC_{axis.upper()}RATE"
         parameters |= {
@@ -156,26 +155,26 @@ def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
 
 
 def find_gyro_cutoff(vehicle: Vehicle) -> float | None:
-    """Return the cutoff [Hz] of an autopilot's gyro filter with the delay of the vehicle's own.
+    """Return the cutoff [Hz] that gives an autopilot's gyro filter the delay of the vehicle's; None without one.
 
-    Theirs is a Butterworth filter of second order, whose delay well below its cutoff ``f`` is ``sqrt(2) / (2 pi f)``;
-    the vehicle's, of first order, is ``filter_s`` late, with which its gains were designed.  None: it has none.
+    The autopilot's is a Butterworth filter of second order, whose delay well below its cutoff ``f`` is
+    ``sqrt(2) / (2 pi f)``; the vehicle's, of first order, is ``filter_s`` late, with which its gains were designed.
     """
     filter_s = vehicle.sensors.gyro.filter_s
     return sqrt(2.0) / (2.0 * pi * filter_s) if filter_s > 0.0 else None
 
 
 def px4_outputs(vehicle: Vehicle, prefix: str = "PWM_MAIN") -> dict[str, float]:
-    """Return outputs for engines, then tilts, of PX4's SITL and most boards, or ``HIL_ACT``."""
+    """Return the parameters that assign PX4's outputs: first engines, then tilts.  ``prefix``: ``HIL_ACT`` in HIL."""
     functions = [101 + index for index in range(len(vehicle.jets))] + ([201, 202] if vehicle.servo else [])
     return {f"{prefix}_FUNC{number}": function for number, function in enumerate(functions, 1)}
 
 
 def px4_link(step: float) -> dict[str, float]:
-    """Return PX4 parameters for our flights of ``step`` [s]: estimator rate, and sticks by MAVLink.
+    """Return PX4 parameters for flights here in steps of ``step`` [s]: estimator rate, and sticks by MAVLink.
 
-    Its answer to a sample waits for its estimator, which has to run at each.  Sticks are in proportion, without a dead
-    zone and, of yaw, a low-pass; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at
+    PX4 answers a sample after its estimator, which has to run at each.  Sticks are in proportion, without a dead zone
+    and, of yaw, a low-pass; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at
     its upper end.  Raises InputError for a step that PX4's estimator does not follow.
     """
     if step < 1.0 / _MAX_IMU_HZ:
@@ -188,15 +187,15 @@ def px4_link(step: float) -> dict[str, float]:
 
 
 def px4_hover(throttle: float) -> dict[str, float]:
-    """Return PX4's hover throttle, where its height control and landing detection start."""
+    """Return PX4's parameter of the hover throttle, with which height control and landing detection start."""
     return {"MPC_THR_HOVER": clip(throttle, *_HOVER_RANGE)}
 
 
-PX4_TARGETS = ("sitl", "hil", "board")  # what PX4 parameters are made for
+PX4_TARGETS = ("sitl", "hil", "board")  # targets of PX4 parameters
 
 
 def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
-    """Return all of PX4's parameters for its SITL, for a board in the loop, or for a board that flies.
+    """Return all PX4 parameters for a target: its SITL, a board in the loop, or a board that flies.
 
     A board that flies keeps its own radio and modes, and filters its gyro as the vehicle's is, or as PX4 ships; what a
     simulation sends is filtered already.  A name that the target does not have is an error to PX4.
@@ -206,29 +205,28 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
         cutoff = find_gyro_cutoff(vehicle)
         return parameters if cutoff is None else parameters | {"IMU_GYRO_CUTOFF": cutoff}
     parameters["IMU_GYRO_CUTOFF"] = 0.0
-    late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; the older name takes any number
+    late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; the older parameter is a float
     parameters |= px4_link(step) | {"EKF2_GPS_DELAY": float(late), "SENS_GPS0_DELAY": late}
-    # PX4's own log has torques and rates at each sample: at 50 Hz a command would seem to act 8 ms earlier.
+    # PX4 logs torques and rates at each sample: logged at 50 Hz, a command would seem to act 8 ms earlier.
     return parameters | ({"SDLOG_PROFILE": 1 + 8 + 16} if target == "sitl" else {})
 
 
 def without_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return PX4's parameters without gains, rate limits and filters, so that these are as PX4 ships."""
+    """Return PX4's parameters without gains, rate limits and filters, so that PX4's defaults stay."""
     return {name: value for name, value in parameters.items() if not name.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO"))}
 
 
-# Frames of ArduCopter with four motors, by FRAME_TYPE: what it calls the frame, and for where a motor stands and how it
-# turns (front, right, counter-clockwise: 1, 0 or -1 each) the motor's number (AP_MotorsMatrix::setup_quad_matrix,
-# read in 4.6; 18 was flown, by 4.5.0-dev of July 2023).
-# Its mixer knows of the numbers alone: a rotor that turns the other way makes the heading run away.
+# ArduCopter's frames with four motors by FRAME_TYPE: name, and each motor's number by its place and turn (front, right,
+# counter-clockwise: 1, 0 or -1 each), from AP_MotorsMatrix::setup_quad_matrix, read in 4.6; 18 was flown (4.5.0-dev).
+# ArduCopter's mixer knows the numbers alone: a rotor that turns the other way makes the heading run away.
 _QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
     1: ("X", {(1, 1, 1): 1, (-1, -1, 1): 2, (1, -1, -1): 3, (-1, 1, -1): 4}),
     18: ("X, reversed", {(-1, 1, 1): 1, (1, 1, -1): 2, (-1, -1, -1): 3, (1, -1, 1): 4}),
     0: ("plus", {(0, 1, 1): 1, (0, -1, 1): 2, (1, 0, -1): 3, (-1, 0, -1): 4}),
     6: ("plus, reversed", {(0, 1, -1): 1, (0, -1, -1): 2, (1, 0, 1): 3, (-1, 0, 1): 4}),
 }
-# Sticks as hexjet sitl sends them, unlike ArduPilot's defaults for transmitters: 1100 to 1900 us, and dead zones of 20
-# and 30 us. The seventh channel arms, the last disables GNSS. Full stick is that of START_TIMING.
+# Parameters for the sticks of hexjet sitl, 1000 to 2000 us; ArduPilot's defaults are 1100 to 1900 us, with dead zones
+# of 20 and 30 us. The seventh channel arms, the last disables GNSS. Full stick is that of START_TIMING.
 _ARDUPILOT_STICKS: dict[str, float] = {
     **{f"RC{n}_{key}": value for n in range(1, 5) for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))},
     **{f"RC{n}_TRIM": 1000 if n == 3 else 1500 for n in range(1, 5)},
@@ -239,9 +237,9 @@ _ARDUPILOT_STICKS: dict[str, float] = {
     f"RC{GNSS_CHANNEL}_OPTION": 65,
     "ARMING_SKIPCHK": -1,
 }
-# Names up to ArduCopter 4.6, and how many of their units one of today's is. ARMING_CHECK listed the checks to make, as
-# ARMING_SKIPCHK lists those to skip: all are skipped.
-_UNTIL_4_6: dict[str, tuple[str, float]] = {
+# Names up to ArduCopter 4.6 by today's names, and the factor from today's unit. ARMING_CHECK listed the checks to make,
+# and ARMING_SKIPCHK lists those to skip: all are skipped.
+_NAMES_UNTIL_4_6: dict[str, tuple[str, float]] = {
     "ATC_ANGLE_MAX": ("ANGLE_MAX", 100.0),
     **{f"ATC_ACC_{axis}_MAX": (f"ATC_ACCEL_{axis}_MAX", 100.0) for axis in "RPY"},
     "ARMING_SKIPCHK": ("ARMING_CHECK", 0.0),
@@ -249,30 +247,30 @@ _UNTIL_4_6: dict[str, tuple[str, float]] = {
 }
 
 
-def _name_as_of(release: Release, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters by the names and in the units of a release."""
+def _convert_to_release(release: Release, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return parameters with the names and units of a release of ArduCopter."""
     if release > (4, 6):
         return dict(parameters)
-    older = [(_UNTIL_4_6.get(name, (name, 1.0)), value) for name, value in parameters.items()]
+    older = [(_NAMES_UNTIL_4_6.get(name, (name, 1.0)), value) for name, value in parameters.items()]
     return {name: unit * value + 0.0 for (name, unit), value in older}
 
 
 def ardupilot_sticks(release: Release = NEWEST_RELEASE) -> dict[str, float]:
     """Return ArduPilot's parameters for the sticks and switches of :class:`hexjet_sitl.ardupilot.Transmitter`."""
-    return _name_as_of(release, _ARDUPILOT_STICKS)
+    return _convert_to_release(release, _ARDUPILOT_STICKS)
 
 
 def ardupilot_torque_scale(vehicle: Vehicle) -> Vector3:
-    """Return what a torque of 1 is for ArduPilot: half of the motors' range, as throttle, or the tilts' whole range."""
+    """Return what ArduPilot's unit of torque commands: half of the motors' throttle range, or all of the tilts'."""
     half = 0.5 * (1.0 - vehicle.control.allocation.throttle_min)
     tilt = vehicle.servo.range_rad if vehicle.servo else half
     return half, tilt, tilt
 
 
 def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
-    """Return ArduCopter's FRAME_TYPE of a quadrotor, and which of its motors every jet is.
+    """Return ArduCopter's FRAME_TYPE of a quadrotor, and the number of its motor at each jet.
 
-    Raises InputError for a vehicle that none of its frames with four motors is.
+    Raises InputError for a vehicle that is no frame of ArduCopter with four motors.
     """
     jets = vehicle.jets
     if len(jets) != 4:
@@ -293,7 +291,7 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
 
 
 def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
-    """Return the Lua script that is the mixer of a vehicle with two tilting banks; None for a frame of ArduCopter.
+    """Return the Lua script that mixes the outputs of two tilting banks; None if a frame of ArduCopter fits.
 
     ``Motors_6DoF`` takes a motor's part of roll, pitch, yaw and throttle as they are
     (``AP_MotorsMatrix_6DoF_Scripting`` and ``AC_AttitudeControl_Multi_6DoF``, read in 4.6): an engine has throttle and
@@ -308,7 +306,7 @@ def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
         raise InputError(
             f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {max_motors} outputs at most"
         )
-    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # below the centre of gravity: nose up
+    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # below the centre: nose up
     rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]
     rows += [("0", pitch, yaw, 0, "true") for yaw in (1, -1)]
     return "\n".join(
@@ -330,13 +328,13 @@ def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
 
 
 def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """Return the frame, and the motor of each output."""
+    """Return the parameters of frame and output functions."""
     if ardupilot_script(vehicle) is None:
         frame, motors = ardupilot_frame(vehicle)
         parameters: dict[str, float] = {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
     else:
         motors = list(range(1, len(vehicle.jets) + 3))
-        # A reversible motor has a dead zone as large as the headroom kept for yaw.
+        # A tilt is a reversible motor, whose dead zone is as large as the headroom kept for yaw.
         parameters = {"FRAME_CLASS": 16, "SCR_ENABLE": 1, "MOT_YAW_HEADROOM": 0}
     for number, motor in enumerate(motors, 1):
         parameters[f"SERVO{number}_FUNCTION"] = (32 if motor <= 8 else 73) + motor
@@ -344,19 +342,19 @@ def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
     return parameters
 
 
-ARDUPILOT_TARGETS = ("sitl", "board")  # what ArduPilot parameters are made for
+ARDUPILOT_TARGETS = ("sitl", "board")  # targets of ArduPilot parameters
 
 
 def ardupilot_parameters(
     vehicle: Vehicle, step: float, release: Release = NEWEST_RELEASE, target: str = "sitl"
 ) -> dict[str, float]:
-    """Return ArduPilot's parameters of a vehicle for its SITL, or for a board that flies: frame, gains, filters.
+    """Return ArduPilot's parameters of a vehicle for its SITL or a board that flies: frame, gains, filters.
 
-    A board keeps its radio, modes and checks, and filters its gyro as the vehicle's is, or as ArduPilot ships.  In its
-    SITL it senses what the vehicle does, bias, noise, filter, latency and all: a drift of the gyro, noise of the
-    barometer and latency of GNSS of its own came on top.
-    Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`, and that no script
-    makes one, see :func:`ardupilot_script`.
+    A board keeps its radio, modes and checks, and filters its gyro as the vehicle's is, or as ArduPilot ships.  The
+    SITL gets the vehicle's own measurements, with bias, noise, filter and latency: drift of the gyro, noise of the
+    barometer and latency of GNSS of ArduPilot's simulation are switched off.
+    Raises InputError for a vehicle that neither a frame, see :func:`ardupilot_frame`, nor a script, see
+    :func:`ardupilot_script`, fits.
     """
     control = vehicle.control
     refuse_effectiveness("ardupilot", vehicle)
@@ -366,7 +364,7 @@ def ardupilot_parameters(
     for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
         parameters |= {f"{name}_P": gains.p / scale, f"{name}_I": gains.i / scale, f"{name}_D": gains.d / scale}
-        # The gyro's filter is the one the loop was designed with; these filters would add delay.
+        # The loop was designed with the gyro's filter alone; filters of set-point and error would add delay.
         parameters |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
         parameters[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
         parameters[f"{name}_IMAX"] = min(gains.integral_limit / scale, 1.0)
@@ -379,21 +377,21 @@ def ardupilot_parameters(
     parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min}
     if target == "board":
         cutoff = find_gyro_cutoff(vehicle)
-        return _name_as_of(release, parameters | ({} if cutoff is None else {"INS_GYRO_FILTER": round(cutoff)}))
+        return _convert_to_release(release, parameters | ({} if cutoff is None else {"INS_GYRO_FILTER": round(cutoff)}))
     parameters |= {"SIM_RATE_HZ": round(1.0 / step), "SIM_DRIFT_SPEED": 0, "SIM_BARO_RND": 0, "SIM_GPS1_LAG_MS": 0}
-    return _name_as_of(release, parameters | _ARDUPILOT_STICKS | {"INS_GYRO_FILTER": 0})
+    return _convert_to_release(release, parameters | _ARDUPILOT_STICKS | {"INS_GYRO_FILTER": 0})
 
 
 def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
-    """Return parameters for ArduPilot's position hold, Loiter, on the fifth channel.
+    """Return parameters for ArduPilot's position hold, Loiter, which the fifth channel selects.
 
-    ``throttle``: of hover, from which its control of the height starts; ``least``: MOT_SPIN_MIN.
+    ``throttle``: of hover, with which height control starts; ``least``: MOT_SPIN_MIN.
     """
     return {"FLTMODE6": 5, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), 0.125, 0.6875)}
 
 
 def without_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return ArduPilot's parameters without gains, shaping, filters and thrust curve: these are as ArduCopter ships."""
+    """Return ArduPilot's parameters without gains, shaping, filters and thrust curve: its defaults stay."""
     own = ("ATC_RA", "ATC_ANG_", "ATC_ACC", "INS_GYRO")
     kept = {name: value for name, value in parameters.items() if not name.startswith(own)}
     kept.pop("MOT_THST_EXPO", None)
@@ -401,9 +399,9 @@ def without_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]
 
 
 def read_parameters(path: Path) -> dict[str, float]:
-    """Return the parameters of an ArduPilot file: on a line a name and a value, by a comma or blanks; # begins a note.
+    """Return the parameters of an ArduPilot file, a name and a value a line; # begins a comment.
 
-    Raises InputError for a file that cannot be read, and for a line that is none of that.
+    Raises InputError for a file that cannot be read, and for another line.
     """
     parameters: dict[str, float] = {}
     for number, line in enumerate(read_text(path).splitlines(), 1):
@@ -420,7 +418,7 @@ def read_parameters(path: Path) -> dict[str, float]:
     return parameters
 
 
-NOTES = {  # differences between firmware and design
+NOTES = {  # comment lines of parameter files
     "px4": (
         "The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",
         "its derivative has one filter for all axes, here roll's, and its integral a limit of its own (MC_RR_INT_LIM).",
@@ -436,9 +434,9 @@ NOTES = {  # differences between firmware and design
 
 
 def parameter_file(autopilot: str, parameters: Mapping[str, float], notes: Sequence[str] = ()) -> str:
-    """Return parameters as ground stations read them: for PX4 ids, name, value and type, else name and value.
+    """Return the text of a parameter file: for PX4 ids, name, value and type on a line, else name and value.
 
-    ``notes``: lines of comment before those on the autopilot.
+    ``notes``: comment lines before those of :data:`NOTES`.
     """
     lines = [f"# {line}" for line in (*notes, *NOTES[autopilot])]
     for name, value in sorted(parameters.items()):

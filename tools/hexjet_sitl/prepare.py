@@ -31,39 +31,38 @@ from hexjet_sitl.parameters import (
 )
 from hexjet_sitl.pilot import find_hover_throttle
 
-# Ports above it represent instance numbers; chosen by us: nothing else uses them.
+# An instance is reserved by binding the port of its number above this one; chosen by us, as nothing else uses them.
 FIRST_INSTANCE_PORT = 32_760
-MAX_INSTANCES = 250  # limit of hexjet sitl
-VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # variables with the path of a program
-PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names on the path
-# How their makers build them, and where they say so.
+MAX_INSTANCES = 250  # largest instance number
+VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # environment variables of the programs
+PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names of the programs on the path
+# How each program is built, and the page of its makers that says so.
 BUILDS = {
     "px4": "make px4_sitl, and have a package in their releases; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }
-AUTOPILOTS: dict[str, type[Autopilot]] = {  # class of each autopilot
+AUTOPILOTS: dict[str, type[Autopilot]] = {  # by name
     each.name: each for each in (betaflight.Betaflight, px4.Px4, ardupilot.ArduPilot)
 }
-# Faults of sensors that an autopilot would not get as such, and why.
-_BOTH = ("sensor_dropout", "sensor_bias")
-_ATTITUDE = {  # reason for autopilots that estimate it
-    ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _BOTH
+# Sensor faults that would not reach an autopilot, and the reason for each.
+_FAULT_KINDS = ("sensor_dropout", "sensor_bias")
+_NO_ATTITUDE_FAULTS = {  # where the autopilot estimates it
+    ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _FAULT_KINDS
 }
-_NO_POSITION = "Betaflight gets no position; allowed: gyro, attitude, and barometer, which its pilot has"
-_HEIGHT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"  # reason of a refusal
-_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # reason by autopilot, sensor and fault
-    "betaflight": {("gnss", kind): _NO_POSITION for kind in _BOTH},
-    "px4": _ATTITUDE,
-    "ardupilot": _ATTITUDE | {("barometer", "sensor_dropout"): _HEIGHT},
+_NO_GNSS_FAULTS = "Betaflight gets no position; allowed: gyro, attitude, and barometer, which its pilot has"
+_NO_BAROMETER_DROPOUT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"
+_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # by autopilot
+    "betaflight": {("gnss", kind): _NO_GNSS_FAULTS for kind in _FAULT_KINDS},
+    "px4": _NO_ATTITUDE_FAULTS,
+    "ardupilot": _NO_ATTITUDE_FAULTS | {("barometer", "sensor_dropout"): _NO_BAROMETER_DROPOUT},
 }
 
 
 @contextmanager
 def reserve_instance() -> Iterator[int]:
-    """Reserve an instance number from 1 to :data:`MAX_INSTANCES`; 0 is for ``hexjet sitl``.
+    """Reserve an autopilot's instance number from 1 to :data:`MAX_INSTANCES`; 0 is for ``hexjet sitl``.
 
-    It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
-    are taken.
+    A bound port holds it, so that it is free again however the process ends.  Raises FlightError if all are taken.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
         for number in range(1, MAX_INSTANCES + 1):
@@ -77,10 +76,10 @@ def reserve_instance() -> Iterator[int]:
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:
-    """Return the program that is given, that the environment names, or that is installed or on the path.
+    """Return an autopilot's program: ``binary``, that of the environment, the installed one, or that on the path.
 
-    None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
-    program.
+    None if there is none: the autopilot is then started by hand, except Betaflight.  Raises InputError for a file that
+    is no program.
     """
     if name == "betaflight":
         return betaflight.find_program(binary)
@@ -91,14 +90,14 @@ def find_program(name: str, binary: Path | None) -> Path | None:
 
 
 def describe_missing(name: str) -> str:
-    """Return where a program was searched, and how to build it."""
+    """Return a text on where a program was searched, and how to build it."""
     return f"binary, {VARIABLES[name]}, {PROGRAMS[name]} on the path; its makers build it by {BUILDS[name]}"
 
 
 def require_program(name: str, binary: Path | None) -> Path:
-    """Return the program as :func:`find_program`, required for studies.
+    """Return an autopilot's program, see :func:`find_program`, which a study cannot do without.
 
-    Raises InputError for none, and for one that the user does not trust.
+    Raises InputError if there is none, and for one that the user does not trust.
     """
     program = find_program(name, binary)
     if binary is not None:
@@ -112,7 +111,7 @@ def require_program(name: str, binary: Path | None) -> Path:
 
 
 def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
-    """Return an autopilot for the scenario's vehicle; its files go into a folder of its name in the run's ``folder``.
+    """Return an autopilot for the scenario's vehicle, not started; its files go into ``folder``/``name``.
 
     ``program``: see :func:`find_program`.  Raises InputError.
     """
@@ -127,12 +126,12 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
             f"hands_off: scenario {scenario.name} begins in the air; a ground station takes a vehicle that stands: "
             "allowed is initial.on_ground = true, such as climb-and-land"
         )
-    make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
+    make = {"betaflight": _prepare_betaflight, "px4": _prepare_px4, "ardupilot": _prepare_ardupilot}[name]
     return make(scenario, folder / name, program, setup)
 
 
 def check_faults(name: str, scenario: Scenario) -> None:
-    """Raise InputError for sensor faults that would not reach the autopilot as such."""
+    """Raise InputError for sensor faults of a scenario that would not reach the autopilot."""
     for index, fault in enumerate(scenario.fault):
         if fault.kind not in ("sensor_bias", "sensor_dropout"):
             continue
@@ -145,25 +144,25 @@ def check_faults(name: str, scenario: Scenario) -> None:
             )
 
 
-def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+def _prepare_betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
     lines = [] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle_in_throttle(scenario))
     setup = replace(setup, lines=[*lines, *setup.lines])
-    return betaflight.Betaflight(program, folder, *_surroundings(scenario), setup)
+    return betaflight.Betaflight(program, folder, *_read_vehicle_and_place(scenario), setup)
 
 
-def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+def _prepare_px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
     parameters = list_px4_parameters(scenario, scenario.step_s)
     if setup.gains == "stock":
         parameters = without_px4_gains(parameters)
-    optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # required if the user states one
+    optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # stated ones are required
     setup = replace(setup, parameters=parameters | dict(setup.parameters))
-    return px4.Px4(program, folder, *_surroundings(scenario), setup, optional)
+    return px4.Px4(program, folder, *_read_vehicle_and_place(scenario), setup, optional)
 
 
-def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
-    vehicle, step, place = _surroundings(scenario)
+def _prepare_ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+    vehicle, step, place = _read_vehicle_and_place(scenario)
     release, remark = ardupilot.read_release(program)
-    parameters = _ardupilot_parameters(scenario, program, setup, release)
+    parameters = _choose_ardupilot_parameters(scenario, program, setup, release)
     defaults = None
     if program is not None:
         defaults = folder / "hexjet.parm"
@@ -179,12 +178,12 @@ def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Se
     return autopilot
 
 
-def _ardupilot_parameters(
+def _choose_ardupilot_parameters(
     scenario: Scenario, program: Path | None, setup: Setup, release: ardupilot.Release
 ) -> dict[str, float]:
-    """Return ArduPilot's parameters: a file over its sticks, or the vehicle's; stated ones on top.
+    """Return ArduPilot's parameters: those of a file, or of the vehicle; stated ones override them.
 
-    One that is started by hand has its own; the vehicle's are taken for them where there are any.
+    An autopilot started by hand has parameters of its own, which are assumed to be the vehicle's if there are any.
     """
     hold: dict[str, float] = {}
     vehicle, _ = scenario.resolved_vehicle()
@@ -203,8 +202,8 @@ def _ardupilot_parameters(
         return ardupilot_sticks(release) | dict(setup.parameters)
 
 
-def _surroundings(scenario: Scenario) -> tuple[Vehicle, float, Geodesy]:
-    """Return the vehicle, the step [s] and the place of a scenario."""
+def _read_vehicle_and_place(scenario: Scenario) -> tuple[Vehicle, float, Geodesy]:
+    """Return the vehicle, the step [s] and the geodetic origin of a scenario."""
     vehicle, _ = scenario.resolved_vehicle()
     environment = scenario.environment
     place = Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)

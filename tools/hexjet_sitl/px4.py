@@ -27,7 +27,7 @@ from hexjet_identify.logs.ulog import read_notes
 from hexjet_sitl import hil
 from hexjet_sitl.instruments import compute_earth_field, to_body_field
 from hexjet_sitl.lockstep import (
-    COLOUR,
+    COLOUR_CODE,
     MAX_STICKS_INTERVAL_S,
     ActuatorOutputs,
     AnswerTimer,
@@ -43,10 +43,10 @@ from hexjet_sitl.lockstep import (
     to_pulse,
 )
 
-PORT = 4560  # first port of PX4's simulator interface
-# EKF2 needs some 10 s of GNSS, and arming checks 10 s of health: 30 s chosen by us. After arming it holds the throttle
-# down for 1 s (COM_SPOOLUP_TIME) and then raises it by half of its range per second: 3 s to full throttle. Full stick:
-# MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as shipped.
+PORT = 4560  # port of PX4's simulator interface
+# EKF2 needs some 10 s of GNSS, and arming checks 10 s of health: 30 s chosen by us. After arming PX4 holds the throttle
+# at idle for 1 s (COM_SPOOLUP_TIME) and then raises it by half of its range per second: 3 s to full throttle. Full
+# stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as shipped.
 START_TIMING = StartTiming(
     before_s=30.0,
     arming_s=4.0,
@@ -55,28 +55,27 @@ START_TIMING = StartTiming(
     turn_deg_s=150.0,
     unarmed="; one that you start needs the parameters of hexjet sitl params px4, and says why in its log",
 )
-_IMU, _MAG, _BARO = 7 | 56, 448, 6656  # bits of fields_updated
-_MAG_INTERVAL_S, _BARO_EVERY = 0.008, 0.02  # s between measurements
-_MAX_START_S = 60.0  # s until it connects, on a busy machine
-_UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")  # PX4's message on an unknown parameter
-_SINCE_1_17 = "MAN_DEADZONE"  # parameter that older releases lack
-_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release
+_IMU_FIELDS, _MAG_FIELDS, _BARO_FIELDS = 7 | 56, 448, 6656  # bits of fields_updated
+_MAG_INTERVAL_S, _BARO_INTERVAL_S = 0.008, 0.02  # s between measurements
+_MAX_START_S = 60.0  # s until PX4 connects on a busy machine
+_UNKNOWN_PARAMETER = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
+_SINCE_1_17 = "MAN_DEADZONE"  # missing in older releases
+_RELEASE_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # by last byte of ver_sw_release
 
 
 def invert_yaw_curve(turn: float) -> float:
-    """Return the stick for this fraction of PX4's full yaw rate, inverting ``0.4 x + 0.6 x^3``."""
-    # The only real root of x^3 + p x = q with p > 0.
+    """Return the yaw stick for a fraction of PX4's full yaw rate, inverting ``0.4 x + 0.6 x^3``."""
+    # This is the only real root of x^3 + p x = q with p > 0.
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
 
 def check_unknown_parameters(log: Path, parameters: Collection[str], optional: Collection[str] = ()) -> None:
-    """Refuse parameters that PX4 reports as unknown.  Raises InputError that names them.
+    """Raise InputError for parameters that PX4 reports as unknown in its log, unless they are ``optional``.
 
-    Its own scripts ask for parameters of modules that it was built without, and print the same of these.  Those that
-    are ``optional`` need not be there.
+    Only ``parameters`` count: PX4's own scripts ask for others, of modules that it was built without.
     """
-    printed = dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace")))
+    printed = dict.fromkeys(_UNKNOWN_PARAMETER.findall(log.read_text(errors="replace")))
     unknown = [name for name in printed if name in parameters and name not in optional]
     if unknown:
         words = describe_unknown(unknown, set(parameters) - set(unknown), "PX4")
@@ -84,11 +83,11 @@ def check_unknown_parameters(log: Path, parameters: Collection[str], optional: C
 
 
 def describe_version(facts: Mapping[str, str | int]) -> str:
-    """Return the release and the revision that PX4 states in its log, such as ``1.17.0 (3fa4bc0a)``."""
+    """Return release and revision from the facts of a ULog, such as ``1.17.0 (3fa4bc0a)``."""
     release, revision = facts.get("ver_sw_release"), facts.get("ver_sw")
     words = []
     if isinstance(release, int):
-        kind = _KINDS.get(release & 0xFF, "")
+        kind = _RELEASE_KINDS.get(release & 0xFF, "")
         words.append(f"{release >> 24}.{release >> 16 & 0xFF}.{release >> 8 & 0xFF}{kind}")
     if isinstance(revision, str):
         words.append(f"({revision[:8]})" if words else revision[:8])
@@ -96,12 +95,12 @@ def describe_version(facts: Mapping[str, str | int]) -> str:
 
 
 class Px4(Autopilot):
-    """One PX4 SITL; its parameters, except ``optional`` ones, must exist."""
+    """PX4 SITL in lockstep; all its parameters, except ``optional`` ones, must exist."""
 
     name = "px4"
     timing = START_TIMING
     log_pattern = "log/**/*.ulg"
-    patience_s = 1.0  # s: it flushes its buffers before it ends
+    patience_s = 1.0  # s in which PX4 flushes its buffers
 
     def __init__(
         self,
@@ -119,9 +118,9 @@ class Px4(Autopilot):
         self.endpoint = f"TCP port {PORT + setup.instance}"
         self.details |= {"hold_from_s": setup.hold_from_s, "parameters": setup.parameters}
         self._fix_every = vehicle.sensors.gnss.period_samples
-        self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
+        self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # GNSS accuracy in cm
         self._mag_every = max(1, round(_MAG_INTERVAL_S / step))
-        self._baro_every = max(1, round(_BARO_EVERY / step))
+        self._baro_every = max(1, round(_BARO_INTERVAL_S / step))
         self._last_sticks, self._sticks_every = StickPositions(), max(1, round(MAX_STICKS_INTERVAL_S / step))
         self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
         self._link: socket.socket | None = None
@@ -131,15 +130,15 @@ class Px4(Autopilot):
         instance, parameters = self.setup.instance, self.setup.parameters
         port = PORT + instance
         log = self._folder / "px4.log"
-        server = self._begin(socket.SOCK_STREAM, port)
+        server = self._open_listener(socket.SOCK_STREAM, port)
         if self.program is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # Nine digits distinguish all numbers in single precision.
             environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
             startup = str(self.program.resolve().parent.parent / "etc")
-            # An absolute path, because it is started in that folder.
+            # The path is absolute, because PX4 is started in that folder.
             folder = str(self._folder.absolute())
-            # An older PX4 reads this file from the path, not the environment, and this line makes it report an error.
+            # A PX4 too old to read the environment's parameters runs this file, and reports this parameter as unknown.
             (self._folder / "px4-rc.params").write_text(f"param set {_SINCE_1_17} 0\n")
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
@@ -151,59 +150,59 @@ class Px4(Autopilot):
             except FlightError as error:
                 raise self._describe_start(error, log, "PX4's SITL") from None
             with suppress(TimeoutError):
-                self._link = self._own(server.accept()[0])
+                self._link = self._close_with_autopilot(server.accept()[0])
         if self._program is not None:
-            check_unknown_parameters(log, parameters, self.optional)  # it sets parameters before it connects
+            check_unknown_parameters(log, parameters, self.optional)  # PX4 has set its parameters by now
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
+        """Send a frame's messages, and return PX4's answer to it."""
         assert self._link is not None
         counts = self.counts
         now = round(1e6 * frame.time) + 1  # 0 would mean no time
-        self._send(self._messages(frame, now))
+        self._send_bytes(self._make_messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
         timer = AnswerTimer(self.name, 0.02 if booting else self.limit, self._program)
-        has_waited = booting  # most frames are answered by then
+        has_waited = booting  # most answers are there at once
         while True:
             try:
                 left = timer.remaining() if has_waited else 0.0
             except FlightError:
-                if not booting or self._ended:
+                if not booting or self._end_description:
                     raise
                 counts.boot += 1
                 return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
             has_waited, answer = True, None
-            for values in self._controls(left if booting else None):
+            for values in self._receive_controls(left if booting else None):
                 if values[0] > now:
                     raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s, asked for {now / 1e6:.3f} s")
                 if values[0] < now or answer is not None:
-                    counts.repeated += 1  # late or repeated
+                    counts.repeated += 1  # an old answer, or a repeated one
                 else:
-                    answer = self._answer(values)
+                    answer = self._convert_answer(values)
             if answer is not None:
                 self._count_answer(timer)
                 return answer
 
     def report(self) -> FirmwareReport:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`; from its newest ULog."""
+        """Return version, parameters and messages from PX4's newest ULog of this flight."""
         logs = self._new_logs()
         if not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
-        messages = [(time_s, severity, COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]
+        messages = [(time_s, severity, COLOUR_CODE.sub("", text).strip()) for time_s, severity, text in notes.messages]
         return FirmwareReport(describe_version(notes.facts), notes.parameters, messages)
 
     @property
-    def _ended(self) -> str:
+    def _end_description(self) -> str:
         return "" if self._program is None else self._program.end_description
 
-    def _closed(self) -> FlightError:
-        ended = "" if self._program is None else self._program.describe_end(0.5)  # its sockets close before it ends
+    def _make_closed_error(self) -> FlightError:
+        ended = "" if self._program is None else self._program.describe_end(0.5)  # sockets close first
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
-    def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
+    def _convert_answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
         controls, armed = values[2:18], bool(int(values[18]) & 128)  # armed flag in the mode field
         throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
@@ -211,10 +210,10 @@ class Px4(Autopilot):
         left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
         return ActuatorOutputs(throttle, (left, right), armed)
 
-    def _controls(self, left: float | None) -> list[tuple[float, ...]]:
-        """Return the HIL_ACTUATOR_CONTROLS within ``left`` s (None: the socket's timeout).
+    def _receive_controls(self, left: float | None) -> list[tuple[float, ...]]:
+        """Return the HIL_ACTUATOR_CONTROLS received within ``left`` [s] (None: the socket's time-out).
 
-        Raises FlightError for a link that is none.
+        Raises FlightError for a closed connection.
         """
         link = self._link
         assert link is not None
@@ -227,38 +226,38 @@ class Px4(Autopilot):
         except ConnectionError:
             data = b""
         if not data:
-            raise self._closed()
+            raise self._make_closed_error()
         return [values for kind, values in self._reader.feed(data) if kind is hil.HIL_ACTUATOR_CONTROLS]
 
-    def _send(self, data: bytes) -> None:
+    def _send_bytes(self, data: bytes) -> None:
         assert self._link is not None
         try:
             self._link.sendall(data)
         except OSError:
-            raise self._closed() from None
+            raise self._make_closed_error() from None
 
-    def _messages(self, frame: SensorFrame, now: int) -> bytes:
-        """Return the messages of one step, HIL_SENSOR last because it advances PX4's clock."""
+    def _make_messages(self, frame: SensorFrame, now: int) -> bytes:
+        """Return the messages of one step; HIL_SENSOR is the last, because it advances PX4's clock."""
         k = self.counts.frames
         parts = []
         if frame.sticks != self._last_sticks or k % self._sticks_every == 0:
             self._last_sticks = frame.sticks
-            parts.append(self._stick_message(frame))
+            parts.append(self._make_stick_message(frame))
         if k % self._fix_every == 0 and "gnss" not in frame.silent:
-            parts.append(self._gnss_message(frame, now))
+            parts.append(self._make_gnss_message(frame, now))
         for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
             if spool == spool:
                 parts.append(self._writer.pack_frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
         if frame.truth is not None and k % self._mag_every == 0:
-            parts.append(self._truth_message(frame, now))
-        fields = _IMU
+            parts.append(self._make_truth_message(frame, now))
+        fields = _IMU_FIELDS
         magnetic: Vector3 = (0.0, 0.0, 0.0)
         pressure = temperature = 0.0
         if k % self._mag_every == 0:
-            fields |= _MAG
+            fields |= _MAG_FIELDS
             magnetic = to_body_field(self.field, frame.attitude)
         if k % self._baro_every == 0 and "barometer" not in frame.silent:
-            fields |= _BARO
+            fields |= _BARO_FIELDS
             pascal, kelvin = standard_air(self._place.ground + frame.altitude)
             pressure, temperature = 0.01 * pascal, kelvin - 273.15
         parts.append(
@@ -278,7 +277,7 @@ class Px4(Autopilot):
         )
         return b"".join(parts)
 
-    def _stick_message(self, frame: SensorFrame) -> bytes:
+    def _make_stick_message(self, frame: SensorFrame) -> bytes:
         roll, pitch, yaw, throttle, armed, holds_place = frame.sticks
         pulses = [
             to_pulse(roll),
@@ -291,7 +290,7 @@ class Px4(Autopilot):
         channels = [*pulses, *[1500] * 2, *[0xFFFF] * 10]
         return self._writer.pack_frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
 
-    def _gnss_message(self, frame: SensorFrame, now: int) -> bytes:
+    def _make_gnss_message(self, frame: SensorFrame, now: int) -> bytes:
         north, east, down = frame.position
         latitude, longitude, height = self._place.to_geodetic(north, east, -down)
         vn, ve, vd = frame.velocity
@@ -302,7 +301,7 @@ class Px4(Autopilot):
             round(1e2 * course) % 36000, 3, 14, 0, 0,
         )  # fmt: skip
 
-    def _truth_message(self, frame: SensorFrame, now: int) -> bytes:
+    def _make_truth_message(self, frame: SensorFrame, now: int) -> bytes:
         assert frame.truth is not None
         state = frame.truth
         latitude, longitude, height = self._place.to_geodetic(state.position[0], state.position[1], state.altitude)

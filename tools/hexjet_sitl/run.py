@@ -32,12 +32,12 @@ from hexjet_sitl.block import AutopilotBlock, StationarySensors
 from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts, Setup
 from hexjet_sitl.prepare import MAX_INSTANCES, describe_missing, find_program, prepare
 
-LOCKSTEP = "lockstep.json"  # file with counts, in a run's folder
+LOCKSTEP_FILE = "lockstep.json"  # a run's file of lockstep counts
 
 
 @dataclass(frozen=True)
 class AutopilotRun:
-    """A run, and the counts of its lockstep."""
+    """Run flown by an autopilot, with the counts of its lockstep."""
 
     run: Run
     counts: LockstepCounts
@@ -45,7 +45,7 @@ class AutopilotRun:
 
 
 class _AnswerWriter:
-    """Writes the autopilot's answers beside the log, so that they survive a kill."""
+    """Observer that writes the autopilot's answers to a file during the flight, so that they survive a kill."""
 
     def __init__(self, path: Path, block: AutopilotBlock, jets: int, servo: bool) -> None:
         self._block, self._servo, self._written = block, servo, 0
@@ -57,12 +57,12 @@ class _AnswerWriter:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
     def observe(self, sample: Sample, flush_rows: int = 250) -> None:
-        """Write new answers about once a second.  ``flush_rows``: rows per second of flight."""
+        """Write the answers of every ``flush_rows`` steps, 250 of which are about a second."""
         if len(self._block.rows) - self._written >= flush_rows:
             self.write()
 
     def write(self) -> None:
-        """Write all new answers.  Raises FlightError if the disk is full."""
+        """Write all answers since the last time.  Raises FlightError if the disk is full."""
         rows = self._block.rows
         try:
             for row in rows[self._written :]:
@@ -77,8 +77,8 @@ class _AnswerWriter:
         self._file.close()
 
 
-def _close_and_check_names(outcome: Outcome, reason: str, autopilot: Autopilot) -> tuple[Outcome, str]:
-    """Close the autopilot and return the ending: failed if a parameter's name is unknown."""
+def _close_and_check_parameters(outcome: Outcome, reason: str, autopilot: Autopilot) -> tuple[Outcome, str]:
+    """Close the autopilot and return the outcome, which is failed if it lacks a given parameter."""
     autopilot.close()
     try:
         unchecked_reason = autopilot.check_parameters()
@@ -87,8 +87,8 @@ def _close_and_check_names(outcome: Outcome, reason: str, autopilot: Autopilot) 
     return outcome, "; ".join(filter(None, (reason, unchecked_reason)))
 
 
-def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the hash of the flown parameters: from the autopilot's log, else the given ones."""
+def _hash_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -> dict[str, Any]:
+    """Return number and hash of the flown parameters, from the autopilot's log or else the given ones."""
     flown = firmware.parameters or details.get("parameters") or {}
     if not flown:
         return {}
@@ -97,9 +97,9 @@ def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -
 
 
 def _write_messages(folder: Path, firmware: FirmwareReport, start: float, step: float) -> None:
-    """Write the autopilot's messages to the run's record; ``start`` [s] of the flight.
+    """Write the autopilot's messages to the run's record; the flight begins at ``start`` [s] of its clock.
 
-    What it said before is at the first step.
+    Earlier messages are written at the first step.
     """
     if not firmware.messages:
         return
@@ -171,7 +171,7 @@ def fly_autopilot(
                 outcome, reason = "failed", f"interrupted at {simulation.k * simulation.dt:.3f} s"
             wall = time.perf_counter() - begin
             writer.close()
-            outcome, reason = _close_and_check_names(outcome, reason, autopilot)
+            outcome, reason = _close_and_check_parameters(outcome, reason, autopilot)
             digest = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
             recording.replace_scenario(
                 resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest})
@@ -179,8 +179,8 @@ def fly_autopilot(
             firmware = autopilot.report()
             _write_messages(folder, firmware, block.start_s, simulation.dt)
             report = {"autopilot": label, "version": firmware.version, "steps": simulation.k}
-            report |= asdict(autopilot.counts) | autopilot.details | _identify_parameters(firmware, autopilot.details)
-            (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
+            report |= asdict(autopilot.counts) | autopilot.details | _hash_parameters(firmware, autopilot.details)
+            (folder / LOCKSTEP_FILE).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(outcome, reason, wall, pace.report if realtime_factor else None)
             return AutopilotRun(write_run_page(run) if page else run, autopilot.counts, label)
     finally:
@@ -195,11 +195,11 @@ class AutopilotResult(FlightResult):
         self.flown, self.gains = flown, gains
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the summary and the lockstep."""
+        """Return the flight's summary, with the counts of the lockstep."""
         return super().to_dict() | {"lockstep": asdict(self.flown.counts) | {"gains": self.gains}}
 
     def lines(self) -> list[str]:
-        """Return the lines of the flight, and the counts."""
+        """Return the printed lines of the flight, and the counts of the lockstep."""
         counts = self.flown.counts
         lockstep = (
             f"lockstep with {self.flown.autopilot}: {counts.frames} states sent, {counts.boot} before its first "
@@ -316,7 +316,7 @@ def fly(
                 "into it by gains"
             )
 
-    def load(designed: str | None) -> Scenario:
+    def load_with_controller(designed: str | None) -> Scenario:
         return apply_choices(scenario, designed, aircraft, engine, settings, seed, hears.note)
 
     gains = gains or ("designed" if autopilot == "betaflight" else "vehicle")
@@ -325,15 +325,15 @@ def fly(
         raise InputError(f"gains {gains}: must be {', '.join(words)}, or a file of hexjet design (.toml)")
     setup = Setup(
         instance, time_limit_s, port if autopilot == "betaflight" else None, gains, lines,
-        parse_numbers(parameters, "parameters"), _magnetic_field(magnetic_field), hold_from_s, hands_off, defaults,
+        parse_numbers(parameters, "parameters"), _parse_field(magnetic_field), hold_from_s, hands_off, defaults,
         channels, station,
     )  # fmt: skip
-    flown = _let_it_go(load(None if gains in words else gains), setup)
+    flown = _relax_for_autopilot(load_with_controller(None if gains in words else gains), setup)
     program = find_program(autopilot, binary)
     folder = Path(out) if out else new_folder(Path("runs"), f"{flown.name}-{autopilot}")
     if gains == "designed":
         file = folder / autopilot / "gains.toml"
-        flown = load(str(search_gains(flown, as_settings(settings), file, hears)))
+        flown = load_with_controller(str(search_gains(flown, as_settings(settings), file, hears)))
     prepared = prepare(autopilot, flown, folder, program, setup)
     if prepared.remark:
         hears.note(prepared.remark)
@@ -350,7 +350,7 @@ def fly(
 
 
 def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, progress: Progress) -> Path:
-    """Search gains for Betaflight's loops for a scenario; return the controller file.
+    """Search gains for Betaflight's loops that suit a scenario; return the controller file.
 
     As ``hexjet design --for betaflight`` does, with its defaults; the file is ``out``, its page beside it.  Raises
     InputError where no gains keep the requirements.
@@ -365,10 +365,10 @@ def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, progres
     return files["controller"]
 
 
-def _let_it_go(scenario: Scenario, setup: Setup) -> Scenario:
-    """Return the scenario without parts that do not fit an autopilot or station that flies freely.
+def _relax_for_autopilot(scenario: Scenario, setup: Setup) -> Scenario:
+    """Return the scenario without commands and limits that an autopilot, or a ground station, may not keep.
 
-    An autopilot that holds the place leans as it likes to hold that; a station does nothing that the scenario says.
+    In position hold an autopilot chooses its lean itself; a ground station ignores the scenario's commands.
     """
     limits: dict[str, Any] = scenario.limits.model_dump()
     if setup.hands_off:
@@ -379,7 +379,7 @@ def _let_it_go(scenario: Scenario, setup: Setup) -> Scenario:
     return scenario.replace(limits=limits | {"oscillation_rad": False})
 
 
-def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
+def _parse_field(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
     try:

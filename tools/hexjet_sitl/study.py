@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class AutopilotTable(Model):
-    """Autopilot that replaces the controller; see ``hexjet sitl`` for options.
+    """A study's table [autopilot]: the autopilot that flies in place of the controller; see ``hexjet sitl``.
 
     The gains of the scenario's controller go into it: those of the vehicle, or of a file of ``hexjet design``.
     The methods are those of ``StudyAutopilot`` in ``cosim/campaign/study/autopilot.py``.
@@ -30,11 +30,11 @@ class AutopilotTable(Model):
     lines: list[str] = Field(default_factory=list)  # lines for Betaflight's console
     # Parameters of PX4 and ArduPilot that override those of the vehicle.
     parameters: dict[str, float] = Field(default_factory=dict)
-    channels: list[str] = Field(default_factory=list)  # channels of ArduPilot, as --channel
-    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # s of wall time for an answer
+    channels: list[str] = Field(default_factory=list)  # ArduPilot: NUMBER=PULSE[@SECONDS]
+    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # s of wall time for one answer
 
     @model_validator(mode="after")
-    def _fits(self) -> AutopilotTable:
+    def _refuse_foreign_options(self) -> AutopilotTable:
         """Refuse options that the autopilot does not have."""
         owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
         for key, owners in owned.items():
@@ -47,15 +47,15 @@ class AutopilotTable(Model):
 
     @property
     def before_s(self) -> float:
-        """Time from the autopilot's first frame to a flight's first step, s."""
+        """Time [s] from the autopilot's first frame to the first step of a flight."""
         return AUTOPILOTS[self.name].timing.before_s
 
     def program(self, folder: Path) -> Path | None:
-        """Return the path of its program, relative to the study; None if not stated."""
+        """Return the path of the autopilot's program, seen from the study's folder; None if not stated."""
         return Path(self.seen_from(folder).binary) if self.binary else None
 
     def seen_from(self, folder: Path) -> AutopilotTable:
-        """Return a copy with its program by absolute path."""
+        """Return a copy whose program has an absolute path; a relative one is resolved against ``folder``."""
         return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self
 
     def check(self, scenario: Scenario, folder: Path) -> None:
@@ -65,11 +65,11 @@ class AutopilotTable(Model):
 
     @property
     def columns(self) -> dict[str, type[int]]:
-        """Columns of a row: frames sent, and answers that never came."""
+        """Columns that a flight's row gets: frames sent, and answers that never came."""
         return {"autopilot_frames": int, "autopilot_missing": int}
 
     def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, dict[str, Any]]:
-        """Fly a scenario into ``folder``; return its run, and its columns."""
+        """Fly a scenario into ``folder``; return its run, and the values of its :attr:`columns`."""
         with reserve_instance() as instance:
             stated = self.model_dump(include={"gains", "lines", "parameters", "channels"})
             setup = Setup(instance, self.timeout_s, **stated)

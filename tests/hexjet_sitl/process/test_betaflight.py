@@ -34,7 +34,7 @@ from hexjet_design.loop.tuning import Tuning
 from hexjet_identify.logs import read_flight_log
 from hexjet_sitl import betaflight as theirs
 from hexjet_sitl.lockstep import SensorFrame, Setup, StickPositions
-from hexjet_sitl.run import LOCKSTEP, AutopilotRun, fly_autopilot
+from hexjet_sitl.run import LOCKSTEP_FILE, AutopilotRun, fly_autopilot
 
 try:
     BINARY: Path | None = theirs.find_program(None)
@@ -105,7 +105,7 @@ def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Autopil
     assert counts.frames == round(theirs.START_TIMING.before_s / 0.004) + 15000
     assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("roll", "pitch"))
     assert np.all(run.log["autopilot_armed"] == 1.0)
-    books = json.loads((run.folder / LOCKSTEP).read_text()) if run.folder else {}
+    books = json.loads((run.folder / LOCKSTEP_FILE).read_text()) if run.folder else {}
     assert (books["steps"], books["answers"]) == (15000, counts.answers)
 
 
@@ -307,7 +307,7 @@ def test_the_first_command_of_the_page_does_not_lose_its_vehicle(
     done = hexjet(*first[1].split(), "--port", str(free_port()), "--timeout", "60")
     assert done.status == 0, done.out + done.err
     assert "hover: completed, nothing checked; flew 5000 steps" in done.out
-    books = json.loads(Path("runs/hover-betaflight-001", LOCKSTEP).read_text())
+    books = json.loads(Path("runs/hover-betaflight-001", LOCKSTEP_FILE).read_text())
     assert (books["gains"], books["answers"]) == ("designed", books["frames"] - 2)
     assert Path("runs/hover-betaflight-001/betaflight/gains.toml").is_file()
 

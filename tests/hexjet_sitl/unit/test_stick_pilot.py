@@ -12,7 +12,7 @@ from cosim.base.signals import ZERO3, Command, Measured
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.scenario import Scenario
 from hexjet_sitl.lockstep import MAX_STICKS_INTERVAL_S, StickPositions
-from hexjet_sitl.pilot import STILL_TIME, StickPilot
+from hexjet_sitl.pilot import MIN_STILL_S, StickPilot
 
 HOVER = Scenario.load("hover")
 LEAN, TURN = radians(35.0), radians(150.0)
@@ -66,7 +66,7 @@ def test_it_turns_the_heading_that_the_autopilot_holds_and_not_the_vehicles() ->
 
 def test_it_disarms_no_vehicle_that_hovers() -> None:
     """Asked below the ground for long, a vehicle that an autopilot holds in the air is as still as one that stands."""
-    still = round(2.0 * STILL_TIME / HOVER.step_s)
+    still = round(2.0 * MIN_STILL_S / HOVER.step_s)
     span = HOVER.resolved_vehicle()[0].aero.span_m
     for height, disarmed in ((4.8, False), (1.1 * span, False), (0.9 * span, True)):
         pilot = StickPilot(make_scenario_belief(HOVER, {}), LEAN, TURN)
