@@ -20,7 +20,7 @@ from hexjet_paper.linear import STATE_AS_PRINTED
 from hexjet_paper.loops import LOW_END_HZ, gain_at, margins, open_loop, unstable_poles
 from hexjet_paper.readings import DELAY_ONLY, READINGS, Reading, doublet_of, gain_pairs, reading_axis
 
-START = Calibration(  # where the fit begins
+START = Calibration(  # starting point of the fit
     p=0.05,
     i=0.08,
     d=0.0,
@@ -35,7 +35,8 @@ START = Calibration(  # where the fit begins
 )
 
 
-def _margins(trial: Calibration) -> dict[str, float]:
+def _compute_margins(trial: Calibration) -> dict[str, float]:
+    """Return the quadrotor's cut-off, margins and gain at the low end, of the baseline with 5 samples."""
     loop = quadrotor_axis(trial, "baseline", 5)
     loop_margins = margins(open_loop(loop), loop.step, points=800)
     prefix = "frequency.baseline."
@@ -47,8 +48,8 @@ def _margins(trial: Calibration) -> dict[str, float]:
     }
 
 
-def _quadrotor(trial: Calibration) -> dict[str, float]:
-    """Compute the time constant, mean of baseline and Smith, and disturbance errors with 5 samples.
+def _compute_quadrotor_numbers(trial: Calibration) -> dict[str, float]:
+    """Return the time constant, mean of baseline and Smith, and the errors under a disturbance with 5 samples.
 
     The state predictor runs with the matrices as printed: they are what the paper says it used.
     """
@@ -66,16 +67,16 @@ def _quadrotor(trial: Calibration) -> dict[str, float]:
     return values
 
 
-def _hexjet(trial: Calibration) -> dict[str, float]:
-    return _ratios(trial, DELAY_ONLY)
+def _compute_hexjet_ratios(trial: Calibration) -> dict[str, float]:
+    return _compute_ratios(trial, DELAY_ONLY)
 
 
-def _correct_hexjet(trial: Calibration) -> dict[str, float]:
-    return _ratios(trial, READINGS["corrected"])
+def _compute_corrected_ratios(trial: Calibration) -> dict[str, float]:
+    return _compute_ratios(trial, READINGS["corrected"])
 
 
-def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
-    """Return both ratios, percent; 0 for an unstable baseline, which has neither overshoot nor settling time."""
+def _compute_ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
+    """Return both Hex-Jet ratios [%]; 0 for an unstable baseline, which has neither overshoot nor settling time."""
     gains = next(pair for pair in gain_pairs(reading, trial) if pair.name == "fitted")
     loops = {c: reading_axis(reading, gains, c, trial, noisy=False) for c in ("baseline", "smith")}
     if unstable_poles(loops["baseline"]):
@@ -85,7 +86,7 @@ def _ratios(trial: Calibration, reading: Reading) -> dict[str, float]:
 
 
 class Stage(NamedTuple):
-    """Unknowns with bounds, and the printed numbers to fit with the scale of each residual."""
+    """One stage of the fit: unknowns with their bounds, and the printed numbers with the scale of each residual."""
 
     name: str
     unknowns: dict[str, tuple[float, float]]
@@ -93,18 +94,18 @@ class Stage(NamedTuple):
     targets: dict[str, float]
 
     def cost(self, trial: Calibration) -> float:
-        """Return the sum of the squared residuals."""
+        """Return the sum of the squared, scaled residuals of a trial."""
         values = self.answers(trial)
         return sum(((values[key] - numbers.value(key)) / scale) ** 2 for key, scale in self.targets.items())
 
 
-# Scales chosen by us: 2 % of the cut-off, 10 % of phase margin and table. A sweep is weakest at the gain margin, and
-# the gain at the low end is printed as "approximately" and without frequency.
+# Stages of the fit in order. Scales of residuals are chosen by us: 2 % of the cut-off, 10 % of phase margin and table,
+# more of the gain margin, where a sweep is weakest, and of the gain at the low end, printed as "approximately".
 STAGES: list[Stage] = [
     Stage(
         "rate gains",
         {"p": (0.02, 0.12), "i": (0.0, 1.0), "d": (0.0, 0.002)},
-        _margins,
+        _compute_margins,
         {
             "frequency.baseline.cutoff": 0.1,
             "frequency.baseline.phase_margin": 2.3,
@@ -120,7 +121,7 @@ STAGES: list[Stage] = [
             "observer_rad_s": (100.0, 1500.0),
             "payload_gain": (0.7, 1.4),
         },
-        _quadrotor,
+        _compute_quadrotor_numbers,
         {
             "step.time_constant": 0.012,
             "disturbance-5.baseline.rmse": 0.15,
@@ -136,28 +137,28 @@ STAGES: list[Stage] = [
     Stage(
         "Hex-Jet gains",
         {"hexjet_p": (0.014, 0.0195), "hexjet_attitude_gain_1_s": (2.3, 3.2)},
-        _hexjet,
+        _compute_hexjet_ratios,
         {"hexjet.less_overshoot": 4.0, "hexjet.faster_settling": 6.0},
     ),
     Stage(
         "Hex-Jet gains, turbojet's dynamics in the plant",
         {"corrected_p": (0.004, 0.01), "corrected_attitude_gain_1_s": (0.5, 1.2)},
-        _correct_hexjet,
+        _compute_corrected_ratios,
         {"hexjet.less_overshoot": 4.0, "hexjet.faster_settling": 6.0},
     ),
 ]
 
 
 def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda line: None) -> Frozen:
-    """Fit stage after stage.  Deterministic, about a minute.
+    """Fit all stages in order and return the calibration; deterministic, about a minute.
 
-    Parameters are rounded to four digits, the doublet's length to whole steps, so that the file says all there is.
+    Parameters are rounded to four digits, the doublet's length to whole steps, so that the file is complete.
     """
     parameters = start
     used: list[FittedNumber] = []
     for stage in STAGES:
         say(stage.name)
-        parameters = _fit(stage, parameters)
+        parameters = _fit_stage(stage, parameters)
         values = stage.answers(parameters)
         used += [
             FittedNumber(key=key, paper=numbers.value(key), ours=_digits(values[key], 6), scale=scale, stage=stage.name)
@@ -166,33 +167,33 @@ def calibrate(start: Calibration = START, say: Callable[[str], None] = lambda li
     return Frozen(parameters=parameters, used=used)
 
 
-def _fit(stage: Stage, base: Calibration) -> Calibration:
-    """Fit by points spread over the bounds, then by Nelder and Mead from the best three (scipy.optimize)."""
+def _fit_stage(stage: Stage, base: Calibration) -> Calibration:
+    """Fit a stage from points spread over the bounds, then by Nelder and Mead from the best three (scipy.optimize)."""
     from scipy.optimize import minimize
 
     keys = list(stage.unknowns)
     low, high = (np.array([bounds[n] for bounds in stage.unknowns.values()]) for n in (0, 1))
 
-    def trial(x: Sequence[float]) -> Calibration:
+    def make_trial(x: Sequence[float]) -> Calibration:
         values = (low + np.clip(np.asarray(x), 0.0, 1.0) * (high - low)).tolist()
         return base.model_copy(update=dict(zip(keys, values, strict=True)))
 
     def cost(x: Sequence[float]) -> float:
         outside = float(np.sum(np.maximum(0.0, np.abs(np.asarray(x) - 0.5) - 0.5)))
-        return stage.cost(trial(x)) + 100.0 * outside
+        return stage.cost(make_trial(x)) + 100.0 * outside
 
     ends = []
-    for point in sorted(_starts(len(keys)), key=cost)[:3]:
+    for point in sorted(_spread_points(len(keys)), key=cost)[:3]:
         corners = [point, *([v + (0.07 if n == m else 0.0) for n, v in enumerate(point)] for m in range(len(keys)))]
         options = {"initial_simplex": corners, "xatol": 1e-4, "fatol": 1e-5, "maxiter": 250}
         ends.append(minimize(cost, point, method="Nelder-Mead", options=options))
-    return _round(trial(min(ends, key=lambda end: float(end.fun)).x), keys)
+    return _round_parameters(make_trial(min(ends, key=lambda end: float(end.fun)).x), keys)
 
 
-def _starts(unknowns: int, count: int = 300) -> list[list[float]]:
-    """Return Halton's points in the unit cube: evenly spread, the same every time."""
+def _spread_points(unknowns: int, count: int = 300) -> list[list[float]]:
+    """Return Halton's points in the unit cube, which are evenly spread and always the same."""
 
-    def element(n: int, base: int) -> float:
+    def radical_inverse(n: int, base: int) -> float:
         value, digit_weight = 0.0, 1.0 / base
         while n:
             n, digit = divmod(n, base)
@@ -200,10 +201,10 @@ def _starts(unknowns: int, count: int = 300) -> list[list[float]]:
             digit_weight /= base
         return value
 
-    return [[element(n, base) for base in (2, 3, 5, 7)[:unknowns]] for n in range(1, count + 1)]
+    return [[radical_inverse(n, base) for base in (2, 3, 5, 7)[:unknowns]] for n in range(1, count + 1)]
 
 
-def _round(calibration: Calibration, keys: list[str]) -> Calibration:
+def _round_parameters(calibration: Calibration, keys: list[str]) -> Calibration:
     step = 1.0 / numbers.value("quadrotor.rate")
     values = {key: _digits(getattr(calibration, key), 4) for key in keys}
     if "disturbance_each_s" in values:

@@ -26,7 +26,7 @@ from hexjet_paper.loops import LOW_END_HZ, Sweep, gain_at, margins, open_loop, s
 from hexjet_paper.numbers import Basis, Record
 
 Origin = Basis | Literal["given", "derived"]
-TITLES = {  # names of the controllers
+TITLES = {  # controllers' names in tables
     "baseline": "baseline",
     "smith": "Smith predictor",
     "state": "state predictor, G_n(z) realised",
@@ -35,10 +35,10 @@ TITLES = {  # names of the controllers
 
 
 class Row(Record):
-    """One quantity: the paper's number and ours.
+    """One printed number of the paper, and ours in each fidelity.
 
     ``origin``: what ours rests on (:data:`hexjet_paper.numbers.Basis`); or the number is an input of the experiments
-    (given), or derived from other printed numbers alone.  A deviation is ours over the paper's, less one, in percent.
+    (given), or derived from other printed numbers alone.  A deviation is ours relative to the paper's, in percent.
     """
 
     key: str
@@ -53,29 +53,29 @@ class Row(Record):
 
     @property
     def linear_deviation(self) -> float | None:
-        return _deviation(self.linear, self.paper)
+        return _deviation_percent(self.linear, self.paper)
 
     @property
     def flight_deviation(self) -> float | None:
-        return _deviation(self.flight, self.paper)
+        return _deviation_percent(self.flight, self.paper)
 
 
-def _loop(key: object) -> object:
-    """Return vehicle and controller from a key of JSON."""
+def _parse_loop(key: object) -> object:
+    """Return vehicle and controller from a JSON key."""
     return tuple(key.split(",")) if isinstance(key, str) else key
 
 
-Loop = Annotated[tuple[str, str], BeforeValidator(_loop)]  # (vehicle, controller)
+Loop = Annotated[tuple[str, str], BeforeValidator(_parse_loop)]  # (vehicle, controller)
 
 
 @dataclass(frozen=True)
 class LinearPart:
-    """Everything that is computed on the linear plant."""
+    """All results that are computed on the linear plant."""
 
     frozen: Frozen
     results: dict[str, Result]
     evidence: Evidence
-    sweeps: dict[str, Sweep]  # response measured in the loop
+    sweeps: dict[str, Sweep]  # responses measured in the loop
     conditions: list[Condition]
     maps: list[extensions.RobustnessMap]
     delays: dict[Loop, list[extensions.DelayPoint]]
@@ -86,7 +86,7 @@ class LinearPart:
 
 
 def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
-    """Compute everything from the frozen calibration; ``say`` is told each part."""
+    """Compute all results on the linear plant from the frozen calibration; ``say`` gets each part's name."""
     frozen = load()
     calibration = frozen.parameters
     say("experiments on the linear plant")
@@ -126,29 +126,30 @@ def linear_part(say: Callable[[str], None] = lambda stage: None) -> LinearPart:
     )
 
 
-_READ: dict[str, Callable[[Metrics], float | None]] = {  # metric of a flight by the key's end
+_METRICS_BY_KEY_END: dict[str, Callable[[Metrics], float | None]] = {
     "rmse": lambda m: m.rmse if m.stable else None,
     "max": lambda m: m.max if m.stable else None,
 }
-_DERIVED: dict[str, Callable[[], float]] = {  # numbers that follow from printed ones
+_DERIVED_NUMBERS: dict[str, Callable[[], float]] = {  # by key, from other printed numbers
     "turbojet.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("turbojet.pole")),
     "edf.time_constant": lambda: -numbers.value("hexjet.step") / log(numbers.value("edf.pole")),
     "turbojet.delay": lambda: numbers.value("hexjet.delay") * numbers.value("hexjet.step"),
     "hexjet.thrust": lambda: 6.0 * numbers.value("edf.gain") / (1.0 - numbers.value("edf.pole")),
     "quadrotor.payload_percent": lambda: 100.0 * numbers.value("quadrotor.payload") / numbers.value("quadrotor.mass"),
 }
+# Keys that begin so are inputs of the experiments, unless ours is computed.
 _INPUT_PREFIXES = ("hexjet.", "quadrotor.", "turbojet.", "edf.", "roll.", "step.", "disturbance.amplitude")
-_STICKS = "the pilot's sticks are not printed; ours are calm, and there is no wind"  # note on the manual flight
-_RMSE_AND_MAE = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'  # note on pitch and yaw
-# Computed from our choices: gains, lengths and sticks; in flight also lags and inertia behind the roll response.
+_STICKS_NOTE = "the pilot's sticks are not printed; ours are calm, and there is no wind"
+_RMSE_NOTE = '; printed as "RMSE and MAE for pitch and yaw", and taken for one RMSE of each'
+# Keys that begin so follow from our choices: gains, lengths and sticks; in flight also lags and inertia of roll.
 _CHOSEN, _CHOSEN_IN_FLIGHT = ("hexjet-doublet.", "hexjet-manual."), ("roll.", "hexjet.delay")
-_NOTES = {  # note on a number, by key
+_NOTES = {  # notes on numbers, by key
     "frequency.dc_gain": "ours at 1 Hz: with an integral the gain has no end towards 0 Hz",
     "hexjet-doublet.smith.rmse": "gains, and length of doublet and record, not printed: chosen; see the conditions",
     "hexjet-doublet.smith.max": f"{radians(2.0 * numbers.value('hexjet.amplitude')):.4f} rad is the height of the "
     "middle step: the largest error of any loop that has settled before it",
-    **{f"hexjet-manual.{axis}.{what}": _STICKS for axis in ("roll", "pitch", "yaw") for what in ("rmse", "rate_rmse")},
-    **{f"hexjet-manual.{axis}.rmse": _STICKS + _RMSE_AND_MAE for axis in ("pitch", "yaw")},
+    **{f"hexjet-manual.{a}.{what}": _STICKS_NOTE for a in ("roll", "pitch", "yaw") for what in ("rmse", "rate_rmse")},
+    **{f"hexjet-manual.{axis}.rmse": _STICKS_NOTE + _RMSE_NOTE for axis in ("pitch", "yaw")},
     "step.time_constant": "63.2 % of the first step, mean of baseline and Smith",
     "hexjet.thrust": "six times the EDF's gain at rest",
     "hexjet.delay": "identified on the roll axis beside the paper's lag",
@@ -164,21 +165,21 @@ _NOTES = {  # note on a number, by key
 def comparison_rows(
     frozen: Frozen, linear: Evidence, flight: Evidence | None = None, extra: Mapping[str, float] | None = None
 ) -> list[Row]:
-    """Compare each printed number with ours; ``extra`` has flight values without evidence."""
+    """Return the comparison of each printed number with ours; ``extra`` has flights' values without evidence."""
     used = {used_row.key for used_row in frozen.used}
     rows = []
     for printed in numbers.PRINTED.values():
         for variant in _variants(printed.key):
-            rows.append(_row(printed, variant, linear, flight, extra or {}, used))
+            rows.append(_make_row(printed, variant, linear, flight, extra or {}, used))
     return rows
 
 
 def _variants(key: str) -> list[str]:
-    """Return the keys to compare a printed number with: two for the paper's state predictor."""
+    """Return the keys whose values are compared with a printed number: two for the paper's state predictor."""
     return [key, key.replace(".state.", f".{STATE_AS_PRINTED}.")] if ".state." in key else [key]
 
 
-def _row(
+def _make_row(
     printed: numbers.Printed,
     key: str,
     evidence: Evidence,
@@ -186,14 +187,14 @@ def _row(
     extra: Mapping[str, float],
     used: set[str],
 ) -> Row:
-    value = _computed(key, evidence)
-    in_flight = extra.get(key, _computed(key, flight) if flight else None)
+    value = _find_value(key, evidence)
+    in_flight = extra.get(key, _find_value(key, flight) if flight else None)
     origin: Origin = "predicted"
-    # The state predictor's numbers were computed with the matrices as printed.
+    # The printed numbers of the state predictor were fitted with the matrices as printed.
     if printed.key in used and (".state." not in printed.key or key != printed.key):
         origin = "calibrated"
-    elif printed.key in _DERIVED:
-        origin, value = "derived", _DERIVED[printed.key]()
+    elif printed.key in _DERIVED_NUMBERS:
+        origin, value = "derived", _DERIVED_NUMBERS[printed.key]()
     elif printed.key.startswith(_CHOSEN) or (printed.key.startswith(_CHOSEN_IN_FLIGHT) and in_flight is not None):
         origin = "follows from a choice"
     elif value is None and printed.key.startswith(_INPUT_PREFIXES):
@@ -201,7 +202,7 @@ def _row(
     note = _NOTES.get(printed.key, "")
     if ".state." in printed.key:
         note = TITLES["state" if key == printed.key else STATE_AS_PRINTED]
-    note += _growth_with_payload(printed.key, key, evidence, flight)
+    note += _describe_payload_growth(printed.key, key, evidence, flight)
     return Row(
         key=key,
         quantity=printed.meaning,
@@ -215,24 +216,24 @@ def _row(
     )
 
 
-def _growth_with_payload(printed: str, key: str, evidence: Evidence, flight: Evidence | None) -> str:
-    """Describe the effect that a number with payload is about: its growth over the same without."""
+def _describe_payload_growth(printed: str, key: str, evidence: Evidence, flight: Evidence | None) -> str:
+    """Return a note on how a printed number with payload grows over that without it; else an empty text."""
     if not printed.startswith("disturbance-5-payload."):
         return ""
 
-    def growth(value: Callable[[str], float | None], name: str) -> str:
+    def format_growth(value: Callable[[str], float | None], name: str) -> str:
         with_it, without = value(name), value(name.replace("-payload", ""))
         return f"{100.0 * (with_it / without - 1.0):+.1f} %" if with_it and without else "not flown"
 
-    growths = [f"growth with payload {growth(numbers.value, printed)} in the paper"]
-    growths += [f"{growth(lambda name: _computed(name, evidence), key)} on the linear plant"]
+    growths = [f"growth with payload {format_growth(numbers.value, printed)} in the paper"]
+    growths += [f"{format_growth(lambda name: _find_value(name, evidence), key)} on the linear plant"]
     if flight:
-        growths += [f"{growth(lambda name: _computed(name, flight), key)} in flight"]
+        growths += [f"{format_growth(lambda name: _find_value(name, flight), key)} in flight"]
     return ("; " if ".state." in printed else "") + ", ".join(growths)
 
 
-def _computed(key: str, evidence: Evidence) -> float | None:
-    """Return a printed key's value in one fidelity, or None."""
+def _find_value(key: str, evidence: Evidence) -> float | None:
+    """Return our value for a printed key in one fidelity; None if it was not computed."""
     metrics = evidence.metrics
     head, _, last = key.rpartition(".")
     if key.startswith("frequency."):
@@ -240,8 +241,8 @@ def _computed(key: str, evidence: Evidence) -> float | None:
             return evidence.gain_at_low_end.get("baseline")
         row = evidence.margins.get(head.removeprefix("frequency."))
         return getattr(row, last) if row else None
-    if head in metrics and last in _READ:
-        return _READ[last](metrics[head])
+    if head in metrics and last in _METRICS_BY_KEY_END:
+        return _METRICS_BY_KEY_END[last](metrics[head])
     if key == "step.time_constant":
         times = [metrics[f"step-5.{c}"].time_constant_s for c in ("baseline", "smith") if f"step-5.{c}" in metrics]
         finite = [t for t in times if t is not None]
@@ -256,12 +257,12 @@ def _computed(key: str, evidence: Evidence) -> float | None:
     return None
 
 
-def _deviation(value: float | None, paper: float) -> float | None:
+def _deviation_percent(value: float | None, paper: float) -> float | None:
     return None if value is None else 100.0 * (value / paper - 1.0)
 
 
 def write_csv(rows: list[Row], path: Path) -> None:
-    """Write ``comparison.csv``: one line per quantity, six significant digits."""
+    """Write the comparison as CSV: one line per quantity, numbers with six significant digits."""
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
         out.writerow(
@@ -278,7 +279,7 @@ def _csv_number(value: float | None) -> str:
 
 
 def as_data(part: LinearPart, rows: list[Row], judged: list[ClaimRow]) -> dict[str, Any]:
-    """Return all of it as plain data, for a JSON file or a template."""
+    """Return results, comparison and claims of the linear plant as plain data, for a JSON file or a template."""
     dumped = [
         row.model_dump() | {"linear_deviation": row.linear_deviation, "flight_deviation": row.flight_deviation}
         for row in rows

@@ -17,7 +17,7 @@ from hexjet_paper.numbers import Record
 
 
 class Condition(Record):
-    """A searched condition under which printed numbers follow, with their values."""
+    """A condition that was searched for, under which printed numbers follow, with its values."""
 
     key: str
     question: str
@@ -28,19 +28,19 @@ class Condition(Record):
 def conditions(calibration: Calibration) -> list[Condition]:
     """Search for conditions under which the model gives printed numbers that it misses otherwise."""
     return [
-        _plant_error(calibration, "smith", "Smith"),
-        _plant_error(calibration, "state", "the state predictor, G_n(z) realised"),
-        _plant_error(calibration, STATE_AS_PRINTED, "the state predictor as printed"),
-        *_observer_range(calibration),
-        _doublet_length(calibration),
-        _payload_condition(calibration),
-        _payload_sign(calibration),
-        _first_unstable(calibration),
+        _search_plant_error(calibration, "smith", "Smith"),
+        _search_plant_error(calibration, "state", "the state predictor, G_n(z) realised"),
+        _search_plant_error(calibration, STATE_AS_PRINTED, "the state predictor as printed"),
+        *_search_observer_range(calibration),
+        _search_doublet_length(calibration),
+        _search_payload_condition(calibration),
+        _run_flight_payload(calibration),
+        _search_unstable_delay(calibration),
     ]
 
 
-def _plant_error(calibration: Calibration, controller: str, called: str) -> Condition:
-    """Search for gain and delay errors that give a predictor's printed margins: 3 numbers, 2 unknowns."""
+def _search_plant_error(calibration: Calibration, controller: str, called: str) -> Condition:
+    """Search for a gain and a delay error that give a predictor's three printed margins."""
     from scipy.optimize import minimize
 
     loop = quadrotor_axis(calibration, controller, 5)
@@ -48,7 +48,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
     paper = "smith" if controller == "smith" else "state"
     printed = {name: numbers.value(f"frequency.{paper}.{name}") for name in ("cutoff", "phase_margin", "gain_margin")}
 
-    def at(gain: float, extra: float) -> Margins:
+    def margins_at(gain: float, extra: float) -> Margins:
         plant = Plant(loop.plant.model, gain=gain, extra_samples=extra)
         return margins(open_loop(replace(loop, plant=plant), predictor), loop.step, low=0.3, points=400)
 
@@ -56,7 +56,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
         gain, extra = float(x[0]), float(x[1]) * 10.0
         if not (0.3 < gain < 2.0 and 0.0 <= extra < 15.0):
             return 1e3
-        response = at(gain, extra)
+        response = margins_at(gain, extra)
         pairs = (
             (response.cutoff, "cutoff"),
             (response.phase_margin, "phase_margin"),
@@ -68,7 +68,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
     options = {"xatol": 1e-3, "fatol": 1e-5, "maxiter": 60}
     best = minimize(cost, min(starts, key=cost), method="Nelder-Mead", options=options)
     gain, extra = float(best.x[0]), float(best.x[1]) * 10.0
-    response = at(gain, extra)
+    response = margins_at(gain, extra)
     met = best.fun < 3 * 0.1**2
     detail = (
         f"a plant of {gain:.2f} times the modelled gain and {extra:.1f} samples more delay gives "
@@ -83,7 +83,7 @@ def _plant_error(calibration: Calibration, controller: str, called: str) -> Cond
     )
 
 
-def _observer_range(calibration: Calibration) -> Iterator[Condition]:
+def _search_observer_range(calibration: Calibration) -> Iterator[Condition]:
     """Search for the double-integrator observer's bandwidths with a stable loop, for 5, 10 and 25 samples of delay."""
     bandwidths = np.geomspace(20.0, 2000.0, 41)
     for controller, called in (("state", "G_n(z) realised"), (STATE_AS_PRINTED, "the matrices as printed")):
@@ -105,7 +105,7 @@ def _observer_range(calibration: Calibration) -> Iterator[Condition]:
         )
 
 
-def _doublet_length(calibration: Calibration) -> Condition:
+def _search_doublet_length(calibration: Calibration) -> Condition:
     """Search for the doublet and record lengths that give Smith's printed errors at the vehicle's gains."""
     loop = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     amplitude, most = np.radians(numbers.value("hexjet.amplitude")), numbers.value("hexjet-doublet.smith.max")
@@ -128,13 +128,13 @@ def _doublet_length(calibration: Calibration) -> Condition:
 
 
 def _rmse_with_and_without(run: Fidelity, controller: str) -> tuple[float, float]:
-    """Return the rate's RMSE under the disturbance with 5 samples, with the payload and without it, rad/s."""
+    """Return the roll rate's RMSE [rad/s] under the disturbance, with the payload and without it (5 samples)."""
     loaded, empty = (run(Experiment("disturbance", controller, 5, payload=p)).metrics.rmse for p in (True, False))
     return loaded, empty
 
 
-def _payload_condition(calibration: Calibration) -> Condition:
-    """Search for disturbances and payloads for which the state predictor's error grows more than Smith's."""
+def _search_payload_condition(calibration: Calibration) -> Condition:
+    """Search for disturbances and payloads under which the state predictor's error grows more than Smith's."""
     lengths, gains = np.arange(0.05, 0.201, 0.0125), (0.8, 0.9, 1.1, 1.2, 1.3)
     lines, values = [], {}
     for gain in gains:
@@ -162,8 +162,8 @@ def _payload_condition(calibration: Calibration) -> Condition:
     )
 
 
-def _payload_sign(calibration: Calibration) -> Condition:
-    """Run the linear plant with the gain that the payload has in six degrees of freedom."""
+def _run_flight_payload(calibration: Calibration) -> Condition:
+    """Judge the payload's claims on the linear plant with the gain that the payload has in flight."""
     gain = flight_payload_gain()
     trial = calibration.model_copy(update={"payload_gain": gain})
     run = linear(trial)
@@ -191,16 +191,16 @@ def _payload_sign(calibration: Calibration) -> Condition:
     )
 
 
-def _first_unstable(calibration: Calibration) -> Condition:
+def _search_unstable_delay(calibration: Calibration) -> Condition:
     """Search for the delay that destabilises the quadrotor's baseline, with and without attitude loop."""
 
-    def first_unstable(attitude_gain: float) -> int:
+    def find_first_unstable(attitude_gain: float) -> int:
         for delay in range(1, 60):
             if unstable_poles(replace(quadrotor_axis(calibration, "baseline", delay), attitude_gain=attitude_gain)):
                 return delay
         return 60
 
-    alone, closed = first_unstable(0.0), first_unstable(calibration.attitude_gain_1_s)
+    alone, closed = find_first_unstable(0.0), find_first_unstable(calibration.attitude_gain_1_s)
     return Condition(
         key="baseline-delay",
         question="with how many samples does the quadrotor's baseline lose stability?",

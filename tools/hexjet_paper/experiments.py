@@ -27,23 +27,23 @@ Gains = Literal["calibrated", "vehicle"]
 CONTROLLERS = ("baseline", "smith", "state", STATE_AS_PRINTED, "filtered-smith", "state-model", "state-disturbance")
 COMPARED = ("baseline", "smith", "state", STATE_AS_PRINTED)  # the paper's controllers
 
-# Length of either half and of the run, s; the paper states neither. At the vehicle's gains as in the scenario
-# roll-doublet; at calibrated gains long enough for the baseline to settle, whose settling time is printed.
+# Length [s] of either half of the Hex-Jet's doublet, and of the run; the paper states neither. At the vehicle's gains
+# as in scenario roll-doublet; at calibrated ones long enough for the baseline to settle, whose settling is printed.
 HEXJET_LENGTHS: dict[Gains, tuple[float, float]] = {"vehicle": (3.0, 12.0), "calibrated": (6.0, 22.0)}
-PAYLOAD_POSITION = [0.0, 0.0, 0.03]  # m, body: below the frame; chosen by us
+PAYLOAD_POSITION_M = [0.0, 0.0, 0.03]  # body, below the frame; chosen by us
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run; ``name`` is the key of its numbers in :data:`hexjet_paper.numbers.PRINTED`."""
+    """One run of the paper; ``name`` is the key of its numbers in :data:`hexjet_paper.numbers.PRINTED`."""
 
     kind: Kind
     controller: str
     delay_samples: int
     payload: bool = False
-    gains: Gains = "calibrated"  # gains of the Hex-Jet
-    unseen: bool = False  # True: enters behind the predictor's tap
-    stretch: float = 1.0  # factor on doublet, run and windows
+    gains: Gains = "calibrated"  # which gains of the Hex-Jet
+    unseen: bool = False  # disturbance unknown to the predictor
+    stretch: float = 1.0  # factor on all lengths of time
 
     @property
     def name(self) -> str:
@@ -54,16 +54,16 @@ class Experiment:
 
     @property
     def step(self) -> float:
-        """Control step, s."""
+        """Control step [s]."""
         return numbers.value("hexjet.step") if self.kind == "hexjet-doublet" else 1.0 / numbers.value("quadrotor.rate")
 
     @property
     def start(self) -> float:
-        """First edge, s."""
+        """Time of the doublet's first edge [s]."""
         return 1.0 if self.kind == "hexjet-doublet" else numbers.value("step.start")
 
     def half_length(self, calibration: Calibration) -> float:
-        """Return the length of either half of the doublet, s."""
+        """Return the length of either half of the doublet [s]."""
         if self.kind == "disturbance":
             return calibration.disturbance_each_s
         hexjet = self.kind == "hexjet-doublet"
@@ -71,24 +71,24 @@ class Experiment:
 
     @property
     def record(self) -> float:
-        """Length of the evaluated record, s."""
+        """Length of the evaluated record [s]."""
         return self.run if self.kind == "hexjet-doublet" else numbers.value("step.record")
 
     @property
     def run(self) -> float:
-        """Length of the run, s."""
+        """Length of the whole run [s]."""
         # The paper's record is 2 s; flying on to 6 s shows whether an oscillation grows.
         return self.stretch * HEXJET_LENGTHS[self.gains][1] if self.kind == "hexjet-doublet" else 6.0
 
     @property
     def amplitude(self) -> float:
-        """rad, or command for a disturbance."""
+        """Amplitude of the doublet: rad, or the command's unit for a disturbance."""
         if self.kind == "disturbance":
             return numbers.value("disturbance.amplitude")
         return radians(numbers.value("hexjet.amplitude" if self.kind == "hexjet-doublet" else "step.amplitude"))
 
     def signal(self, calibration: Calibration) -> Signal:
-        """Return the doublet as a function of the step's number."""
+        """Return the doublet as a function of the control step's number."""
         return doublet(self.amplitude, self.start, self.half_length(calibration), self.step)
 
 
@@ -98,15 +98,15 @@ class Metrics(Record):
     stable: bool
     rmse: float  # rad or rad/s, over the record
     max: float  # rad or rad/s, largest error
-    overshoot_percent: float | None = None  # largest of the doublet's three steps
-    settling_s: float | None = None  # longest to 5 %; None: one never settles
-    time_constant_s: float | None = None  # first edge to 63.2 % of the first step
-    late_rmse: float | None = None  # rad, against set-point 20 samples ago
+    overshoot_percent: float | None = None  # largest of the three steps
+    settling_s: float | None = None  # longest, to 5 %; None if one never does
+    time_constant_s: float | None = None  # to 63.2 % of the first step
+    late_rmse: float | None = None  # rad, from the set-point 20 samples ago
 
 
 @dataclass(frozen=True)
 class Result:
-    """An experiment's metrics and time series, one value per step."""
+    """An experiment's metrics and time series with one value per step."""
 
     experiment: Experiment
     metrics: Metrics
@@ -121,7 +121,7 @@ Fidelity = Callable[[Experiment], Result]
 
 
 def experiments() -> list[Experiment]:
-    """Return all single-axis experiments of the paper, and those that explain them."""
+    """Return all single-axis experiments of the paper, and some more that explain them."""
     quadrotor: list[Experiment] = []
     for controller in CONTROLLERS:
         quadrotor += [Experiment("step", controller, delay) for delay in (5, 10, 25)]
@@ -176,18 +176,18 @@ def quadrotor_axis(calibration: Calibration, controller: str, delay: int, noisy:
 
 
 def flight_payload_gain() -> float:
-    """Return the factor of the plant's gain by the quadrotor's payload in flight: ``J_xx`` without over with it.
+    """Return the factor by which the payload changes the plant's gain in flight: ``J_xx`` without over with it.
 
     ``J = J_0 + m M / (m + M) h^2``: two bodies a height ``h`` apart, about their common centre of gravity.
     """
     vehicle, _ = load_vehicle("quadrotor")
     payload, inertia = numbers.value("quadrotor.payload"), vehicle.inertia_kg_m2[0]
     shared = vehicle.mass_kg * payload / (vehicle.mass_kg + payload)
-    return inertia / (inertia + shared * PAYLOAD_POSITION[2] ** 2)
+    return inertia / (inertia + shared * PAYLOAD_POSITION_M[2] ** 2)
 
 
 def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: bool = True) -> Axis:
-    """Return the Hex-Jet's roll loop, at the gains of its ``vehicle.toml`` or at those of the printed ratios."""
+    """Return the Hex-Jet's roll loop, at the gains of its ``vehicle.toml`` or those fitted to the printed ratios."""
     vehicle, _ = load_vehicle("hexjet")
     rate, attitude = vehicle.control.rate.roll, vehicle.control.attitude.gain_1_s[0]
     if gains == "calibrated":
@@ -210,13 +210,13 @@ def hexjet_axis(calibration: Calibration, controller: str, gains: Gains, noisy: 
 
 
 def linear(calibration: Calibration, noisy: bool = True, is_whole: bool = True) -> Fidelity:
-    """Return the linear plant's fidelity; not ``is_whole``: the record only, without stability."""
+    """Return a function that runs experiments on the linear plant; not ``is_whole``: the record only, no stability."""
 
     return lambda experiment: linear_run(experiment, axis(experiment, calibration, noisy), calibration, is_whole)
 
 
 def linear_run(experiment: Experiment, loop: Axis, calibration: Calibration, is_whole: bool = True) -> Result:
-    """Run an experiment on any loop of the linear plant; ``is_whole`` as in :func:`linear`."""
+    """Run an experiment on a given loop of the linear plant; ``is_whole`` as in :func:`linear`."""
     signal = experiment.signal(calibration)
     steps = round((experiment.run if is_whole else experiment.record) / experiment.step)
     disturbed = experiment.kind == "disturbance"
@@ -237,9 +237,9 @@ def result(
     rate: Sequence[float] | array[float],
     command: Sequence[float] | array[float],
 ) -> Result:
-    """Compute a run's metrics from one value per step since its start, rad and rad/s.
+    """Return metrics and series of a run from one value per step since its start [rad, rad/s].
 
-    A run that ended before ``experiment.run`` was lost: it is unstable.
+    A run that ended before ``experiment.run`` counts as unstable.
     """
     step, width = experiment.step, experiment.half_length(calibration)
     reference, is_angle, is_rate = np.array(setpoint), np.array(angle), np.array(rate)
@@ -249,7 +249,7 @@ def result(
     settles = is_whole and not swings(is_rate, step, experiment.start + 2.0 * width, experiment.stretch)
     edges = [round((experiment.start + n * width) / step) for n in range(3)]
     commanded = experiment.kind != "disturbance" and len(error) == rows
-    overshoots, times = _steps(reference[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
+    overshoots, times = _score_steps(reference[:rows], is_angle[:rows], edges, step) if commanded else ([], [])
     return Result(
         experiment,
         Metrics(
@@ -258,8 +258,8 @@ def result(
             max=float(np.max(np.abs(error))),
             overshoot_percent=max(overshoots) if overshoots else None,
             settling_s=max((t for t in times if t is not None), default=None) if None not in times else None,
-            time_constant_s=_rise(is_angle, edges[0], edges[1], step) if commanded else None,
-            late_rmse=_delayed(reference[:rows], is_angle[:rows]) if commanded else None,
+            time_constant_s=_time_constant(is_angle, edges[0], edges[1], step) if commanded else None,
+            late_rmse=_compute_late_rmse(reference[:rows], is_angle[:rows]) if commanded else None,
         ),
         time=[k * step for k in range(len(error))],
         setpoint=reference[:rows].tolist(),
@@ -270,15 +270,15 @@ def result(
 
 
 def swings(rate: Array, step: float, last_edge: float, window: float = 1.0) -> bool:
-    """Return whether the rate oscillates at the end as much as right after the last edge."""
+    """Return whether the rate still oscillates at the end as much as right after the last edge."""
     samples = round(window / step)
     after = round(last_edge / step)
     before, end = np.std(rate[after : after + samples]), np.std(rate[-samples:])
-    # Oscillation below 0.05 rad/s is noise.
+    # A standard deviation below 0.05 rad/s counts as noise.
     return not isfinite(float(end)) or bool(end > 0.05 and end > 0.9 * before)
 
 
-def _steps(command: Array, angle: Array, edges: list[int], step: float) -> tuple[list[float], list[float | None]]:
+def _score_steps(command: Array, angle: Array, edges: list[int], step: float) -> tuple[list[float], list[float | None]]:
     overshoots: list[float] = []
     times: list[float | None] = []
     for first, end in zip(edges, [*edges[1:], len(command)], strict=True):
@@ -289,13 +289,13 @@ def _steps(command: Array, angle: Array, edges: list[int], step: float) -> tuple
     return overshoots, times
 
 
-def _delayed(command: Array, angle: Array, samples: int = 20) -> float:
+def _compute_late_rmse(command: Array, angle: Array, samples: int = 20) -> float:
     late = np.concatenate([np.full(samples, angle[0]), angle[:-samples]])
     return float(np.sqrt(np.mean(np.square(command - late))))
 
 
-def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
-    """Return the time from the edge to 63.2 % of the first step, s, interpolated between the samples."""
+def _time_constant(angle: Array, first: int, end: int, step: float) -> float | None:
+    """Return the time from the first edge to 63.2 % of its step [s], interpolated; None if not reached."""
     size = radians(numbers.value("step.amplitude")) if step == 1.0 / numbers.value("quadrotor.rate") else inf
     level = (1.0 - float(np.exp(-1.0))) * size
     past = np.flatnonzero(angle[first:end] >= level)
@@ -309,8 +309,8 @@ def _rise(angle: Array, first: int, end: int, step: float) -> float | None:
 def hexjet_ratios(
     overshoot: float | None, smith_overshoot: float | None, settling: float | None, smith_settling: float | None
 ) -> dict[str, float]:
-    """Return how much less overshoot and how much faster settling Smith's predictor gives, percent."""
+    """Return how much less overshoot, and how much faster settling, Smith's predictor gives [%]."""
     less = 100.0 * (1.0 - (smith_overshoot or 0.0) / overshoot) if overshoot else 0.0
-    # If the baseline has not settled by the next edge, there is no ratio: it is at least that much slower.
+    # If the baseline has not settled by the next edge, there is no ratio.
     faster = 100.0 * (1.0 - smith_settling / settling) if settling and smith_settling else 0.0
     return {"hexjet.less_overshoot": less, "hexjet.faster_settling": faster}

@@ -19,15 +19,16 @@ from hexjet_paper.linear import STATE_AS_PRINTED, Axis, Complex, Plant, doublet,
 from hexjet_paper.loops import LoopMap, controllers_response, predictor_response
 from hexjet_paper.numbers import Record
 
+# Controllers whose loops are compared.
 QUADROTOR = ("baseline", "smith", "filtered-smith", "state", STATE_AS_PRINTED, "state-model", "state-disturbance")
-HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")  # flown on the Hex-Jet
-# Peak sensitivity that a careful designer allows.
+HEXJET = ("baseline", "smith", "filtered-smith", "state", "state-model", "state-disturbance")
+# Largest peak sensitivity M_s that a careful designer allows.
 MAX_SENSITIVITY = 1.7
-_POINTS = 1200  # frequencies on the unit circle
+_POINTS = 1200  # frequencies of a map's responses
 
 
 class RobustnessMap(Record):
-    """One controller over delay error (samples) and gain error (factor): one row per gain.
+    """Peak sensitivity of one controller over delay error (samples) and gain error (factor): one row per gain.
 
     ``sensitivity`` is the peak sensitivity, None where the closed loop has a pole outside the unit circle.
     """
@@ -41,7 +42,7 @@ class RobustnessMap(Record):
 
     @property
     def stable_share(self) -> float:
-        """Fraction of the map that is stable."""
+        """Fraction of the map's cells that are stable."""
         cells = [cell for row in self.sensitivity for cell in row]
         return sum(cell is not None for cell in cells) / len(cells)
 
@@ -53,21 +54,21 @@ class RobustnessMap(Record):
 
 def loops(calibration: Calibration) -> dict[tuple[str, str], Axis]:
     """Return the nominal loops without noise, by vehicle and controller."""
-    # With ten added samples the paper's controllers differ visibly.
+    # Ten added samples are chosen because the paper's controllers differ visibly there.
     axes = {("quadrotor", c): quadrotor_axis(calibration, c, 10, noisy=False) for c in QUADROTOR}
     axes |= {("hexjet", c): hexjet_axis(calibration, c, "vehicle", noisy=False) for c in HEXJET}
     return axes
 
 
 def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
-    """Compute the robustness map of every controller of both vehicles."""
+    """Return the robustness map of every controller of both vehicles."""
     gains = [round(float(g), 4) for g in np.geomspace(0.25, 4.0, 25)]
     errors = {"quadrotor": list(range(-10, 21, 2)), "hexjet": list(range(-25, 26, 2))}
     maps = []
     for (vehicle, controller), axis in loops(calibration).items():
         loop = LoopMap(axis, _POINTS)
-        delays = [error if vehicle == "quadrotor" else error + 1 for error in errors[vehicle]]  # errors include 0
-        cells = [[_cell(loop, gain, axis.delay_samples + error) for error in delays] for gain in gains]
+        delays = [error if vehicle == "quadrotor" else error + 1 for error in errors[vehicle]]  # includes 0
+        cells = [[_find_sensitivity(loop, gain, axis.delay_samples + error) for error in delays] for gain in gains]
         maps.append(
             RobustnessMap(
                 vehicle=vehicle,
@@ -81,12 +82,12 @@ def robustness_maps(calibration: Calibration) -> list[RobustnessMap]:
     return maps
 
 
-def _cell(loop: LoopMap, gain: float, delay: int) -> float | None:
+def _find_sensitivity(loop: LoopMap, gain: float, delay: int) -> float | None:
     return None if loop.unstable_poles(gain, delay) else loop.peak_sensitivity(gain, delay)
 
 
 class DelayPoint(Record):
-    """A controller that knows the delay, on a plant with it."""
+    """Result of a controller that knows the delay, on a plant with that delay."""
 
     delay: int  # samples
     stable: bool
@@ -95,7 +96,7 @@ class DelayPoint(Record):
 
 
 def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> dict[tuple[str, str], list[DelayPoint]]:
-    """Sweep 0 to ``longest`` samples of added delay that the predictor knows, at unchanged gains."""
+    """Return results for 0 to ``longest`` samples of added delay that the predictor knows, at unchanged gains."""
     amplitude = {"quadrotor": numbers.value("step.amplitude"), "hexjet": numbers.value("hexjet.amplitude")}
     doublet_s, seconds = {"quadrotor": 0.5, "hexjet": 3.0}, {"quadrotor": 2.0, "hexjet": 8.0}
     by_loop: dict[tuple[str, str], list[DelayPoint]] = {}
@@ -103,7 +104,7 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
         points = []
         for delay in range(0, longest + 1, every):
             loop = axis.with_delay(delay)
-            sensitivity = _cell(LoopMap(loop, _POINTS), 1.0, delay)
+            sensitivity = _find_sensitivity(LoopMap(loop, _POINTS), 1.0, delay)
             rmse = None
             if sensitivity is not None:
                 signal = doublet(np.radians(amplitude[vehicle]), 0.2, doublet_s[vehicle], loop.step)
@@ -115,18 +116,18 @@ def delay_sweep(calibration: Calibration, longest: int = 60, every: int = 3) -> 
 
 
 class Offset(Record):
-    """Roll angle that remains under a constant disturbance of the command."""
+    """Roll angle that remains under a constant disturbance of the roll command."""
 
     controller: str
     peak: float  # rad
-    early: float  # rad, mean of 1 s, 10 s after the onset
-    late: float  # rad, mean of 1 s, 60 s after the onset
+    early: float  # rad, mean over 1 s, 10 s after onset
+    late: float  # rad, mean over 1 s, 60 s after onset
     time: list[float]  # s after the onset, each 0.1 s
     angle: list[float]  # rad
 
 
 def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) -> list[Offset]:
-    """Simulate an off-centre payload on the Hex-Jet: an unknown constant that is added to the roll command."""
+    """Simulate an off-centre payload on the Hex-Jet: an unknown constant added to the roll command."""
     offsets = []
     for controller in ("baseline", *HEXJET[1:]):
         axis = hexjet_axis(calibration, controller, "vehicle", noisy=False)
@@ -149,10 +150,10 @@ def constant_disturbance(calibration: Calibration, disturbance: float = 0.01) ->
 
 
 def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
-    """Return the classic Smith predictor's roll offset in closed form, rad, before the slow pole decays.
+    """Return the classic Smith predictor's roll offset [rad] in closed form, before the slow pole decays.
 
     At rest the command is ``-d``, which leaves ``y^ = -K h T d`` while ``y = 0``, ``K`` the plant's gain as an
-    integrator (rad/s^2 per command); the integral wants ``r = y^``, so ``K_att phi = K h T d``.
+    integrator (rad/s^2 per command); the integral settles at ``r = y^``, so ``K_att phi = K h T d``.
     """
     axis = hexjet_axis(calibration, "smith", "vehicle", noisy=False)
     model = axis.model
@@ -161,7 +162,7 @@ def smith_offset(calibration: Calibration, disturbance: float = 0.01) -> float:
 
 
 def integrating_gain(model: RateModel) -> float:
-    """Return the rate's slope per command, rad/s^2, after the fast modes: residue of the slowest pole over ``T``."""
+    """Return the rate's slope per command [rad/s^2] after the fast modes: residue of the slowest pole over ``T``."""
     slow = max(model.poles)
     others = [pole for pole in model.poles if pole != slow]
     value = model.gain
@@ -201,15 +202,12 @@ def noise_gains(calibration: Calibration) -> dict[tuple[str, str], float | None]
     return gains
 
 
-# --- the true turbojet ------------------------------------------------------------------------------------------------
-
-
 class Reach(Record):
-    """The fastest attitude loop of a controller within ``Ms <= ROBUST``."""
+    """Fastest attitude loop of a controller whose peak sensitivity is at most :data:`MAX_SENSITIVITY`."""
 
     engine: str
     controller: str
-    bandwidth: float | None  # Hz, at -3 dB; None: none qualifies
+    bandwidth: float | None  # Hz, at -3 dB; None if no loop qualifies
     sensitivity: float | None
     p: float | None
     d: float | None
@@ -220,7 +218,7 @@ class Reach(Record):
 
 
 def turbojet_plant() -> tuple[RateModel, RateModel]:
-    """Return the Hex-Jet's roll axis on true turbojets: the plant, and the second-order model of its predictor.
+    """Return the Hex-Jet's roll plant on true turbojets, and the second-order model of its predictor.
 
     Gain: that of G(z), times the ratio of turbojet to EDF thrust per throttle at rest.  Lags: the turbojet's and the
     9 ms that the identified roll lag has more than the EDF.  The model has one lag, the sum of both.
@@ -240,7 +238,7 @@ def turbojet_plant() -> tuple[RateModel, RateModel]:
 
 
 def _discretise(gain: float, slow: float, lags: list[float], step: float, source: str) -> RateModel:
-    """Return the zero-order hold of ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay, by its modes."""
+    """Return ``gain / ((s + slow) prod(lag s + 1))`` with the turbojet's delay behind a zero-order hold."""
     rates = [slow, *(1.0 / lag for lag in lags)]
     poles = [exp(-rate * step) for rate in rates]
     top = gain * float(np.prod([1.0 / lag for lag in lags]))
@@ -262,10 +260,10 @@ def _discretise(gain: float, slow: float, lags: list[float], step: float, source
 
 
 def turbojet(calibration: Calibration) -> list[Reach]:
-    """Search for the bandwidth that each controller reaches, with the delayed fans and with the true turbojet.
+    """Search for each controller's largest attitude bandwidth, with the delayed fans and with true turbojets.
 
-    A search over rate gain, derivative in time constants of the engine, attitude gain, and what the predictor is tuned
-    with; no integral, which costs every controller the same.
+    The search covers rate gain, derivative in time constants of the engine, attitude gain and the predictor's tuning;
+    there is no integral, which costs every controller the same.
     """
     truth, model = turbojet_plant()
     edf = numbers.roll_model()
@@ -274,11 +272,11 @@ def turbojet(calibration: Calibration) -> list[Reach]:
         for controller in HEXJET:
             base = hexjet_axis(calibration, controller, "vehicle", noisy=False)
             axis = replace(base, plant=Plant(plant), model=believed, rate_limit=inf)
-            designs.append(_reach(engine, axis, lag))
+            designs.append(_search_bandwidth(engine, axis, lag))
     return designs
 
 
-def _tunings(axis: Axis) -> list[PredictorTuning]:
+def _list_tunings(axis: Axis) -> list[PredictorTuning]:
     """Return tunings with the predictor's parameters at a third, once and three times those of ``vehicle.toml``."""
     if not predictor(axis.controller).parameters:
         return [axis.tuning]
@@ -294,19 +292,19 @@ def _tunings(axis: Axis) -> list[PredictorTuning]:
     ]
 
 
-def _reach(engine: str, axis: Axis, lag: float) -> Reach:
-    """Search for the largest bandwidth on a coarse grid, then on finer ones around the best."""
+def _search_bandwidth(engine: str, axis: Axis, lag: float) -> Reach:
+    """Search for the largest bandwidth of a controller on a coarse grid, then on finer ones around the best."""
     z = grid(500, lowest=1e-3)
-    # p is scaled by the gain that makes the rate loop as fast as the lag.
+    # p is in units of the gain that makes the rate loop as fast as the lag.
     unit = 1.0 / integrating_gain(axis.model) / lag
 
-    def candidate(tuned: Axis, p: float, d: float, gain: float) -> Axis:
+    def make_candidate(tuned: Axis, p: float, d: float, gain: float) -> Axis:
         gains = axis.gains.model_copy(update={"p": p * unit, "i": 0.0, "d": d * lag * p * unit})
         return replace(tuned, gains=gains, attitude_gain=gain)
 
     best, at = 0.0, (1.0, 0.0, 1.0)
     chosen: Axis | None = None
-    for tuning in _tunings(axis):
+    for tuning in _list_tunings(axis):
         tuned = replace(axis, tuning=tuning)
         responses = (z, *predictor_response(tuned.controller, tuned.model, tuning)(z))
         points = [
@@ -316,7 +314,7 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
             for gain in np.geomspace(0.1, 8.0, 14)
         ]
         for width in (0.0, 1.25, 1.1, 1.03):
-            if width:  # around the best one so far
+            if width:  # around the best point so far
                 if chosen is None or chosen.tuning != tuning:
                     break
                 factors = (1.0 / width, 1.0, width)
@@ -324,8 +322,8 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
                 shapes = {max(0.0, d + shift * (width - 1.0)) for shift in (-0.5, 0.0, 0.5)}
                 points = [(p * a, shape, gain * b) for shape in sorted(shapes) for a in factors for b in factors]
             for point in points:
-                trial = candidate(tuned, *point)
-                bandwidth = _bandwidth(trial, responses, best)
+                trial = make_candidate(tuned, *point)
+                bandwidth = _find_bandwidth(trial, responses, best)
                 if bandwidth is not None:
                     best, at, chosen = bandwidth, point, trial
     if chosen is None:
@@ -348,8 +346,8 @@ def _reach(engine: str, axis: Axis, lag: float) -> Reach:
     )
 
 
-def _bandwidth(axis: Axis, responses: tuple[Complex, Complex, Complex], beat: float) -> float | None:
-    """Return the -3 dB bandwidth of roll, Hz; None unless above ``beat``, stable, and of small peak sensitivity."""
+def _find_bandwidth(axis: Axis, responses: tuple[Complex, Complex, Complex], beat: float) -> float | None:
+    """Return the -3 dB bandwidth of roll [Hz] if above ``beat``, stable and at most of MAX_SENSITIVITY; else None."""
     z = responses[0]
     loop = LoopMap(axis, known=responses)
     error, _ = controllers_response(axis, z)

@@ -11,21 +11,21 @@ from typing import Any
 
 from cosim import Run, Scenario, fly, load_vehicle
 from hexjet_paper import numbers
-from hexjet_paper.experiments import PAYLOAD_POSITION, Experiment, Fidelity, Result, result
+from hexjet_paper.experiments import PAYLOAD_POSITION_M, Experiment, Fidelity, Result, result
 from hexjet_paper.frozen import Calibration
 
 
 def flight(calibration: Calibration, noisy: bool = True) -> Fidelity:
-    """Return the fidelity of the co-simulation.  Raises InputError for a controller that does not fly."""
+    """Return a function that flies experiments in six degrees of freedom; it raises InputError as :func:`fly`."""
 
-    def run(experiment: Experiment) -> Result:
+    def fly_one(experiment: Experiment) -> Result:
         return read(experiment, calibration, fly(scenario(experiment, calibration, noisy)))
 
-    return run
+    return fly_one
 
 
 def read(experiment: Experiment, calibration: Calibration, run: Run) -> Result:
-    """Compute metrics and series of a flown experiment."""
+    """Return metrics and series of an experiment from its flight."""
     log = run.log
     return result(
         experiment,
@@ -38,9 +38,9 @@ def read(experiment: Experiment, calibration: Calibration, run: Run) -> Result:
 
 
 def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = True) -> Scenario:
-    """Return an experiment as a scenario that a user can fly and change on its own."""
+    """Return an experiment as a scenario, which a user can fly and change."""
     hexjet = experiment.kind == "hexjet-doublet"
-    table = (_hexjet if hexjet else _quadrotor)(experiment, calibration)
+    table = (_make_hexjet_table if hexjet else _make_quadrotor_table)(experiment, calibration)
     data: dict[str, Any] = {
         "name": experiment.name,
         "title": f"{experiment.kind}, {experiment.delay_samples} samples, {experiment.controller}",
@@ -51,7 +51,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
         **table,
     }
     if experiment.kind == "disturbance":
-        # An edge must fall on a step, so the calibrated length is rounded to whole steps.
+        # A scenario's edges fall on steps, so the calibrated length is rounded to whole steps.
         width = round(experiment.half_length(calibration) / experiment.step) * experiment.step
         data["disturbance"] = [
             *table.get("disturbance", []),
@@ -79,7 +79,7 @@ def scenario(experiment: Experiment, calibration: Calibration, noisy: bool = Tru
     return Scenario.from_table(data, Path(), f"experiment {experiment.name}")
 
 
-def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, Any]:
+def _make_quadrotor_table(experiment: Experiment, calibration: Calibration) -> dict[str, Any]:
     vehicle, _ = load_vehicle("quadrotor")
     attitude = vehicle.control.attitude
     roll = {
@@ -99,7 +99,7 @@ def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, An
                 "rate": {"roll": roll},
                 "attitude": {
                     "gain_1_s": [calibration.attitude_gain_1_s, *attitude.gain_1_s[1:]],
-                    # The paper states no rate limit, and its steps demand more than usual limits allow.
+                    # The paper states no rate limit, and its steps command more than usual limits allow.
                     "rate_limit_rad_s": [100.0, *attitude.rate_limit_rad_s[1:]],
                 },
                 "predictor": {
@@ -113,13 +113,13 @@ def _quadrotor(experiment: Experiment, calibration: Calibration) -> dict[str, An
     }
     if experiment.payload:
         mass = numbers.value("quadrotor.payload")
-        data["disturbance"] = [{"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": PAYLOAD_POSITION}]
-        # It takes off with the load, so the throttle that carries it is known.
+        data["disturbance"] = [{"kind": "payload", "start_s": 0.0, "mass_kg": mass, "offset_m": PAYLOAD_POSITION_M}]
+        # The vehicle takes off with the load, so its height loop must be able to add the throttle for it.
         data["vehicle"]["control"]["altitude"] = {"integral_limit_m_s2": 6.0}
     return data
 
 
-def _hexjet(experiment: Experiment, calibration: Calibration) -> dict[str, Any]:
+def _make_hexjet_table(experiment: Experiment, calibration: Calibration) -> dict[str, Any]:
     data: dict[str, Any] = {"aircraft": "hexjet", "engine": "edf-as-flown"}
     if experiment.gains == "calibrated":
         vehicle, _ = load_vehicle("hexjet")

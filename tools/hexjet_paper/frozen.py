@@ -8,31 +8,31 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.files import read_toml, validate
 
-FILE = Path(__file__).with_name("calibration.toml")  # the calibration that is kept
+FILE = Path(__file__).with_name("calibration.toml")  # the calibration that is used
 
 
 class Calibration(BaseModel):
-    """The unknowns of the paper."""
+    """The parameters that the paper does not print, fitted or chosen."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    # Quadrotor, fitted.
+    # These are fitted for the quadrotor.
     p: float  # command per rad/s
     i: float  # command per rad
     d: float  # command per rad/s^2
     attitude_gain_1_s: float
-    disturbance_each_s: float  # s, of either half of the doublet
-    observer_rad_s: float  # both observer poles, double integrator
+    disturbance_each_s: float  # s, either half of the doublet
+    observer_rad_s: float  # both poles of its double integrator
     payload_gain: float  # gain factor with 230 g of payload
-    # Hex-Jet, fitted; the rate integral stays in proportion to vehicle.toml.
+    # These are fitted for the Hex-Jet; the rate integral stays in proportion to vehicle.toml.
     hexjet_p: float
     hexjet_attitude_gain_1_s: float
-    # The same with the turbojet's dynamics in the plant and the printed gain (hexjet_paper.readings).
+    # These are fitted with the turbojet's dynamics in the plant and the printed gain (hexjet_paper.readings).
     corrected_p: float
     corrected_attitude_gain_1_s: float
-    # Chosen, not fitted.
-    predictor_sees_disturbance: bool = True  # see claims.py
-    extra_delay_samples: float = 0.0  # no printed number needs any
+    # These are chosen, not fitted.
+    predictor_sees_disturbance: bool = True  # claims.py judges both cases
+    extra_delay_samples: float = 0.0  # no printed number needs more
     d_filter_s: float = 0.0053  # PX4's default of 30 Hz
     gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz
     filter_s: float = 0.05  # of the filtered Smith predictor
@@ -41,7 +41,7 @@ class Calibration(BaseModel):
 
 
 class FittedNumber(BaseModel):
-    """A printed number that the calibration was fitted to, and its value after the fit."""
+    """A printed number that the calibration was fitted to, and our value after the fit."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -53,7 +53,7 @@ class FittedNumber(BaseModel):
 
 
 class Frozen(BaseModel):
-    """The file: unknowns, the numbers that were used, and how they were met."""
+    """The file of the calibration: parameters, and the printed numbers that they were fitted to."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -62,5 +62,5 @@ class Frozen(BaseModel):
 
 
 def load(path: Path = FILE) -> Frozen:
-    """Return the frozen calibration.  Raises InputError for a file that does not fit."""
+    """Return the frozen calibration.  Raises InputError for a file that is none."""
     return validate(Frozen, read_toml(path), str(path))

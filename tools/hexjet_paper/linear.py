@@ -40,40 +40,40 @@ Response = Callable[[Complex], Complex]  # function of ``z``, upper unit circle
 Pair = tuple[Complex, Complex]
 PairResponse = Callable[[Complex], Pair]  # (``P_y``, ``P_u``) over ``z``
 Signal = Callable[[int], float]
-MAX_RATE = 1e6  # rad/s, then a loop counts as unstable
+MAX_RATE = 1e6  # rad/s, above which a run ends
 
-# State predictor with the printed matrices, 1/3660 of the plant's gain.
+# Name of the state predictor with the printed matrices, which have 1/3660 of the plant's gain.
 STATE_AS_PRINTED = "state-as-printed"
 
 
 def nothing(k: int) -> float:
-    """Return 0 at every step ``k``."""
+    """Return 0 at every step ``k``: the signal that is always zero."""
     return 0.0
 
 
 def clamp(value: float, most: float) -> float:
-    """Return ``value``, at most ``most`` either way."""
+    """Return ``value`` limited to ``-most`` and ``most``."""
     return most if value > most else (-most if value < -most else value)
 
 
 @dataclass(frozen=True)
 class Plant:
-    """The plant after the added delay: ``gain * G_n(z) z^-extra``, ``extra`` whole or not.
+    """Plant behind the added delay: ``gain * G_n(z) z^-extra``, where ``extra`` need not be whole.
 
     ``model.delay_samples`` is not part of it: the added delay belongs to the loop.
     """
 
     model: RateModel
     gain: float = 1.0  # factor on the printed gain
-    extra_samples: float = 0.0  # unmodelled delay
+    extra_samples: float = 0.0  # delay unknown to the predictor
 
 
 @dataclass(frozen=True)
 class Axis:
-    """All parameters of one loop.
+    """All parameters of one attitude and rate loop on the linear plant.
 
-    ``model`` is what the predictor believes, its ``delay_samples`` included; ``delay_samples`` is the delay that is
-    really added.  ``knows_disturbance`` says on which side of the predictor's tap a disturbance of the command enters.
+    ``model`` is the predictor's, its ``delay_samples`` included; ``delay_samples`` is the delay that is really
+    added.  ``knows_disturbance`` says on which side of the predictor's tap a disturbance of the command enters.
     """
 
     plant: Plant
@@ -91,18 +91,18 @@ class Axis:
 
     @property
     def step(self) -> float:
-        """Control step, s."""
+        """Control step [s]."""
         return self.model.sample_time_s
 
     def with_delay(self, samples: int) -> Axis:
-        """Return the same loop with another added delay, samples, that the predictor knows."""
+        """Return the loop with another added delay [samples], which the predictor knows."""
         model = self.model.model_copy(update={"delay_samples": float(samples)})
         return replace(self, delay_samples=samples, model=model)
 
 
 @dataclass
 class Record:
-    """A run, one value per step at ``t_k``: rad, rad/s, and the command of the step."""
+    """Signals of a run, one value per step at ``t_k``: rad, rad/s, and the command of the step."""
 
     step: float
     setpoint: array[float] = field(default_factory=lambda: array("d"))
@@ -114,7 +114,7 @@ class Record:
     disturbance: array[float] = field(default_factory=lambda: array("d"))
 
 
-def _as_printed(model: RateModel, parameters: Mapping[str, float]) -> Predictor:
+def _make_printed_predictor(model: RateModel, parameters: Mapping[str, float]) -> Predictor:
     observer = DoubleIntegratorObserver(parameters["observer_rad_s"], model.sample_time_s)
     state = StateModel(model)
     state.A, state.B = np.array(numbers.A_D), np.array(numbers.B_D)
@@ -122,19 +122,19 @@ def _as_printed(model: RateModel, parameters: Mapping[str, float]) -> Predictor:
 
 
 def predictor(controller: str) -> PredictorSpec:
-    """Return a predictor by name: one that flies, or the paper's state predictor with its matrices as printed.
+    """Return a predictor's specification by name, also the paper's state predictor with its printed matrices.
 
     Raises InputError for an unknown name.
     """
     if controller == STATE_AS_PRINTED:
-        return replace(PREDICTORS["state"], name=STATE_AS_PRINTED, make=_as_printed)
+        return replace(PREDICTORS["state"], name=STATE_AS_PRINTED, make=_make_printed_predictor)
     if controller not in PREDICTORS:
         raise InputError(f"unknown controller {controller!r}; allowed: {', '.join([*PREDICTORS, STATE_AS_PRINTED])}")
     return PREDICTORS[controller]
 
 
-class _WithDisturbance:
-    """Predictor that is told the command including the disturbance, as its tap lies after it."""
+class _DisturbanceInformedPredictor:
+    """Predictor that gets the command with its disturbance, as if its tap lay behind the disturbance."""
 
     def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
@@ -155,16 +155,17 @@ def simulate(
     disturbance: Signal = nothing,
     rate_setpoint: Signal = nothing,
 ) -> Record:
-    """Run the loop from rest: attitude command (rad), disturbance of the command, rate added to the set-point (rad/s).
+    """Run the loop from rest and return its signals.
 
+    ``setpoint``: attitude [rad]; ``disturbance`` is added to the command, ``rate_setpoint`` [rad/s] to the rate's.
     ``r_k = limit(K (phi_sp - phi_k)) + r_added``; ``u_k`` from :class:`cosim.control.rate.RateAxis`;
     ``y_k+1 = plant(z^-d (u_k + w_k))``; ``phi_k+1 = phi_k + T/2 (y_k + y_k+1)``; the gyro adds white noise to ``y``.
-    Ends early once the rate is beyond ``MAX_RATE``.
+    The run ends early once the rate exceeds :data:`MAX_RATE`.
     """
-    tap = _WithDisturbance(predictor(axis.controller).predictor(axis.model, axis.tuning))
+    tap = _DisturbanceInformedPredictor(predictor(axis.controller).predictor(axis.model, axis.tuning))
     rate_loop = RateAxis(axis.gains, tap, axis.step)
     line = DelayLine(axis.delay_samples)
-    plant = _plant_update(axis.plant)
+    plant = _make_plant_update(axis.plant)
     noise = _draw_noise(axis.seed, steps)
     gain, limit, most, sigma = axis.plant.gain, axis.rate_limit, axis.command_limit, axis.noise
     k_att, half, knows = axis.attitude_gain, 0.5 * axis.step, axis.knows_disturbance
@@ -195,7 +196,7 @@ def simulate(
     return record
 
 
-def _plant_update(plant: Plant) -> Callable[[float], float]:
+def _make_plant_update(plant: Plant) -> Callable[[float], float]:
     if not plant.extra_samples:
         return rate_model(plant.model).update
     return DelayedModel(plant.model.model_copy(update={"delay_samples": plant.extra_samples})).update
@@ -208,15 +209,15 @@ def _draw_noise(seed: int, steps: int) -> list[float]:
 
 
 def doublet(amplitude: float, start: float, width: float, step: float) -> Signal:
-    """Return a signal of ``amplitude`` for ``width`` seconds from ``start``, then as long the other way, then 0.
+    """Return a signal of ``amplitude`` for ``width`` [s] from ``start`` [s], as long of its negative, then 0.
 
-    An edge inside a step gives that step its mean, so that the integral is right for any length.
+    A step with an edge inside has its mean value, so that the integral is right for any length.
     """
     edges = [t / step for t in (start, start + width, start + 2.0 * width)]
 
-    def since(edge: float, k: int) -> float:
-        # Fraction of step k after the edge; lengths are decimal, steps are not.
+    def after(edge: float, k: int) -> float:
+        # This is the fraction of step k after the edge; 1e-9 is for lengths that are no binary fractions.
         part = k + 1.0 - edge
         return 0.0 if part < 1e-9 else (1.0 if part > 1.0 - 1e-9 else part)
 
-    return lambda k: amplitude * (since(edges[0], k) - 2.0 * since(edges[1], k) + since(edges[2], k))
+    return lambda k: amplitude * (after(edges[0], k) - 2.0 * after(edges[1], k) + after(edges[2], k))

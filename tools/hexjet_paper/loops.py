@@ -29,19 +29,19 @@ from cosim.loops import (
 from hexjet_paper.linear import Array, Axis, Complex, Pair, PairResponse, Plant, Response, predictor, simulate
 from hexjet_paper.numbers import Record
 
-BY_IMPULSE = ("state-model", "state-disturbance")  # the paper's own, without closed form
-# Low end of the paper's Bode diagrams, as read: with an integral there is no gain at 0 Hz.
+BY_IMPULSE = ("state-model", "state-disturbance")  # without a closed form here
+# Low end of the paper's Bode diagrams as read, where their gain is compared: with an integral there is none at 0 Hz.
 LOW_END_HZ = 1.0
 
 
 def plant_response(plant: Plant, z: Complex, delay: int) -> Complex:
-    """Return the response from command to rate, with the added delay."""
+    """Return the frequency response from command to rate, with the added delay."""
     model = plant.model.model_copy(update={"delay_samples": plant.extra_samples})
     return np.asarray(plant.gain * delayed_response(model, z) * z ** -float(delay))
 
 
 def predictor_response(controller: str, model: RateModel, tuning: PredictorTuning) -> PairResponse:
-    """Return ``P_y`` and ``P_u`` as a function of z, also for the paper's state predictor with its printed matrices."""
+    """Return ``P_y`` and ``P_u`` of a predictor as a function of z, also with the paper's printed matrices."""
     spec = predictor(controller)
     if spec.response is not None and controller not in BY_IMPULSE:
         return spec.response(model, spec.own(tuning))
@@ -49,12 +49,12 @@ def predictor_response(controller: str, model: RateModel, tuning: PredictorTunin
 
 
 def controllers_response(axis: Axis, z: Complex) -> Pair:
-    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID."""
+    """Return ``C_e`` (on set-point and feedback) and ``D`` (on feedback alone) of the rate PID."""
     return pid_response(axis.gains, axis.step, z)
 
 
 def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
-    """Return ``C G*`` of the rate loop, as in the paper's Bode diagrams; ``answer`` is its predictor's, if at hand."""
+    """Return ``C G*`` of the rate loop, as in the paper's Bode diagrams; ``answer``: the predictor's, if known."""
     of_predictor = answer or predictor_response(axis.controller, axis.model, axis.tuning)
 
     def response(z: Complex) -> Complex:
@@ -67,7 +67,7 @@ def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
 
 
 class Margins(Record):
-    """The least margins of an open loop, dB and deg, and where its gain first falls below 1, Hz; None: no crossing."""
+    """Smallest margins of an open loop [dB, deg], and first frequency [Hz] of gain 1; None without a crossing."""
 
     cutoff: float | None
     gain_margin: float | None
@@ -75,13 +75,13 @@ class Margins(Record):
 
 
 def margins(response: Response, step: float, low: float = 0.05, points: int = 4000) -> Margins:
-    """Return the margins of a sampled open loop, from ``low`` Hz to half the sample rate; ``step`` in s."""
+    """Return the margins of a sampled open loop from ``low`` [Hz] to half the sample rate."""
     hertz = np.geomspace(low, 0.5 / step, points)
-    return _margins_of_points(hertz, *_bode(response(np.exp(2j * pi * hertz * step))))
+    return _find_margins(hertz, *_to_bode(response(np.exp(2j * pi * hertz * step))))
 
 
 class Sweep(Record):
-    """A measured open loop."""
+    """Measured frequency response of an open loop, with its margins."""
 
     frequency: list[float]  # Hz
     gain: list[float]  # dB
@@ -110,40 +110,40 @@ def sweep(axis: Axis, period: float = 8.0, low: float = 0.25, high: float = 20.0
     ]
     record = simulate(loop, 3 * n, disturbance=lambda k: wave[k % n])
 
-    def spectrum(values: Array) -> Complex:
+    def find_spectrum(values: Array) -> Complex:
         return np.asarray(np.fft.rfft(values[2 * n :])[bins.start : bins.stop])
 
-    u, w = spectrum(np.array(record.command)), spectrum(np.array(record.disturbance))
-    augmented = spectrum(np.array(record.predicted)) / (u + w)
+    u, w = find_spectrum(np.array(record.command)), find_spectrum(np.array(record.disturbance))
+    augmented = find_spectrum(np.array(record.predicted)) / (u + w)
     measured = -u / (u + w)
-    gain, phase = _bode(augmented)
+    gain, phase = _to_bode(augmented)
     update = {"augmented_gain": gain.tolist(), "augmented_phase": phase.tolist()}
     return measured_sweep(np.array(bins) / period, measured).model_copy(update=update)
 
 
 def measured_sweep(hertz: Array, response: Complex) -> Sweep:
-    """Return the sweep of points of an open loop ``C G*`` that were measured elsewhere; ``hertz`` rises."""
-    gain, phase = _bode(response)
+    """Return a sweep from points of an open loop ``C G*`` measured elsewhere; ``hertz`` rises."""
+    gain, phase = _to_bode(response)
     return Sweep(
         frequency=hertz.tolist(),
         gain=gain.tolist(),
         phase=phase.tolist(),
         augmented_gain=[],
         augmented_phase=[],
-        margins=_margins_of_points(hertz, gain, phase),
+        margins=_find_margins(hertz, gain, phase),
     )
 
 
-def _bode(values: Complex) -> tuple[Array, Array]:
+def _to_bode(values: Complex) -> tuple[Array, Array]:
     phase = np.degrees(np.unwrap(np.angle(values)))
     return 20.0 * np.log10(np.abs(values)), phase - 360.0 * np.round(phase[0] / 360.0)
 
 
-def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
-    """Compute margins from measured points, with gain and phase linear over the logarithm of the frequency."""
+def _find_margins(frequency: Array, gain: Array, phase: Array) -> Margins:
+    """Return margins from measured points, with gain and phase linear over the logarithm of frequency."""
     x = np.log(frequency)
 
-    def crossings(values: Array, level: float) -> list[tuple[float, int]]:
+    def find_crossings(values: Array, level: float) -> list[tuple[float, int]]:
         above = values > level
         crossed = []
         for k in np.flatnonzero(above[:-1] != above[1:]):
@@ -151,8 +151,8 @@ def _margins_of_points(frequency: Array, gain: Array, phase: Array) -> Margins:
             crossed.append((float(x[k] + fraction * (x[k + 1] - x[k])), int(k)))
         return crossed
 
-    cuts = crossings(gain, 0.0)
-    turns = [at for level in (-180.0, -540.0, -900.0) for at, _ in crossings(phase, level)]
+    cuts = find_crossings(gain, 0.0)
+    turns = [at for level in (-180.0, -540.0, -900.0) for at, _ in find_crossings(phase, level)]
     return Margins(
         cutoff=next((float(np.exp(at)) for at, k in cuts if gain[k] > 0.0), None),
         gain_margin=min((-float(np.interp(at, x, gain)) for at in turns), key=abs, default=None),
@@ -166,7 +166,7 @@ def _wrap(degrees: float) -> float:
 
 
 class LoopMap:
-    """One loop with cached predictor response, for many plants: unstable poles and peak sensitivity."""
+    """One loop with its predictor's response cached, to judge it with many plants."""
 
     def __init__(self, axis: Axis, points: int = 3000, known: tuple[Complex, Complex, Complex] | None = None) -> None:
         """Compute the loop's responses; ``known``: points of the upper half circle with ``P_y`` and ``P_u`` there."""
@@ -183,28 +183,28 @@ class LoopMap:
         self._clear = (1.0 - 1.0 / z) ** integrators
 
     def plant(self, gain: float, delay: int) -> Complex:
-        """Return the response from command to rate for ``gain`` times the plant's own and ``delay`` samples in all."""
+        """Return the response from command to rate at ``gain`` times the plant's and ``delay`` samples in all."""
         return np.asarray(gain * self._model * self._z ** -float(delay))
 
     def characteristic(self, gain: float, delay: int) -> Complex:
-        """Return ``1 + C G* + C_e K I G z^-d`` with that plant."""
+        """Return the characteristic function ``1 + C G* + C_e K I G z^-d`` with that plant."""
         return np.asarray(self._inner + self._outer * self.plant(gain, delay))
 
     def unstable_poles(self, gain: float, delay: int) -> int:
         """Count the closed-loop poles outside the unit circle.
 
-        All blocks are stable on their own, but for integrators at 1 that are multiplied away: what remains is analytic
+        All blocks are stable on their own but for integrators, whose poles at 1 are cancelled: the rest is analytic
         outside the circle and goes to 1 at infinity, so its turns about 0 along the circle count its zeros there.
         """
         return zeros_outside(self._clear * self.characteristic(gain, delay))
 
     def peak_sensitivity(self, gain: float, delay: int) -> float:
-        """Return ``M_s = max |1 / (1 + L)|``, ``L`` broken at the plant's input, the predictor in the controller."""
+        """Return ``M_s = max |1 / (1 + L)|``, the loop ``L`` opened at the plant's input."""
         return float(np.max(np.abs(self._inner / self.characteristic(gain, delay))))
 
 
 def unstable_poles(axis: Axis) -> int:
-    """Count the unstable closed-loop poles, with the attitude loop if it has a gain.
+    """Count the loop's closed-loop poles outside the unit circle, with the attitude loop if it has a gain.
 
     Raises InputError for an unmodelled delay that is not whole.
     """
@@ -215,6 +215,6 @@ def unstable_poles(axis: Axis) -> int:
 
 
 def gain_at(loop: Axis, frequency: float) -> float:
-    """Return the gain of ``C G*`` at a frequency (Hz), dB."""
+    """Return the gain [dB] of ``C G*`` at a frequency [Hz]."""
     z = np.exp(np.array([2j * np.pi * frequency * loop.step]))
     return float(20.0 * np.log10(np.abs(open_loop(loop)(z)[0])))

@@ -13,28 +13,28 @@ from pydantic import BaseModel, ConfigDict
 
 from cosim.loops import RateModel
 
-SOURCE = (  # the paper
+SOURCE = (  # the paper that is reproduced
     "J. Liang, H. Zheng, Y. Zhang, Y. Gao, W. Dong, X. Lyu, “Predictor-Based Time Delay Control of A Hex-Jet "
     "Unmanned Aerial Vehicle”, accepted January 2025."
 )
 
 
-# On what our answer depends, and so what its agreement with the paper is worth. calibrated: the printed number itself
+# What our answer depends on, and so what its agreement with the paper is worth. calibrated: the printed number itself
 # was fitted; chosen by us: a choice of ours decides it; follows from a choice: computed from something that the paper
 # does not print and we chose; predicted: none of these.
 Basis = Literal["calibrated", "chosen by us", "follows from a choice", "predicted"]
 
 
 class Record(BaseModel):
-    """A record with constant fields."""
+    """Base of records whose fields cannot be changed."""
 
     model_config = ConfigDict(frozen=True)
 
 
 class Printed(NamedTuple):
-    """One printed number."""
+    """One number that the paper prints."""
 
-    key: str  # name of the number in this package
+    key: str  # its name in this package
     value: float
     unit: str
     place: str
@@ -47,8 +47,8 @@ DISTURBANCE, TABLE_DISTURBANCE = "Disturbance rejection", "Table of disturbance 
 PAYLOAD, TABLE_PAYLOAD = "Robustness to additional load", "Table of disturbance rejection with payload"
 FLIGHT, IDENTIFICATION, SPECIFICATION = "Flight test on the Hex-Jet", "Identification", "Table of specifications"
 
-_ROWS: list[Printed] = [  # printed numbers by section
-    # Vehicles.
+_PRINTED_NUMBERS: list[Printed] = [
+    # These numbers describe the vehicles.
     Printed("hexjet.mass", 5.525, "kg", SPECIFICATION, "take-off weight of the scaled Hex-Jet"),
     Printed("hexjet.thrust", 12.0, "kgf", SPECIFICATION, "maximum thrust"),
     Printed("hexjet.length", 0.400, "m", SPECIFICATION, "length, and width"),
@@ -59,7 +59,7 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("quadrotor.payload", 0.230, "kg", PAYLOAD, "added load"),
     Printed("quadrotor.payload_percent", 40, "%", PAYLOAD, "the load as a part of the take-off weight"),
     Printed("quadrotor.rate", 400, "Hz", SETUP, "rate controller's frequency"),
-    # Identified models.
+    # These are parameters of identified models.
     Printed("turbojet.gain", 0.01866, "kgf", IDENTIFICATION, "numerator of G_turbo(z)"),
     Printed("turbojet.pole", 0.9879, "-", IDENTIFICATION, "pole of G_turbo(z)"),
     Printed("turbojet.time_constant", 0.33, "s", IDENTIFICATION, "time constant of the turbojet"),
@@ -75,7 +75,7 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("quadrotor.b0", 0.9393, "rad/s", SETUP, "constant of the numerator of G_n(z)"),
     Printed("quadrotor.a1", -1.8770, "-", SETUP, "coefficient of z in the denominator of G_n(z)"),
     Printed("quadrotor.a0", 0.8786, "-", SETUP, "constant of the denominator of G_n(z)"),
-    # Tracking.
+    # These are results on tracking.
     Printed("step.amplitude", 15, "deg", TRACKING, "roll command, either way"),
     Printed("step.each", 0.5, "s", TRACKING, "length of either half of the doublet"),
     Printed("step.start", 0.2, "s", TRACKING, "start of the doublet"),
@@ -88,7 +88,7 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("step-10.state.rmse", 0.0690, "rad", TRACKING, "tracking error, 10 samples, state predictor"),
     Printed("step-25.smith.rmse", 0.0787, "rad", TRACKING, "tracking error, 25 samples, Smith"),
     Printed("step-25.smith.increase", 11, "%", TRACKING, "growth of Smith's tracking error at 25 samples"),
-    # Frequency response with 5 samples.
+    # These are results of the frequency response with 5 samples.
     Printed("frequency.dc_gain", 10, "dB", FREQUENCY, "gain of C G* at the low end, all controllers"),
     Printed("frequency.baseline.cutoff", 4.74, "Hz", FREQUENCY, "cut-off frequency, baseline"),
     Printed("frequency.state.cutoff", 4.49, "Hz", FREQUENCY, "cut-off frequency, state predictor"),
@@ -99,7 +99,7 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("frequency.baseline.phase_margin", 22.7, "deg", FREQUENCY, "phase margin, baseline"),
     Printed("frequency.state.phase_margin", 39.8, "deg", FREQUENCY, "phase margin, state predictor"),
     Printed("frequency.smith.phase_margin", 46.0, "deg", FREQUENCY, "phase margin, Smith"),
-    # Disturbance.
+    # These are results under a disturbance.
     Printed("disturbance.amplitude", 0.1, "command", DISTURBANCE, "doublet added to u; printed with rad/s^2"),
     Printed("disturbance-5.baseline.rmse", 1.4890, "rad/s", TABLE_DISTURBANCE, "rate error, 5 samples, baseline"),
     Printed("disturbance-5.smith.rmse", 0.9512, "rad/s", TABLE_DISTURBANCE, "rate error, 5 samples, Smith"),
@@ -111,12 +111,12 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("disturbance-5.state.max", 5.9337, "rad/s", TABLE_DISTURBANCE, "largest error, 5 samples, state"),
     Printed("disturbance-10.smith.max", 4.7512, "rad/s", TABLE_DISTURBANCE, "largest error, 10 samples, Smith"),
     Printed("disturbance-10.state.max", 7.2624, "rad/s", TABLE_DISTURBANCE, "largest error, 10 samples, state"),
-    # Payload.
+    # These are results with payload.
     Printed("disturbance-5-payload.smith.rmse", 0.9726, "rad/s", TABLE_PAYLOAD, "rate error with payload, Smith"),
     Printed("disturbance-5-payload.smith.max", 5.1532, "rad/s", TABLE_PAYLOAD, "largest error with payload, Smith"),
     Printed("disturbance-5-payload.state.rmse", 1.2679, "rad/s", TABLE_PAYLOAD, "rate error with payload, state"),
     Printed("disturbance-5-payload.state.max", 7.1853, "rad/s", TABLE_PAYLOAD, "largest error with payload, state"),
-    # Hex-Jet.
+    # These are results of the Hex-Jet's flights.
     Printed("hexjet.amplitude", 10, "deg", FLIGHT, "roll doublet"),
     Printed("hexjet.less_overshoot", 42.6, "%", FLIGHT, "less overshoot with Smith than baseline"),
     Printed("hexjet.faster_settling", 64.3, "%", FLIGHT, "faster settling with Smith than baseline"),
@@ -129,21 +129,21 @@ _ROWS: list[Printed] = [  # printed numbers by section
     Printed("hexjet-manual.pitch.rate_rmse", 0.2103, "rad/s", FLIGHT, "manual flight, pitch rate"),
     Printed("hexjet-manual.yaw.rate_rmse", 0.3217, "rad/s", FLIGHT, "manual flight, yaw rate"),
 ]
-PRINTED: dict[str, Printed] = {row.key: row for row in _ROWS}  # printed numbers by key
+PRINTED: dict[str, Printed] = {row.key: row for row in _PRINTED_NUMBERS}  # by key
 
-# As printed. The poles are those of G_n(z), but the gain from command to first state is 1/3660 of it: a predictor with
-# this pair hardly sees the commands in transport.
+# Discrete state matrices as printed. The poles are those of G_n(z), but the gain from command to first state is 1/3660
+# of it: a predictor with this pair hardly sees the commands in transport.
 A_D = ((0.9991, 0.0023), (-0.6953, 0.8777))
 B_D = (0.0, 0.0234)
 
 
 def value(key: str) -> float:
-    """Return a printed number in its printed unit."""
+    """Return a printed number, by its key, in the printed unit."""
     return PRINTED[key].value
 
 
 def quadrotor_model(delay_samples: float = 0.0) -> RateModel:
-    """Return G_n(z), command to roll rate, 400 Hz, with an added delay."""
+    """Return G_n(z), the quadrotor's response from command to roll rate at 400 Hz, with an added delay."""
     b1, b0, a1, a0 = (value(f"quadrotor.{name}") for name in ("b1", "b0", "a1", "a0"))
     root = sqrt(0.25 * a1 * a1 - a0)
     return RateModel(
@@ -157,7 +157,7 @@ def quadrotor_model(delay_samples: float = 0.0) -> RateModel:
 
 
 def roll_model(delay_samples: float = 25.0) -> RateModel:
-    """Return G(z), command to roll rate of the Hex-Jet, 250 Hz."""
+    """Return G(z), the Hex-Jet's response from command to roll rate at 250 Hz."""
     return RateModel(
         gain=value("roll.gain"),
         zeros=[value("roll.zero")],

@@ -26,14 +26,14 @@ from hexjet_paper.linear import Axis, Plant
 from hexjet_paper.loops import unstable_poles
 from hexjet_paper.numbers import Record
 
-# Factor on the fitted gains, 8 % past the baseline's limit, as those of "delay only" in vehicle.toml.
+# Factor of raised to fitted gains: 8 % past the baseline's limit, as the gains of vehicle.toml are for "delay only".
 RAISED_GAINS = 1.35
-COMPARED = ("baseline", "smith")  # controllers of this comparison
+COMPARED = ("baseline", "smith")  # controllers of these flights
 
 
 @dataclass(frozen=True)
 class Reading:
-    """Parameters of the Hex-Jet's roll axis under one reading of the paper.
+    """One reading of the paper: what its printed model means for engine and gain of the Hex-Jet's roll axis.
 
     ``gain``: slope of the rate per command over that of the printed G(z).
     """
@@ -50,18 +50,18 @@ class Reading:
 
     @property
     def thrust_kgf(self) -> float:
-        """Thrust at rest per unit throttle, kgf."""
+        """Thrust at rest per unit throttle [kgf]."""
         return thrust_at_rest("turbojet" if self.corrected else "edf")
 
     @property
     def inertia(self) -> float:
-        """``J_xx = 6 L_y T / K`` in kg m^2: thrust ``T`` and slope ``K`` as this reading has them."""
+        """``J_xx = 6 L_y T / K`` [kg m^2] from thrust ``T`` and slope ``K`` of this reading."""
         vehicle, _ = load_vehicle("hexjet")
         return vehicle.inertia_kg_m2[0] * self.thrust_kgf / thrust_at_rest("edf") / self.gain
 
     @property
     def model(self) -> RateModel:
-        """The predictor's model: the printed G(z), or its product with ``G_turbo(z) / G_EDF(z)``."""
+        """Model of the predictor: the printed G(z), or its product with ``G_turbo(z) / G_EDF(z)``."""
         printed = numbers.roll_model()
         if not self.corrected:
             return printed
@@ -77,7 +77,7 @@ class Reading:
         )
 
     def vehicle(self) -> dict[str, Any]:
-        """Return the changes of the shipped aircraft: inertia and damping about x, and model; none for "delay only"."""
+        """Return changes of the shipped aircraft: inertia, damping and model; none for "delay only"."""
         if not self.corrected:
             return {}
         shipped, _ = load_vehicle("hexjet")
@@ -90,12 +90,12 @@ class Reading:
 
 
 def thrust_at_rest(engine: str) -> float:
-    """Return the gain at rest of a printed engine (``edf``, ``turbojet``), kgf per unit throttle."""
+    """Return the gain at rest of a printed engine (``edf``, ``turbojet``) [kgf per unit throttle]."""
     return numbers.value(f"{engine}.gain") / (1.0 - numbers.value(f"{engine}.pole"))
 
 
-DELAY_ONLY = Reading("delay", "delay only", "edf-as-flown", 1.0)  # the printed model has the delay only
-READINGS: dict[str, Reading] = {  # possible meanings of the printed model
+DELAY_ONLY = Reading("delay", "delay only", "edf-as-flown", 1.0)  # the printed model has only the delay
+READINGS: dict[str, Reading] = {  # by key
     reading.key: reading
     for reading in (
         DELAY_ONLY,
@@ -111,7 +111,7 @@ READINGS: dict[str, Reading] = {  # possible meanings of the printed model
 
 
 class Gains(Record):
-    """A pair of gains that a reading is flown with."""
+    """Pair of rate and attitude gain that a reading is flown with."""
 
     name: str  # "shipped", "fitted" or "raised"
     p: float  # command per rad/s
@@ -119,7 +119,7 @@ class Gains(Record):
 
 
 def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
-    """Yield the gains of ``vehicle.toml``, those fitted to printed ratios, and raised ones.
+    """Yield the pairs of gains of a reading: of ``vehicle.toml``, fitted to the printed ratios, and raised.
 
     On "delay only" the raised ones are those of ``vehicle.toml``.
     """
@@ -135,7 +135,7 @@ def gain_pairs(reading: Reading, calibration: Calibration) -> Iterator[Gains]:
 
 
 def largest_gains(reading: Reading, controller: str, calibration: Calibration) -> float:
-    """Return by what factor both fitted gains may grow, to 1 %, before the linear plant's loop is unstable."""
+    """Return the factor [to 0.01] on both fitted gains at which the linear plant's loop becomes unstable."""
     fitted = next(pair for pair in gain_pairs(reading, calibration) if pair.name == "fitted")
 
     def is_unstable(percent: int) -> bool:
@@ -147,7 +147,7 @@ def largest_gains(reading: Reading, controller: str, calibration: Calibration) -
 
 
 def doublet_of(reading: Reading, gains: Gains, controller: str) -> Experiment:
-    """Return the roll doublet of a reading: that of the paper's experiments, longer where the plant is slower."""
+    """Return the roll doublet of a reading: the paper's, four times as long where the plant is slower."""
     return Experiment(
         "hexjet-doublet",
         controller,
@@ -158,7 +158,7 @@ def doublet_of(reading: Reading, gains: Gains, controller: str) -> Experiment:
 
 
 def reading_axis(reading: Reading, gains: Gains, controller: str, calibration: Calibration, noisy: bool = True) -> Axis:
-    """Return the roll loop on the linear plant of a reading; the integral gain stays in proportion to ``p``."""
+    """Return a reading's roll loop on the linear plant; the integral gain stays in proportion to ``p``."""
     axis = hexjet_axis(calibration, controller, "vehicle", noisy)
     rate = axis.gains.model_copy(update={"p": gains.p, "i": axis.gains.i / axis.gains.p * gains.p})
     model = reading.model
@@ -168,7 +168,7 @@ def reading_axis(reading: Reading, gains: Gains, controller: str, calibration: C
 def reading_scenario(
     reading: Reading, gains: Gains, controller: str, calibration: Calibration, noisy: bool = True
 ) -> Scenario:
-    """Return the doublet of a reading as a scenario: the shipped aircraft with the changes of the reading."""
+    """Return a reading's doublet as a scenario: the shipped aircraft with the changes of the reading."""
     control = load_vehicle("hexjet")[0].control
     rate = control.rate.roll
     base = scenario(doublet_of(reading, gains, controller), calibration, noisy)
@@ -193,11 +193,11 @@ class Trial(Record):
     each_s: float  # s, either half of the doublet
     linear: Metrics
     flight: Metrics
-    lost_s: float | None  # s, when the flight failed, or None
+    lost_s: float | None  # s, time of the flight's failure
 
 
 class ReadingResult(Record):
-    """Flights of a reading, and its vehicle."""
+    """All doublets of a reading, and its vehicle."""
 
     key: str
     title: str
@@ -205,12 +205,12 @@ class ReadingResult(Record):
     thrust_n: float
     inertia_kg_m2: float
     slope: float  # rad/s^2 per unit throttle
-    fast_pole: float  # slowest lag of the model
-    largest_gains: dict[str, float]  # by controller: see largest_gains()
+    fast_pole: float  # pole of the model's slowest lag
+    largest_gains: dict[str, float]  # by controller
     trials: list[Trial]
 
     def trial(self, gains: str, controller: str) -> Trial:
-        """Return the doublet with named gains; on "delay only" raised ones are those of ``vehicle.toml``."""
+        """Return the doublet with named gains; "delay only" has those of ``vehicle.toml`` for raised ones."""
         raised = gains == "raised" and not any(trial.gains.name == "raised" for trial in self.trials)
         name = "shipped" if raised else gains
         return next(t for t in self.trials if (t.gains.name, t.controller) == (name, controller))
@@ -232,7 +232,7 @@ def fly_reading(key: str) -> ReadingResult:
                     each_s=experiment.half_length(calibration),
                     linear=linear_run(experiment, axis, calibration).metrics,
                     flight=result.metrics,
-                    lost_s=_loss_time(result),
+                    lost_s=_find_failure_time(result),
                 )
             )
     return ReadingResult(
@@ -248,18 +248,17 @@ def fly_reading(key: str) -> ReadingResult:
     )
 
 
-def _loss_time(result: Result) -> float | None:
+def _find_failure_time(result: Result) -> float | None:
     seconds = len(result.time) * result.experiment.step
     return seconds if seconds < result.experiment.record - 0.5 * result.experiment.step else None
 
 
-# --- the model that the predictor is given, off ----------------------------------------------------------------------
-
-DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)  # samples; factors on the printed gain
+# Errors of the predictor's model that are flown: delay [samples], and factor on the printed gain.
+DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)
 
 
 class ModelError(Record):
-    """Roll doublet with a predictor whose model deviates from the printed G(z) of the vehicle."""
+    """Roll doublet with a predictor whose model differs from the vehicle's in delay and gain."""
 
     delay_error: int  # samples, of the model's 25
     gain_factor: float  # factor on the model's gain
@@ -270,7 +269,7 @@ class ModelError(Record):
 
 
 def fly_model_errors() -> list[ModelError]:
-    """Fly Smith's predictor at the gains of ``vehicle.toml`` with models that are off in delay and gain."""
+    """Fly Smith's predictor at the gains of ``vehicle.toml`` with wrong models."""
     calibration = load().parameters
     experiment = Experiment("hexjet-doublet", "smith", 25, gains="vehicle")
     printed = numbers.roll_model()

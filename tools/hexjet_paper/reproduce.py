@@ -50,8 +50,8 @@ from hexjet_paper.report.result import (
 if TYPE_CHECKING:
     from cosim.identify import FrequencyResponse
 
-FLIGHT_LOOPS = ("baseline", "smith", "state")  # loops measured in flight
-OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))  # compared by offset
+FLIGHT_LOOPS = ("baseline", "smith", "state")  # controllers swept in flight
+OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))  # by offset
 SCENARIOS = "scenarios"  # folder of the flown scenarios
 
 Say = Callable[[str, int, int], None]  # label, done, total
@@ -85,23 +85,20 @@ def reproduce(out: str | Path = "runs/paper", *, workers: int = 2, progress: Pro
     """
     folder, say = Path(out), (progress or Progress()).update
     _check_writable(folder)
-    tasks = _tasks()
-    parts = _run(tasks, folder / "parts", say, workers)
-    parts |= _run(_turbojet_tasks(parts), folder / "parts", say, workers)
+    tasks = _list_tasks()
+    parts = _run_tasks(tasks, folder / "parts", say, workers)
+    parts |= _run_tasks(_list_turbojet_tasks(parts), folder / "parts", say, workers)
     write_scenarios(folder / SCENARIOS)
     files = {"comparison": folder / COMPARISON, "data": folder / DATA, "report": folder / REPORT}
-    reproduction = replace(_assemble(parts), files=files)
+    reproduction = replace(_assemble_parts(parts), files=files)
     write_csv(reproduction.rows, files["comparison"])
     write_whole(files["data"], json.dumps(reproduction.to_dict(), indent=1, allow_nan=False) + "\n")
     write_page(reproduction, files["report"])
     return reproduction
 
 
-# --- the parts ------------------------------------------------------------------------------------------------------
-
-
-def _tasks() -> dict[str, Task]:
-    """Return every part by name, the longest first: a function that another process can run, and its arguments."""
+def _list_tasks() -> dict[str, Task]:
+    """Return the parts by name, the longest first: for each a function for another process and its arguments."""
     tasks: dict[str, Task] = {"linear": (linear_part, ())}
     for controller in FLIGHT_LOOPS:
         tasks[f"loop.{controller}"] = (fly_sweep, (controller,))
@@ -117,12 +114,12 @@ def _tasks() -> dict[str, Task]:
 
 
 def flight_experiments() -> list[Experiment]:
-    """Return the flown experiments: all except those with matrices as printed."""
+    """Return the experiments that are flown: all without the matrices as printed."""
     return [e for e in experiments() if e.controller != STATE_AS_PRINTED]
 
 
-def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, Task]:
-    """Return the parts that can be flown only when the linear plant has given their gains."""
+def _list_turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, Task]:
+    """Return the parts whose gains the linear plant gives, and which are flown after it."""
     linear: LinearPart | None = parts.get("linear")
     return {
         f"turbojet.{reach.controller}": (fly_turbojet, (reach,))
@@ -132,7 +129,7 @@ def _turbojet_tasks(parts: Mapping[str, Any]) -> dict[str, Task]:
 
 
 def fly_turbojet(reach: Reach) -> TurbojetFlight:
-    """Fly the roll doublet on true turbojets at the gains of ``reach``, with noise and with the turbojets' model."""
+    """Fly the roll doublet on true turbojets at the gains of a searched loop, with noise."""
     assert reach.tuning is not None
     _, believed = turbojet_plant()
     gains = load_vehicle("hexjet")[0].control.attitude.gain_1_s
@@ -159,12 +156,12 @@ def write_scenarios(folder: Path) -> None:
 
 
 def fly_experiment(experiment: Experiment) -> Result:
-    """Fly one experiment in six degrees of freedom."""
+    """Fly one experiment in six degrees of freedom; return its metrics and series."""
     return flight(load().parameters)(experiment)
 
 
 def fly_sweep(controller: str) -> Sweep:
-    """Open loop C G* of the quadrotor with 5 samples, measured in flight.
+    """Return the quadrotor's open loop ``C G*`` with 5 samples, measured in flight.
 
     A chirp is added to the rate controller's output; ``G* = y^ / u`` is the ratio of the Fourier transforms of the
     predicted rate and the command with the chirp in it (the record begins and ends at rest), ``C`` is known.
@@ -195,7 +192,7 @@ def fly_sweep(controller: str) -> Sweep:
 
 
 def fly_manual() -> Manual:
-    """Fly the Hex-Jet's manual flight: tracking on three axes, and every tenth sample for the figure."""
+    """Fly the Hex-Jet's manual flight; return tracking errors, and every tenth sample for the figure."""
     run = fly(Scenario.load("manual"))
     tracking: dict[str, float] = {}
     angle, rate = {}, {}
@@ -204,18 +201,18 @@ def fly_manual() -> Manual:
         assert metrics.rate_rmse_rad_s is not None
         tracking[f"hexjet-manual.{axis}.rmse"] = metrics.rmse_rad
         tracking[f"hexjet-manual.{axis}.rate_rmse"] = metrics.rate_rmse_rad_s
-        angle[axis] = _every_tenth(run, f"{axis}_setpoint_rad", f"{axis}_rad")
-        rate[axis] = _every_tenth(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
+        angle[axis] = _take_every_tenth(run, f"{axis}_setpoint_rad", f"{axis}_rad")
+        rate[axis] = _take_every_tenth(run, f"rate_{letter}_setpoint_rad_s", f"rate_{letter}_measured_rad_s")
     return Manual(tracking, run.log["time_s"][::10].tolist(), angle, rate)
 
 
-def _every_tenth(run: Run, *names: str) -> tuple[list[float], list[float]]:
+def _take_every_tenth(run: Run, *names: str) -> tuple[list[float], list[float]]:
     command, response = (run.log[name][::10].tolist() for name in names)
     return command, response
 
 
 def fly_offset(controller: str) -> Offset:
-    """Fly hover with half a kilogram 1 cm to the right, from 1 s on, for 25 s."""
+    """Fly hover for 26 s with half a kilogram 1 cm to the right from 1 s on; return roll over time."""
     load = {"kind": "payload", "start_s": 1.0, "mass_kg": 0.5, "offset_m": [0.0, 0.01, 0.0]}
     hover = Scenario.load("hover")
     log = fly(
@@ -247,8 +244,8 @@ def identify() -> Identified:
         values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
         if engine == "turbojet":
             values["turbojet.delay"] = model.delay_samples * model.sample_time_s
-    # One lag represents those of engine and gyro filter. The paper splits lag and delay in one of many possible ways,
-    # so the lag is fitted with the paper's delay and the delay with the paper's lag.
+    # One lag stands for those of engine and gyro filter. Lag and delay can be split in many ways, of which the paper
+    # has one: so the lag is fitted with the paper's delay, and the delay with the paper's lag.
     delay, step = numbers.value("hexjet.delay"), numbers.value("hexjet.step")
     roll = identify_axis("roll", hold={"delay_samples": delay})
     values["roll.pole_slow"], values["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
@@ -256,7 +253,7 @@ def identify() -> Identified:
     values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
     responses["roll"] = _response(roll.response, 1.0)
     deviation = roll.reference_deviation()
-    assert deviation is not None  # G(z) is printed for these engines
+    assert deviation is not None  # as G(z) is printed for this axis
     return Identified(values, responses, deviation, (roll.sweep.from_hz, roll.sweep.to_hz))
 
 
@@ -265,14 +262,11 @@ def _response(measured: FrequencyResponse, unit: float) -> Response:
     return Response(measured.hertz.tolist(), gain.tolist(), measured.phase_deg.tolist())
 
 
-# --- running and keeping them ---------------------------------------------------------------------------------------
-
-
-def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dict[str, Any]:
-    fingerprint = _fingerprint()
+def _run_tasks(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dict[str, Any]:
+    fingerprint = _hash_sources()
     files = {name: folder / f"{name}-{fingerprint}.json" for name in tasks}
     kinds = {name: TypeAdapter(get_type_hints(function)["return"]) for name, (function, _) in tasks.items()}
-    parts = {name: part for name, file in files.items() if (part := _taken_up(file, kinds[name])) is not None}
+    parts = {name: part for name, file in files.items() if (part := _read_part(file, kinds[name])) is not None}
     say("parts", len(parts), len(tasks))
     names = [name for name in tasks if name not in parts]
     try:
@@ -285,7 +279,7 @@ def _run(tasks: Mapping[str, Task], folder: Path, say: Say, workers: int) -> dic
         raise FlightError(f"{error}; what was finished is kept, call again") from error
     for old in {*folder.glob("*.json"), *folder.glob("*.pickle")} - set(files.values()):
         if old.name.rsplit("-", 1)[0] in tasks:
-            old.unlink()  # made from other sources
+            old.unlink()  # made by other sources
     return {name: parts[name] for name in tasks}
 
 
@@ -295,7 +289,7 @@ def _run_task(task: Task) -> Any:
 
 
 def _check_writable(folder: Path) -> None:
-    """Check that ``folder`` is writable before minutes of work."""
+    """Raise InputError if ``folder`` cannot be written to, before minutes of work."""
     try:
         (folder / "parts").mkdir(parents=True, exist_ok=True)
         write_whole(folder / "parts" / "test", b"")
@@ -304,19 +298,19 @@ def _check_writable(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
 
 
-def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:
-    """Return a cached part of an earlier call; None if missing or invalid.
+def _read_part(file: Path, kind: TypeAdapter[Any]) -> Any:
+    """Return a part that an earlier call wrote; None if it is missing or invalid.
 
-    The folder may be somebody else's: nothing in it is more than text and numbers.
+    Parts are read as text and numbers alone, as the folder may be somebody else's.
     """
     try:
         return kind.validate_python(json.loads(file.read_bytes()))
-    except (OSError, ValueError, RecursionError):  # a ValidationError is a ValueError
+    except (OSError, ValueError, RecursionError):  # ValidationError is a ValueError
         return None
 
 
-def _fingerprint() -> str:
-    """Return a hash of all that the parts are made from: packages, vehicles, engines, scenarios, libraries."""
+def _hash_sources() -> str:
+    """Return a hash of all that parts depend on: packages, vehicles, engines, scenarios, libraries."""
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
     packages = [Path(__file__).parent, Path(cosim.__file__).parent]
     sources = [file for package in packages for file in package.resolve().rglob("*") if file.suffix in (".py", ".toml")]
@@ -328,15 +322,15 @@ def _fingerprint() -> str:
     return digest.hexdigest()[:16]
 
 
-def _assemble(parts: Mapping[str, Any]) -> Reproduction:
+def _assemble_parts(parts: Mapping[str, Any]) -> Reproduction:
     part: LinearPart = parts["linear"]
     flights: dict[str, Result] = {e.name: parts[e.name] for e in flight_experiments()}
     sweeps: dict[str, Sweep] = {controller: parts[f"loop.{controller}"] for controller in FLIGHT_LOOPS}
     evidence = Evidence(
         metrics={name: result.metrics for name, result in flights.items()},
         margins={name: sweep.margins for name, sweep in sweeps.items()},
-        gain_at_low_end={name: _gain_at(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
-        gain_at_8_hz={name: _gain_at(sweep, 8.0) for name, sweep in sweeps.items()},
+        gain_at_low_end={name: _interpolate_gain(sweep, LOW_END_HZ) for name, sweep in sweeps.items()},
+        gain_at_8_hz={name: _interpolate_gain(sweep, 8.0) for name, sweep in sweeps.items()},
         tracking=parts["manual"].numbers,
     )
     extra: dict[str, float] = {**parts["manual"].numbers, **parts["identification"].numbers}
@@ -358,5 +352,5 @@ def _assemble(parts: Mapping[str, Any]) -> Reproduction:
     )
 
 
-def _gain_at(sweep: Sweep, hertz: float) -> float:
+def _interpolate_gain(sweep: Sweep, hertz: float) -> float:
     return float(np.interp(np.log(hertz), np.log(sweep.frequency), sweep.gain))

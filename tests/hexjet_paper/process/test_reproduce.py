@@ -102,11 +102,11 @@ def test_parts_are_run_once_and_then_taken_up(tmp_path: Path) -> None:
     said: list[tuple[str, int, int]] = []
     tasks = cheap(tmp_path, "abc")
     (tmp_path / "parts").mkdir()
-    first = reproduce._run(tasks, tmp_path / "parts", lambda *each: said.append(each), 2)
+    first = reproduce._run_tasks(tasks, tmp_path / "parts", lambda *each: said.append(each), 2)
     assert first == {name: f"result of {name}" for name in "abc"}
     assert said[0] == ("parts", 0, 3)
     assert [each[1] for each in said] == [0, 1, 2, 3]
-    assert reproduce._run(tasks, tmp_path / "parts", quiet, 2) == first
+    assert reproduce._run_tasks(tasks, tmp_path / "parts", quiet, 2) == first
     assert [times_run(tmp_path, name) for name in "abc"] == [1, 1, 1]
 
 
@@ -115,10 +115,10 @@ def test_a_damaged_part_is_run_again(tmp_path: Path) -> None:
     tasks = cheap(tmp_path, "ab")
     parts = tmp_path / "parts"
     parts.mkdir()
-    reproduce._run(tasks, parts, quiet, 1)
+    reproduce._run_tasks(tasks, parts, quiet, 1)
     (file,) = parts.glob("a-*.json")
     file.write_bytes(file.read_bytes()[:-3])
-    assert reproduce._run(tasks, parts, quiet, 1)["a"] == "result of a"
+    assert reproduce._run_tasks(tasks, parts, quiet, 1)["a"] == "result of a"
     assert [times_run(tmp_path, name) for name in "ab"] == [2, 1]
 
 
@@ -127,8 +127,8 @@ def test_parts_of_other_sources_are_not_taken_up(tmp_path: Path, monkeypatch: py
     tasks = cheap(tmp_path, "a")
     (tmp_path / "parts").mkdir()
     for made_from in ("one", "two"):
-        monkeypatch.setattr(reproduce, "_fingerprint", lambda made_from=made_from: made_from)
-        reproduce._run(tasks, tmp_path / "parts", quiet, 1)
+        monkeypatch.setattr(reproduce, "_hash_sources", lambda made_from=made_from: made_from)
+        reproduce._run_tasks(tasks, tmp_path / "parts", quiet, 1)
     assert times_run(tmp_path, "a") == 2
     assert [file.name for file in (tmp_path / "parts").iterdir()] == ["a-two.json"]  # nothing will take up the other
 
@@ -137,7 +137,7 @@ def test_what_was_finished_before_a_failure_stays(tmp_path: Path) -> None:
     parts = tmp_path / "parts"
     parts.mkdir()
     with pytest.raises(InputError, match="this part fails"):
-        reproduce._run(cheap(tmp_path, "a") | {"b": (fail, ())}, parts, quiet, 1)
+        reproduce._run_tasks(cheap(tmp_path, "a") | {"b": (fail, ())}, parts, quiet, 1)
     assert [json.loads(file.read_bytes()) for file in parts.glob("a-*.json")] == ["result of a"]
 
 
@@ -157,10 +157,10 @@ def test_a_part_of_somebody_elses_runs_nothing(tmp_path: Path) -> None:
     parts, mark = tmp_path / "parts", tmp_path / "ran"
     parts.mkdir()
     for ending in ("json", "pickle"):
-        (parts / f"a-{reproduce._fingerprint()}.{ending}").write_bytes(pickle.dumps(Trap(mark)))
-    assert reproduce._run(cheap(tmp_path, "a"), parts, quiet, 1) == {"a": "result of a"}
+        (parts / f"a-{reproduce._hash_sources()}.{ending}").write_bytes(pickle.dumps(Trap(mark)))
+    assert reproduce._run_tasks(cheap(tmp_path, "a"), parts, quiet, 1) == {"a": "result of a"}
     assert not mark.exists()
-    assert [file.name for file in parts.iterdir()] == [f"a-{reproduce._fingerprint()}.json"]
+    assert [file.name for file in parts.iterdir()] == [f"a-{reproduce._hash_sources()}.json"]
 
 
 def test_what_is_kept_of_the_linear_part_is_the_same_to_the_last_bit(found: Reproduction) -> None:
@@ -177,7 +177,7 @@ from test_reproduce import cheap, quiet, reproduce, wait_for
 folder = Path({folder!r})
 if __name__ == "__main__":
     tasks = cheap(folder, "abc") | {{"late": (wait_for, (str(folder), "late"))}}
-    print(reproduce._run(tasks, folder / "parts", quiet, 2)["late"])
+    print(reproduce._run_tasks(tasks, folder / "parts", quiet, 2)["late"])
 """
 
 
@@ -376,8 +376,8 @@ def test_what_is_written_into_a_page(found: Reproduction) -> None:
 def test_files_terminal_and_json_tell_the_same(
     found: Reproduction, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(reproduce, "_tasks", dict)
-    monkeypatch.setattr(reproduce, "_assemble", lambda parts: found)
+    monkeypatch.setattr(reproduce, "_list_tasks", dict)
+    monkeypatch.setattr(reproduce, "_assemble_parts", lambda parts: found)
     with pytest.raises(SystemExit) as ended:
         main(["paper", "--out", str(tmp_path / "a")])
     assert ended.value.code == 0
@@ -402,7 +402,7 @@ def test_files_terminal_and_json_tell_the_same(
 def test_a_folder_that_cannot_be_written_to_is_told_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(reproduce, "_tasks", lambda: pytest.fail("it began to work"))
+    monkeypatch.setattr(reproduce, "_list_tasks", lambda: pytest.fail("it began to work"))
     (tmp_path / "file").touch()
     with pytest.raises(SystemExit) as ended:
         main(["paper", "--out", str(tmp_path / "file")])

@@ -35,25 +35,25 @@ COLOURS = {  # colour of each controller
     "state-model": "#7048e8",
     "state-disturbance": "#a0522d",
 }
-NAMES = TITLES | {  # names of controllers
+NAMES = TITLES | {  # controllers' names
     "filtered-smith": "filtered Smith",
     "state-model": "state predictor, model-based observer",
     "state-disturbance": "state predictor with disturbance estimate",
 }
-LABELS = NAMES | {  # names for narrow headings
+LABELS = NAMES | {  # shorter names for narrow headings
     "state": "state predictor, G_n(z)",
     STATE_AS_PRINTED: "state predictor, as printed",
     "state-model": "state, model-based observer",
     "state-disturbance": "state, disturbance estimate",
 }
 FIDELITIES = ("linear plant", "six degrees of freedom")  # columns of figures
-# colour scale of sensitivities
-_SENSITIVITY = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
-_UNSTABLE = "#c9a0a0"  # colour of unstable loops
+# Colour scale of peak sensitivities, from 1 to 4.
+_SENSITIVITY_COLOURS = [[0.0, "#fff9db"], [0.25, "#8ce99a"], [0.55, "#1098ad"], [1.0, "#364fc7"]]
+_UNSTABLE_COLOUR = "#c9a0a0"
 
 
 class Curve(NamedTuple):
-    """One line of a panel."""
+    """One curve of a panel."""
 
     name: str
     x: Sequence[float] | NDArray[np.float64]
@@ -65,7 +65,7 @@ class Curve(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes; ranges in Plotly's form, None for all."""
+    """One pair of axes with its curves; ranges in Plotly's form, None for all values."""
 
     title: str
     x_title: str
@@ -77,19 +77,21 @@ class Panel(NamedTuple):
 
 
 def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
-    """Draw all figures of the page by template name."""
+    """Return all figures of the page by their names in the template."""
     part = reproduction.linear
     both = (part.results, reproduction.flight_results)
-    figures = {f"step-{n}": panels([_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
-    figures |= {f"disturbance-{n}": panels([_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)}
+    figures = {f"step-{n}": panels([_draw_pair(both, f"step-{n}", COMPARED, "angle", 30.0)]) for n in (5, 10, 25)}
+    figures |= {
+        f"disturbance-{n}": panels([_draw_pair(both, f"disturbance-{n}", COMPARED, "rate", 9.0)]) for n in (5, 10)
+    }
     figures["identification"] = identification(reproduction)
     figures["bode"] = bode(part.sweeps, reproduction.flight_sweeps)
-    figures |= {f"payload-{n}": _payload(both, n) for n in (5, 10)}
+    figures |= {f"payload-{n}": _draw_payload(both, n) for n in (5, 10)}
     figures["disturbance-payload"] = panels(
-        [_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
+        [_draw_pair(both, "disturbance-5-payload", ("smith", "state", STATE_AS_PRINTED), "rate", 9.0)]
     )
     for name in ("hexjet-doublet", "hexjet-doublet-calibrated"):
-        figures[name] = panels([_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
+        figures[name] = panels([_draw_pair(both, name, ("baseline", "smith"), "angle", 30.0)])
     figures["manual"] = manual(reproduction)
     for vehicle in ("quadrotor", "hexjet"):
         figures[f"robustness-{vehicle}"] = robustness(
@@ -101,17 +103,14 @@ def paper_figures(reproduction: Reproduction) -> dict[str, Figure]:
     return figures
 
 
-# --- the paper's ----------------------------------------------------------------------------------------------------
-
-
-def _pair(
+def _draw_pair(
     both: Sequence[Mapping[str, Result]], experiment: str, controllers: Sequence[str], quantity: str, limit: float
 ) -> list[Panel]:
-    """Draw one experiment in both fidelities on one scale, cut where an unstable loop would dominate."""
+    """Return panels of one experiment in both fidelities on one scale, cut where an unstable loop would dominate."""
     drawn = []
     for results, title in zip(both, FIDELITIES, strict=True):
         present = {c: results[f"{experiment}.{c}"] for c in controllers if f"{experiment}.{c}" in results}
-        curves = [_curve(result, quantity, NAMES[c], COLOURS[c]) for c, result in present.items()]
+        curves = [_make_curve(result, quantity, NAMES[c], COLOURS[c]) for c, result in present.items()]
         if present and quantity == "angle":
             longest = max(present.values(), key=lambda result: len(result.time))  # a failed flight ends early
             curves.insert(0, Curve("set-point", longest.time, np.degrees(longest.setpoint), GREY, "dash", 1.3))
@@ -123,13 +122,13 @@ def _axis_title(quantity: str) -> str:
     return "roll [deg]" if quantity == "angle" else "roll rate [rad/s]"
 
 
-def _curve(result: Result, quantity: str, name: str, colour: str, dash: str = "solid") -> Curve:
+def _make_curve(result: Result, quantity: str, name: str, colour: str, dash: str = "solid") -> Curve:
     values = np.degrees(result.angle) if quantity == "angle" else np.array(result.rate)
     return Curve(name, result.time, values, colour, dash)
 
 
-def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
-    """Draw a row for each predictor: without and with payload."""
+def _draw_payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
+    """Draw a row for each predictor: its steps without and with payload."""
     rows = []
     for controller in ("smith", "state", STATE_AS_PRINTED):
         row = []
@@ -139,8 +138,8 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
             if bare and loaded:
                 curves = [
                     Curve("set-point", bare.time, np.degrees(bare.setpoint), GREY, "dash", 1.3),
-                    _curve(bare, "angle", NAMES[controller], COLOURS[controller]),
-                    _curve(loaded, "angle", "with payload", RED, "dot"),
+                    _make_curve(bare, "angle", NAMES[controller], COLOURS[controller]),
+                    _make_curve(loaded, "angle", "with payload", RED, "dot"),
                 ]
             row.append(Panel(title, "time [s]", _axis_title("angle"), curves, y_range=(-30.0, 30.0)))
         rows.append(row)
@@ -148,7 +147,7 @@ def _payload(both: Sequence[Mapping[str, Result]], delay: int) -> Figure:
 
 
 def identification(reproduction: Reproduction) -> Figure:
-    """Draw turbojet, EDF and roll rate as swept in FMUs and in flight, with the printed models."""
+    """Draw the swept responses of turbojet, EDF and roll rate beside the printed models."""
     value = numbers.value
     step, delay = value("hexjet.step"), value("hexjet.delay")
     hertz = np.geomspace(0.1, 10.0, 200)
@@ -170,7 +169,7 @@ def identification(reproduction: Reproduction) -> Figure:
             measured = reproduction.identified.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, part))
-                if part == "phase":  # on the same turn as the printed model
+                if part == "phase":  # on the printed model's turn
                     points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
                 curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
             row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))
@@ -201,14 +200,14 @@ def manual(reproduction: Reproduction) -> Figure:
         time = flight.time
         rows.append(
             [
-                Panel("angle", "time [s]", f"{axis} [deg]", _tracking_curves(time, flight.angle[axis])),
-                Panel("rate", "time [s]", f"{axis} rate [deg/s]", _tracking_curves(time, flight.rate[axis])),
+                Panel("angle", "time [s]", f"{axis} [deg]", _make_tracking_curves(time, flight.angle[axis])),
+                Panel("rate", "time [s]", f"{axis} rate [deg/s]", _make_tracking_curves(time, flight.rate[axis])),
             ]
         )
     return panels(rows, panel_height=180)
 
 
-def _tracking_curves(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
+def _make_tracking_curves(time: Sequence[float], pair: tuple[Sequence[float], Sequence[float]]) -> list[Curve]:
     command, response = pair
     return [
         Curve("flown", time, np.degrees(response), BLUE, width=1.5),
@@ -216,13 +215,10 @@ def _tracking_curves(time: Sequence[float], pair: tuple[Sequence[float], Sequenc
     ]
 
 
-# --- past the paper -------------------------------------------------------------------------------------------------
-
-
 def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
-    """Draw peak sensitivity over delay and gain errors, with unstable cells and the designer's limit."""
+    """Draw peak sensitivity over delay and gain errors, with unstable cells and the limit MAX_SENSITIVITY."""
     rows = -(-len(maps) // columns)
-    figure: Figure = {"data": [], "layout": _layout(rows * 265 + 60)}
+    figure: Figure = {"data": [], "layout": _make_layout(rows * 265 + 60)}
     layout = figure["layout"] | {"hovermode": "closest", "showlegend": False, "annotations": []}
     for number, robustness_map in enumerate(maps):
         row, column = divmod(number, columns)
@@ -243,12 +239,12 @@ def robustness(maps: Sequence[RobustnessMap], columns: int = 3) -> Figure:
         layout["annotations"].append(
             _heading(f"{LABELS[robustness_map.controller]}: {100.0 * robustness_map.stable_share:.0f} % stable", x, y)
         )
-        figure["data"] += _map_traces(robustness_map, x, y, number == 0)
+        figure["data"] += _make_map_traces(robustness_map, x, y, number == 0)
     figure["layout"] = layout
     return figure
 
 
-def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool) -> list[Figure]:
+def _make_map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool) -> list[Figure]:
     common = {"x": robustness_map.delay_errors, "y": robustness_map.gains, "xaxis": x, "yaxis": y}
     says = "delay %{x:+d} samples, gain x %{y:.3g}: "
     unstable = [[1 if cell is None else None for cell in row] for row in robustness_map.sensitivity]
@@ -260,7 +256,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
             "z": rounded,
             "zmin": 1.0,
             "zmax": 4.0,
-            "colorscale": _SENSITIVITY,
+            "colorscale": _SENSITIVITY_COLOURS,
             "showscale": with_scale,
             "colorbar": {"title": {"text": "M_s"}, "thickness": 12, "len": 0.6, "y": 0.5},
             "hoverongaps": False,
@@ -270,7 +266,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
         | {
             "type": "heatmap",
             "z": unstable,
-            "colorscale": [[0.0, _UNSTABLE], [1.0, _UNSTABLE]],
+            "colorscale": [[0.0, _UNSTABLE_COLOUR], [1.0, _UNSTABLE_COLOUR]],
             "showscale": False,
             "hoverongaps": False,
             "hovertemplate": says + "unstable<extra></extra>",
@@ -298,7 +294,7 @@ def _map_traces(robustness_map: RobustnessMap, x: str, y: str, with_scale: bool)
 
 
 def delays(reproduction: Reproduction) -> Figure:
-    """Draw tracking error and peak sensitivity over delay, up to instability."""
+    """Draw tracking error and peak sensitivity over delay, as far as a loop is stable."""
     rows = []
     for quantity, title, limits in (("rmse", "RMSE [deg]", None), ("sensitivity", "peak sensitivity", (0.0, 8.0))):
         row = []
@@ -338,9 +334,9 @@ def offsets(reproduction: Reproduction) -> Figure:
 
 
 def turbojet(reproduction: Reproduction) -> Figure:
-    """Draw the attitude bandwidth that each controller reaches with either engine."""
+    """Draw the attitude bandwidth that each controller reaches with delayed fans and with turbojets."""
     reaches = reproduction.linear.turbojet
-    layout = _layout(330) | {"hovermode": "closest", "barmode": "group"}
+    layout = _make_layout(330) | {"hovermode": "closest", "barmode": "group"}
     layout["yaxis"] = {"title": {"text": "attitude bandwidth [Hz]"}, "rangemode": "tozero"}
     layout["xaxis"] = {"tickangle": 0}
     layout["margin"]["b"] = 64  # two lines of text
@@ -360,12 +356,9 @@ def turbojet(reproduction: Reproduction) -> Figure:
     return {"data": data, "layout": layout}
 
 
-# --- pieces ---------------------------------------------------------------------------------------------------------
-
-
 def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
-    """Draw panels in rows and columns with one legend; empty panels say that they were not flown."""
-    layout = _layout(len(rows) * panel_height + 90) | {"annotations": []}
+    """Draw panels in rows and columns with one legend; panels without curves say that they were not flown."""
+    layout = _make_layout(len(rows) * panel_height + 90) | {"annotations": []}
     data: list[Figure] = []
     labels: set[str] = set()
     columns = len(rows[0])
@@ -395,19 +388,19 @@ def panels(rows: Sequence[Sequence[Panel]], panel_height: int = 250) -> Figure:
                 layout["annotations"].append(_heading("not flown", x, y) | {"y": 0.5, "x": 0.5, "xanchor": "center"})
                 data.append({"type": "scatter", "x": [None], "y": [None], "xaxis": x, "yaxis": y, "showlegend": False})
             for curve in panel.curves:
-                data.append(_trace(curve, x, y) | {"showlegend": curve.name not in labels})
+                data.append(_make_trace(curve, x, y) | {"showlegend": curve.name not in labels})
                 labels.add(curve.name)
     return {"data": data, "layout": layout}
 
 
-def _trace(curve: Curve, x: str, y: str) -> Figure:
+def _make_trace(curve: Curve, x: str, y: str) -> Figure:
     return {
         "type": "scatter",
         "mode": curve.mode,
         "name": curve.name,
         "legendgroup": curve.name,
-        "x": _numbers(curve.x),
-        "y": _numbers(curve.y),
+        "x": _to_float32(curve.x),
+        "y": _to_float32(curve.y),
         "xaxis": x,
         "yaxis": y,
         "line": {"color": curve.colour, "dash": curve.dash, "width": curve.width},
@@ -416,20 +409,20 @@ def _trace(curve: Curve, x: str, y: str) -> Figure:
     }
 
 
-def _numbers(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
-    """Return a compact array; gaps and numbers beyond 1e9 (of a loop that ran away) are left out of the line."""
+def _to_float32(values: Sequence[float | None] | NDArray[np.float64]) -> Any:
+    """Return numbers as a compact array, NaN for gaps and for values beyond 1e9 of a loop that diverged."""
     array = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     return np.where(np.abs(array) < 1e9, array, np.nan).astype(np.float32)
 
 
-def _layout(height: int) -> Figure:
-    # Above the headings of the panels.
+def _make_layout(height: int) -> Figure:
+    # The legend stands above the panels' headings.
     legend = {"orientation": "h", "x": 0, "y": 1.0 + 22.0 / (height - 110), "yanchor": "bottom"}
     return layout(height, 60, 12, 66, 44, hovermode="x unified", legend=legend)
 
 
 def _heading(text: str, x: str, y: str) -> Figure:
-    """Return a heading above the upper left corner of the panel with these axes."""
+    """Return a heading at the upper left corner of the panel with these axes."""
     return {
         "text": f"<b>{text}</b>",
         "showarrow": False,

@@ -19,8 +19,8 @@ from hexjet_paper.report.figures import FIDELITIES, NAMES, paper_figures
 from hexjet_paper.report.readings import model_error_table, model_errors_in_words, readings_table
 from hexjet_paper.report.result import COMPARISON, DATA, Reproduction
 
-TEMPLATE = Path(__file__).parent / "templates" / "paper.html"  # template of the page
-VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")  # verdicts on a claim
+TEMPLATE = Path(__file__).parent / "templates" / "paper.html"
+VERDICTS = ("holds", "under a condition", "by construction", "does not hold", "not flown")  # in order of tables
 
 
 def write_page(reproduction: Reproduction, path: Path) -> None:
@@ -29,7 +29,7 @@ def write_page(reproduction: Reproduction, path: Path) -> None:
 
 
 def page_values(reproduction: Reproduction) -> dict[str, Any]:
-    """Return the values that the template needs."""
+    """Return the values that the page's template uses."""
     part = reproduction.linear
     predicted = [
         row for row in reproduction.rows if row.origin == "predicted" and (row.linear or row.flight) is not None
@@ -50,8 +50,8 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
         "used_count": len({row.key for row in part.frozen.used}),
         "predicted_count": len(predicted),
         "typical": {
-            "linear": _typical(row.linear_deviation for row in predicted),
-            "flight": _typical(row.flight_deviation for row in predicted),
+            "linear": _median_size(row.linear_deviation for row in predicted),
+            "flight": _median_size(row.flight_deviation for row in predicted),
         },
         "margins": margin_rows(reproduction),
         "frozen": part.frozen,
@@ -74,7 +74,7 @@ def page_values(reproduction: Reproduction) -> dict[str, Any]:
 
 
 def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
-    """Count the claims of each verdict, by fidelity."""
+    """Return the number of claims of each verdict, by fidelity."""
     rows = list(claims)
     counted: dict[str, dict[str, int]] = {}
     by_fidelity: list[list[Judgement | None]] = [[row.linear for row in rows], [row.flight for row in rows]]
@@ -85,7 +85,7 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
 
 
 def count_choices(claims: Iterable[ClaimRow]) -> list[int]:
-    """Count by fidelity the claims that hold because of a choice of ours."""
+    """Return for each fidelity how many claims hold because of a choice of ours."""
     rows = list(claims)
     return [
         sum(
@@ -97,7 +97,7 @@ def count_choices(claims: Iterable[ClaimRow]) -> list[int]:
 
 
 def counts_in_words(claims: Iterable[ClaimRow]) -> str:
-    """Return how many claims hold: the sentence above the tables of terminal and report."""
+    """Return a sentence on how many claims hold, printed above the tables."""
     linear, flight = tally(claims).values()
     return (
         f"Of {sum(linear.values())} claims of the paper {linear['holds']} hold on the linear plant and "
@@ -106,7 +106,7 @@ def counts_in_words(claims: Iterable[ClaimRow]) -> str:
 
 
 def verified_in_words(reproduction: Reproduction) -> str:
-    """Return how near the swept roll response is to the printed G(z), which verifies the implementation."""
+    """Return a sentence on how near the swept roll response is to the printed G(z)."""
     decibel, degree = reproduction.identified.deviation
     low, high = reproduction.identified.band
     return (
@@ -116,7 +116,7 @@ def verified_in_words(reproduction: Reproduction) -> str:
 
 
 def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
-    """Return the margins of every controller: computed, measured on the linear plant, measured in flight."""
+    """Return the margins of each controller: computed, measured on the linear plant, measured in flight."""
     sources = (
         ("computed", reproduction.linear.evidence.margins),
         ("measured, linear plant", {name: sweep.margins for name, sweep in reproduction.linear.sweeps.items()}),
@@ -131,7 +131,7 @@ def margin_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 
 def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
-    """Return roll under a constant disturbance, degrees, by controller."""
+    """Return the roll angles [deg] under a constant disturbance, by controller."""
     linear_offsets = {offset.controller: offset for offset in reproduction.linear.offsets}
     late = {offset.controller: offset.late for offset in reproduction.offsets}
     rows = []
@@ -149,10 +149,10 @@ def offset_rows(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 
 def rows_to_compare(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows without the inputs, which are the same by construction."""
+    """Return the comparison's rows without the experiments' inputs, which agree by construction."""
     return [row for row in rows if row.origin != "given" or row.flight is not None]
 
 
-def _typical(deviations: Iterable[float | None]) -> float:
-    """Return the median size of the deviations, percent."""
+def _median_size(deviations: Iterable[float | None]) -> float:
+    """Return the median absolute deviation [%]."""
     return median(abs(deviation) for deviation in deviations if deviation is not None)

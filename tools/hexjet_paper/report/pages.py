@@ -27,23 +27,23 @@ TABLES = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS
 
 
 def page_parts(reproduction: Reproduction) -> dict[str, str]:
-    """Return every part by its mark's name."""
+    """Return the generated parts of documentation pages by the names of their marks."""
     return {
         COUNTS: counts_table(reproduction.claims),
-        DOUBLET: _doublet(reproduction),
-        HELD_CLAIMS: _claims_that_hold(reproduction),
-        DIFFERS: _claims_that_differ(reproduction),
+        DOUBLET: _make_doublet_table(reproduction),
+        HELD_CLAIMS: _list_held_claims(reproduction),
+        DIFFERS: _make_differences_table(reproduction),
         CONSTRUCTED: constructed_table(reproduction.claims),
-        TURBOJET: _turbojet(reproduction),
+        TURBOJET: _make_turbojet_table(reproduction),
         READINGS: readings_table(reproduction.readings).markdown(),
-        CONSISTENT: _consistency(reproduction.consistency),
+        CONSISTENT: _make_consistency_table(reproduction.consistency),
         VERIFIED: verified_in_words(reproduction) + "\n",
         OFF: model_error_table(reproduction.model_errors).markdown(),
     }
 
 
 def counts_table(claims: Iterable[ClaimRow]) -> str:
-    """Return the table of how many claims came to each verdict, by fidelity."""
+    """Return the table of the number of claims of each verdict, by fidelity."""
     claims = list(claims)
     counts, chosen = tally(claims), dict(zip(FIDELITIES, count_choices(claims), strict=True))
     labels = {
@@ -60,7 +60,7 @@ def counts_table(claims: Iterable[ClaimRow]) -> str:
 
 
 def constructed_table(claims: Iterable[ClaimRow]) -> str:
-    """Return the table of claims that hold by fit or choice, with reasons."""
+    """Return the table of claims that hold by construction, with the reasons."""
     rows = []
     for row in claims:
         where = [
@@ -73,8 +73,8 @@ def constructed_table(claims: Iterable[ClaimRow]) -> str:
     return table(("claim", "by construction on", "ours is", "because"), rows, left=4)
 
 
-def _consistency(rows: Iterable[ClaimRow]) -> str:
-    """Return the table on the consistency of printed numbers in both fidelities."""
+def _make_consistency_table(rows: Iterable[ClaimRow]) -> str:
+    """Return the table on whether printed numbers are consistent, by fidelity."""
     cells = [
         (row.claim, row.linear.verdict, row.flight.verdict if row.flight else "not flown", row.linear.condition)
         for row in rows
@@ -82,7 +82,7 @@ def _consistency(rows: Iterable[ClaimRow]) -> str:
     return table(("question", *FIDELITIES, "condition"), cells, left=4)
 
 
-def _doublet(reproduction: Reproduction) -> str:
+def _make_doublet_table(reproduction: Reproduction) -> str:
     """Return the table of the Hex-Jet's roll doublet at the gains of vehicle.toml, flown with noise."""
     results = [reproduction.flight_results[f"hexjet-doublet.{c}"] for c in ("baseline", "smith")]
     a, b = (result.metrics for result in results)
@@ -106,7 +106,7 @@ def _describe_outcome(result: Result) -> str:
     seconds = len(result.time) * experiment.step
     if seconds < experiment.record - 0.5 * experiment.step:
         return f"lost at {seconds:.1f} s, swinging up"
-    return "settles both ways, ends level" if result.metrics.stable else "does not settle"
+    return "settles hold_in_both ways, ends level" if result.metrics.stable else "does not settle"
 
 
 def _format_overshoot(metrics: Metrics) -> str:
@@ -117,29 +117,29 @@ def _format_settling(metrics: Metrics) -> str:
     return "never" if not metrics.stable or metrics.settling_s is None else f"{metrics.settling_s:.1f} s"
 
 
-def _claims_that_hold(reproduction: Reproduction) -> str:
-    """Return the list of the paper's main claims, with the numbers of both fidelities."""
+def _list_held_claims(reproduction: Reproduction) -> str:
+    """Return the list of the paper's main claims, with the numbers of hold_in_both fidelities."""
     claims = {row.key: row for row in reproduction.claims}
     rows = {row.key: row for row in reproduction.rows}
 
-    def both(*keys: str) -> bool:
-        return all(_agrees(judged) for key in keys for judged in (claims[key].linear, claims[key].flight))
+    def hold_in_both(*keys: str) -> bool:
+        return all(_is_held(judged) for key in keys for judged in (claims[key].linear, claims[key].flight))
 
-    def sentence(text: str, *keys: str) -> str:
-        return text if both(*keys) else f"{text} (not in both fidelities)"
+    def note_if_not_both(text: str, *keys: str) -> str:
+        return text if hold_in_both(*keys) else f"{text} (not in hold_in_both fidelities)"
 
     computed = reproduction.linear.evidence.margins["smith"].phase_margin or 0.0
     measured = reproduction.flight_evidence.margins["smith"].phase_margin or 0.0
     less, faster = rows["hexjet.less_overshoot"], rows["hexjet.faster_settling"]
     delay = next(condition.values for condition in reproduction.linear.conditions if condition.key == "baseline-delay")
     lines = [
-        sentence(
+        note_if_not_both(
             "Without a predictor the quadrotor is stable with 5 samples and not with 10; with Smith's it is stable with 5, "
             f"10 and 25. Its rate loop alone loses stability with {delay['rate_loop']:.0f}, with the attitude loop "
             f"closed round it with {delay['with_attitude_loop']:.0f}.",
             "baseline-5", "baseline-10", "smith-25",
         ),
-        sentence(
+        note_if_not_both(
             "Smith's predictor holds the Hex-Jet through its doublet at gains at which the baseline is lost. The gains are "
             "not printed: we chose them so that the baseline is lost.",
             "hexjet-baseline", "hexjet-smith",
@@ -147,24 +147,24 @@ def _claims_that_hold(reproduction: Reproduction) -> str:
         f"Where the baseline just settles, Smith overshoots {less.flight:.0f} % less and settles {faster.flight:.0f} % "
         f"faster in flight (paper {less.paper:g} % and {faster.paper:g} %). This is the fit itself: on the linear plant "
         f"two gains were fitted to these two numbers ({less.linear:.0f} % and {faster.linear:.0f} %).",
-        sentence("Smith rejects disturbances best with 10 samples.", "disturbance-smith-10"),
-        sentence("Predictors raise the phase margin, Smith's most: ", "phase-up", "phase-smith")
+        note_if_not_both("Smith rejects disturbances best with 10 samples.", "disturbance-smith-10"),
+        note_if_not_both("Predictors raise the phase margin, Smith's most: ", "phase-up", "phase-smith")
         + f"{computed:.0f}° computed, {measured:.0f}° measured in flight, "
         f"{numbers.value('frequency.smith.phase_margin'):.1f}° in the paper.",
     ]  # fmt: skip
     return "".join(f"- {line}\n" for line in lines)
 
 
-def _agrees(judged: Judgement | None) -> bool:
+def _is_held(judged: Judgement | None) -> bool:
     return judged is not None and judged.verdict in ("holds", "by construction")
 
 
-def _claims_that_differ(reproduction: Reproduction) -> str:
-    """Return the table of what does not follow from the printed model, with our findings."""
+def _make_differences_table(reproduction: Reproduction) -> str:
+    """Return the table of what does not follow from the printed model, with our numbers."""
     linear, flight = reproduction.linear.evidence, reproduction.flight_evidence
     margins = linear.margins
 
-    def growth(new: str, old: str, quantity: str, evidence: Evidence = flight) -> str:
+    def format_growth(new: str, old: str, quantity: str, evidence: Evidence = flight) -> str:
         metrics = evidence.metrics
         return f"{100.0 * (getattr(metrics[new], quantity) / getattr(metrics[old], quantity) - 1.0):+.0f} %"
 
@@ -176,7 +176,7 @@ def _claims_that_differ(reproduction: Reproduction) -> str:
     amplitude, tau = numbers.value("step.amplitude"), numbers.value("step.time_constant")
     least = radians(amplitude) * (3.0 * tau / numbers.value("step.record")) ** 0.5
     loaded = flight.metrics["step-10-payload.state"].stable
-    late = [growth("step-25.smith", "step-5.smith", "rmse", evidence) for evidence in (linear, flight)]
+    late = [format_growth("step-25.smith", "step-5.smith", "rmse", evidence) for evidence in (linear, flight)]
     rows = [
         (
             f"RMSE of {numbers.value('step-5.baseline.rmse'):.3f} rad for {amplitude:g}° either way with a time constant of "
@@ -208,14 +208,14 @@ def _claims_that_differ(reproduction: Reproduction) -> str:
         ),
         (
             f"with payload the state predictor's error grows by {sign['paper_growth_percent']:.1f} %",
-            f"By {growth('disturbance-5-payload.state', 'disturbance-5.state', 'rmse', linear)} on the linear plant at the "
-            f"fitted gain, {growth('disturbance-5-payload.state', 'disturbance-5.state', 'rmse')} in flight",
+            f"By {format_growth('disturbance-5-payload.state', 'disturbance-5.state', 'rmse', linear)} on the linear plant at the "
+            f"fitted gain, {format_growth('disturbance-5-payload.state', 'disturbance-5.state', 'rmse')} in flight",
         ),
         (
             "from 5 to 10 samples Smith's errors under a disturbance grow by 2.9 % and 0.2 %",
-            f"By {growth(*pair, 'rmse')} and {growth(*pair, 'max')} in flight if the disturbance enters before the "
-            f"predictor's tap, so that the predictor is told of it; by {growth(*unseen, 'rmse')} and "
-            f"{growth(*unseen, 'max')} if it is not",
+            f"By {format_growth(*pair, 'rmse')} and {format_growth(*pair, 'max')} in flight if the disturbance enters before the "
+            f"predictor's tap, so that the predictor is told of it; by {format_growth(*unseen, 'rmse')} and "
+            f"{format_growth(*unseen, 'max')} if it is not",
         ),
         (
             f"Smith's tracking error grows by {numbers.value('step-25.smith.increase'):g} % from 5 to 25 samples",
@@ -231,16 +231,16 @@ def _claims_that_differ(reproduction: Reproduction) -> str:
     return table(("the paper", "ours"), rows, left=2)
 
 
-def _turbojet(reproduction: Reproduction) -> str:
-    """Return the table of each controller's fastest attitude loop with fans and with turbojets, computed and flown."""
+def _make_turbojet_table(reproduction: Reproduction) -> str:
+    """Return the table of each controller's fastest attitude loop with fans and with turbojets."""
     reach = {(design.engine, design.controller): design for design in reproduction.linear.turbojet}
     designs = {design.controller: design for design in reproduction.turbojet}
 
-    def hertz(engine: str, controller: str) -> str:
+    def format_bandwidth(engine: str, controller: str) -> str:
         design = reach.get((engine, controller))
         return "-" if design is None or design.bandwidth is None else f"{design.bandwidth:.2f} Hz"
 
-    def percent(value: float | None) -> str:
+    def format_percent(value: float | None) -> str:
         return "-" if value is None else f"{value:.0f} %"
 
     rows = []
@@ -251,10 +251,10 @@ def _turbojet(reproduction: Reproduction) -> str:
         rows.append(
             (
                 NAMES[controller],
-                hertz("edf-as-flown", controller),
-                hertz("turbojet", controller),
-                percent(linear.overshoot_percent if linear else None),
-                percent(flight.overshoot_percent if flight else None),
+                format_bandwidth("edf-as-flown", controller),
+                format_bandwidth("turbojet", controller),
+                format_percent(linear.overshoot_percent if linear else None),
+                format_percent(flight.overshoot_percent if flight else None),
                 settles,
             )
         )

@@ -11,11 +11,12 @@ from hexjet_paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
 from hexjet_paper.experiments import Metrics, hexjet_ratios
 from hexjet_paper.readings import DELAY_ERRORS, GAIN_FACTORS, ModelError, ReadingResult, Trial
 
-DEPENDENT = ("hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling")  # depend on the reading
+# Claims that depend on how the printed model is read.
+DEPENDENT = ("hexjet-baseline", "hexjet-smith", "hexjet-overshoot", "hexjet-settling")
 
 
 class Table(NamedTuple):
-    """Head and rows of a table, as text."""
+    """Head and rows of a table of texts."""
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
@@ -26,33 +27,37 @@ class Table(NamedTuple):
 
 
 def judge_reading(result: ReadingResult) -> list[ClaimRow]:
-    """Judge the claims that depend on the reading by its flights with raised and fitted gains."""
+    """Judge the claims that depend on the reading, by its flights with raised and fitted gains."""
 
-    def evidence(fidelity: Literal["linear", "flight"]) -> Evidence:
+    def make_evidence(fidelity: Literal["linear", "flight"]) -> Evidence:
         metrics: dict[str, Metrics] = {}
         for name, gains in (("hexjet-doublet", "raised"), ("hexjet-doublet-calibrated", "fitted")):
             metrics |= {f"{name}.{c}": getattr(result.trial(gains, c), fidelity) for c in ("baseline", "smith")}
         return Evidence(metrics=metrics, margins={}, gain_at_low_end={}, gain_at_8_hz={})
 
-    return claim_rows(evidence("linear"), evidence("flight"), [claim for claim in CLAIMS if claim.key in DEPENDENT])
+    return claim_rows(
+        make_evidence("linear"), make_evidence("flight"), [claim for claim in CLAIMS if claim.key in DEPENDENT]
+    )
 
 
 def readings_table(results: list[ReadingResult]) -> Table:
-    """Return the table of the readings: what each makes of the vehicle, its doublets in flight, its claims."""
+    """Return the table of the readings: vehicle that follows, doublets in flight, claims."""
 
-    def line(name: str, cells: list[str]) -> tuple[str, ...]:
+    def make_row(name: str, cells: list[str]) -> tuple[str, ...]:
         return (name, *cells)
 
-    def gains(name: str, result: ReadingResult) -> str:
+    def format_gains(name: str, result: ReadingResult) -> str:
         used = result.trial(name, "smith").gains
         return f"{used.p:.3g}, {used.attitude_gain_1_s:.3g} 1/s"
 
     rows = [
-        line("engine", [r.engine for r in results]),
-        line("thrust per unit throttle", [f"{r.thrust_n:.2f} N" for r in results]),
-        line("roll gain, rad/s² per unit throttle", [f"{r.slope:.0f}" for r in results]),
-        line("J_xx that follows", [f"{r.inertia_kg_m2:.4f} kg m²" for r in results]),
-        line("pole of the slowest lag", [f"{r.fast_pole:.4f}, {1e3 * _pole_lag(r.fast_pole):.0f} ms" for r in results]),
+        make_row("engine", [r.engine for r in results]),
+        make_row("thrust per unit throttle", [f"{r.thrust_n:.2f} N" for r in results]),
+        make_row("roll gain, rad/s² per unit throttle", [f"{r.slope:.0f}" for r in results]),
+        make_row("J_xx that follows", [f"{r.inertia_kg_m2:.4f} kg m²" for r in results]),
+        make_row(
+            "pole of the slowest lag", [f"{r.fast_pole:.4f}, {1e3 * _pole_lag(r.fast_pole):.0f} ms" for r in results]
+        ),
     ]
     titles = (
         ("shipped", "gains of vehicle.toml"),
@@ -60,17 +65,17 @@ def readings_table(results: list[ReadingResult]) -> Table:
         ("raised", "raised gains"),
     )
     for name, title in titles:
-        rows.append(line(f"{title}: rate, attitude", [gains(name, r) for r in results]))
+        rows.append(make_row(f"{title}: rate, attitude", [format_gains(name, r) for r in results]))
         if name == "fitted":
-            rows.append(line("doublet, each half", [f"{r.trial(name, 'smith').each_s:.0f} s" for r in results]))
+            rows.append(make_row("doublet, each half", [f"{r.trial(name, 'smith').each_s:.0f} s" for r in results]))
         for controller in ("baseline", "smith"):
-            cells = [_outcome(r.trial(name, controller)) for r in results]
-            rows.append(line(f"{'Smith' if controller == 'smith' else controller}, {title}", cells))
+            cells = [_describe_outcome(r.trial(name, controller)) for r in results]
+            rows.append(make_row(f"{'Smith' if controller == 'smith' else controller}, {title}", cells))
         if name == "fitted":
             cells = [", ".join(f"x {r.largest_gains[c]:.2f}" for c in ("baseline", "smith")) for r in results]
-            rows.append(line("both gains may grow, linear: baseline, Smith", cells))
+            rows.append(make_row("both gains may grow, linear: baseline, Smith", cells))
             rows += [
-                line(f"{what} (paper {numbers.value(key):g} %)", [_ratio(r, key) for r in results])
+                make_row(f"{what} (paper {numbers.value(key):g} %)", [_format_ratio(r, key) for r in results])
                 for what, key in (
                     ("less overshoot with Smith", "hexjet.less_overshoot"),
                     ("faster settling with Smith", "hexjet.faster_settling"),
@@ -78,7 +83,7 @@ def readings_table(results: list[ReadingResult]) -> Table:
             ]
     judged = [judge_reading(result) for result in results]
     for n, claim in enumerate(judged[0]):
-        rows.append(line(f"claim: {claim.claim}", [_list_verdicts(rows_of[n]) for rows_of in judged]))
+        rows.append(make_row(f"claim: {claim.claim}", [_list_verdicts(rows_of[n]) for rows_of in judged]))
     return Table(("", *(result.title for result in results)), rows)
 
 
@@ -86,7 +91,7 @@ def _pole_lag(pole: float) -> float:
     return -numbers.value("hexjet.step") / log(pole)
 
 
-def _outcome(trial: Trial) -> str:
+def _describe_outcome(trial: Trial) -> str:
     if trial.lost_s is not None:
         return f"lost at {trial.lost_s:.1f} s"
     m = trial.flight
@@ -96,7 +101,7 @@ def _outcome(trial: Trial) -> str:
     return f"{m.overshoot_percent or 0.0:.0f} % overshoot, {settles}"
 
 
-def _ratio(result: ReadingResult, key: str) -> str:
+def _format_ratio(result: ReadingResult, key: str) -> str:
     a, b = (result.trial("fitted", c) for c in ("baseline", "smith"))
     linear, flight = (
         hexjet_ratios(x.overshoot_percent, y.overshoot_percent, x.settling_s, y.settling_s)[key]
@@ -111,7 +116,7 @@ def _list_verdicts(row: ClaimRow) -> str:
 
 
 def model_error_table(errors: list[ModelError]) -> Table:
-    """Return the table of the roll doublet's overshoot and settling: the model's delay errors down, its gain across."""
+    """Return the table of overshoot and settling, over errors of the model's delay (down) and gain (across)."""
     cells = {(error.delay_error, error.gain_factor): error for error in errors}
     rows = [
         (
@@ -131,7 +136,7 @@ def _describe_model_error(error: ModelError) -> str:
 
 
 def model_errors_in_words(errors: list[ModelError]) -> str:
-    """Describe in a sentence Smith's predictor with wrong models."""
+    """Return a sentence on Smith's predictor with wrong models."""
     off = [error for error in errors if error.delay_error or error.gain_factor != 1.0]
     good = [error for error in off if error.stable and error.settling_s is not None]
     text = (

@@ -13,17 +13,17 @@ from hexjet_paper.experiments import Result
 from hexjet_paper.loops import Sweep
 from hexjet_paper.readings import ModelError, ReadingResult
 
-COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"  # files of a reproduction
+COMPARISON, REPORT, DATA = "comparison.csv", "report.html", "comparison.json"  # files that a reproduction writes
 
 
 @dataclass(frozen=True)
 class Offset:
-    """A flight with half a kilogram 1 cm to the right of the centre of gravity: roll over time."""
+    """Roll over time of a flight with half a kilogram 1 cm to the right of the centre of gravity."""
 
     controller: str
-    time: list[float]  # s after the load came on board
+    time: list[float]  # s, from when the load is on board
     roll: list[float]  # rad
-    late: float  # rad, mean of the last second
+    late: float  # rad, mean over the last second
 
 
 Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and flown
@@ -31,7 +31,7 @@ Tracked = dict[str, tuple[list[float], list[float]]]  # by axis: set-point and f
 
 @dataclass(frozen=True)
 class Manual:
-    """The Hex-Jet's manual flight."""
+    """Tracking errors and signals of the Hex-Jet's manual flight."""
 
     numbers: dict[str, float]  # by key of the printed numbers
     time: list[float]  # s
@@ -41,7 +41,7 @@ class Manual:
 
 @dataclass(frozen=True)
 class TurbojetFlight:
-    """The Hex-Jet on true turbojets, flown through its roll doublet at the gains that the linear search found."""
+    """Roll doublet of the Hex-Jet on true turbojets, at the gains that the linear search found."""
 
     controller: str
     outcome: str
@@ -52,7 +52,7 @@ class TurbojetFlight:
 
 @dataclass(frozen=True)
 class Response:
-    """A measured frequency response of the identification, thrust in kgf, rate in rad/s, per unit command."""
+    """Measured frequency response per unit command: of thrust in kgf, of rate in rad/s."""
 
     hertz: list[float]
     gain: list[float]  # dB
@@ -61,17 +61,17 @@ class Response:
 
 @dataclass(frozen=True)
 class Identified:
-    """Results of the identification: numbers by printed key, and responses."""
+    """Results of the identification: our values of printed numbers, and frequency responses."""
 
     numbers: dict[str, float]
     responses: dict[str, Response]  # by "turbojet", "edf" or "roll"
-    deviation: tuple[float, float]  # dB, deg: worst, from the printed G(z)
+    deviation: tuple[float, float]  # largest from printed G(z): dB, deg
     band: tuple[float, float]  # Hz
 
 
 @dataclass(frozen=True)
 class Reproduction(call.Result):
-    """Everything that the report shows."""
+    """All results of a reproduction, as the report shows them."""
 
     linear: LinearPart
     flight_results: dict[str, Result]
@@ -90,7 +90,7 @@ class Reproduction(call.Result):
     files: dict[str, Path] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return comparison and claims, the data of the linear plant, and what the flights add to them."""
+        """Return comparison, claims and results of the linear plant, with the flights' under ``flight``."""
         decibel, degree = self.identified.deviation
         flight = {
             "metrics": {name: result.metrics.model_dump() for name, result in self.flight_results.items()},
@@ -105,13 +105,13 @@ class Reproduction(call.Result):
         return as_data(self.linear, self.rows, self.claims) | {"flight": flight}
 
     def lines(self) -> list[str]:
-        """Return how many claims follow."""
+        """Return sentences on how many claims hold, and on how G(z) is read."""
         from hexjet_paper.report.page import counts_in_words
 
         return [counts_in_words(self.claims), "G(z) is read as delay only; the other readings are flown in the report"]
 
     def tables(self) -> list[call.Table]:
-        """Return the comparison with the paper, and the claims."""
+        """Return the tables of the comparison with the paper and of the claims."""
         from hexjet_paper.report.page import rows_to_compare
 
         numbers = []
