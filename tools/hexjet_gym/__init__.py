@@ -29,18 +29,18 @@ except ModuleNotFoundError as error:
         "hexjet_gym needs gymnasium, which is not installed: pip install gymnasium", name="gymnasium"
     ) from None
 
-ACTS = ("actuators", "rates", "attitude")  # kinds of actions
-# rad of roll and pitch at action 1; chosen by us: three times the paper's doublet.
+ACTS = ("actuators", "rates", "attitude")  # what an action commands
+# Roll and pitch [rad] at an action of 1; chosen by us: three times the paper's doublet.
 MAX_LEAN = pi / 6.0
-MAX_CLIMB = 10.0  # m of height at an action of 1
-# Bounds of observations, which libraries for learning need; chosen by us: far from any flight that is not lost.
-MAX_SPEED, MOST_HEIGHT = 200.0, 10_000.0  # m/s, m
-# Errors at which the reward falls to 1/e, rad and m; chosen by us: half of a doublet, half a metre.
-ANGLE_SCALE, HEIGHT = radians(5.0), 0.5
+MAX_CLIMB = 10.0  # height [m] at an action of 1
+# Bounds of observations, which learning libraries need; chosen by us: beyond any flight that does not fail.
+MAX_SPEED, MAX_HEIGHT = 200.0, 10_000.0  # m/s, m
+# Errors [rad, m] that reduce the reward to 1/e; chosen by us: half of a doublet, half a metre.
+ANGLE_SCALE, HEIGHT_SCALE = radians(5.0), 0.5
 
 
 class Signal(NamedTuple):
-    """One number of an observation or action."""
+    """Name, unit, frame, bounds and scale of one number of an observation or action."""
 
     name: str
     unit: str
@@ -57,8 +57,8 @@ Vary = Callable[[Scenario, np.random.Generator], Scenario]
 def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
     """Return the default reward: the control step [s], reduced with distance from the command.
 
-    ``dt exp(-(angle / ANGLE)^2 - (height / HEIGHT)^2)``, of the true state at the end of the step, and 0 where the
-    flight is lost: the sum over a flight is at most its seconds, and a flight that is lost gets no more.
+    ``dt exp(-(angle / ANGLE_SCALE)^2 - (height / HEIGHT_SCALE)^2)`` of the true state at the end of the step, and 0
+    once the flight has failed: the sum over a flight is at most its seconds.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ def time_on_target(flight: Stepper, sample: Sample, command: Command) -> float:
         return 0.0
     turn = multiply(conjugate(from_euler(*command.attitude)), flight.state.attitude)
     angle, height = 2.0 * acos(min(abs(turn[0]), 1.0)), flight.state.altitude - command.altitude
-    return flight.scenario.step_s * exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT) ** 2)
+    return flight.scenario.step_s * exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT_SCALE) ** 2)
 
 
 class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types where it is not installed
-    """One flight per episode: the scenario commands, the agent flies.
+    """Gymnasium environment: an episode is one flight, in which the scenario commands and the agent flies.
 
     An observation is what the sensors say, what is asked for, and what the actuators were told in the last steps: with
     engines that answer late the present alone does not say what comes.  ``observed`` and ``acted`` name every number of
@@ -138,15 +138,15 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         self._act, self._reward, self._hold, self._vary = act, reward, hold, vary
         self._scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
         self.flight = Stepper(self._scenario, actuators=act == "actuators", log=False)
-        _need_attitude_commands(self.flight)
+        _require_attitude_commands(self.flight)
         self.metadata = {**self.metadata, "render_fps": 1.0 / (hold * self._scenario.step_s)}
-        self.acted, self.observed = self._actions(), self._observations(memory)
+        self.acted, self.observed = self._list_actions(), self._list_observations(memory)
         self._scale = np.array([signal.scale for signal in self.acted])
-        self.action_space, self.observation_space = _box(self.acted), _box(self.observed)
+        self.action_space, self.observation_space = _make_box(self.acted), _make_box(self.observed)
         self._low, self._high = np.array([[s.low, s.high] for s in self.observed]).T
         self._actuators: deque[tuple[float, ...]] = deque(maxlen=memory)
 
-    def _actions(self) -> tuple[Signal, ...]:
+    def _list_actions(self) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
         if self._act == "rates":
             limits = vehicle.control.attitude.rate_limit_rad_s
@@ -162,11 +162,11 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             ]
             return (*angles, Signal("height_above_start", "m", "up", -1.0, 1.0, MAX_CLIMB))
         throttles = [Signal(f"throttle_{jet}", "throttle", "", 0.0, 1.0) for jet in range(1, len(vehicle.jets) + 1)]
-        return (*throttles, *_servo_signals(vehicle, ""))
+        return (*throttles, *_list_servo_signals(vehicle, ""))
 
-    def _observations(self, memory: int) -> tuple[Signal, ...]:
+    def _list_observations(self, memory: int) -> tuple[Signal, ...]:
         vehicle = self.flight.simulation.vehicle
-        rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MAX_SPEED, MOST_HEIGHT
+        rate, speed, height = 2.0 * radians(vehicle.limits.rate_deg_s), MAX_SPEED, MAX_HEIGHT
         signals = [
             *[Signal(f"rate_{name}", "rad/s", "body", -rate, rate) for name in "pqr"],
             *[Signal(f"attitude_{name}", "1", "body to NED", -1.0, 1.0) for name in "wxyz"],
@@ -178,7 +178,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         for back in range(1, memory + 1):
             jets = range(1, len(vehicle.jets) + 1)
             signals += [Signal(f"throttle_{jet}_before_{back}", "throttle", "", 0.0, 1.0) for jet in jets]
-            servos = _servo_signals(vehicle, f"_before_{back}")
+            servos = _list_servo_signals(vehicle, f"_before_{back}")
             signals += [
                 signal._replace(low=signal.low * signal.scale, high=signal.high * signal.scale, scale=1.0)
                 for signal in servos
@@ -196,18 +196,18 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
                     f"vary: {key} = {getattr(scenario, key)!r}: must stay {getattr(self._scenario, key)!r}"
                 )
         self.flight.reset(noise, scenario)
-        _need_attitude_commands(self.flight)
+        _require_attitude_commands(self.flight)
         simulation = self.flight.simulation
         initial = simulation.initial_throttle + (simulation.vehicle.rest if simulation.vehicle.ranges else ())
         self._actuators.extend([initial] * (self._actuators.maxlen or 0))
         self._start = self.flight.state.altitude
-        self._last_observation = self._observation()
+        self._last_observation = self._make_observation()
         return self._last_observation.copy(), {"time_s": 0.0}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Hold an action, clipped to its bounds.
+        """Hold an action, clipped to its bounds, for the environment's number of control steps.
 
-        Raises InputError for one that is not finite, FlightError where the episode is over.
+        Raises InputError for an action that is not finite, FlightError if the episode is over.
         """
         numbers = np.asarray(action, dtype=float)
         if numbers.shape != self._scale.shape or not np.isfinite(numbers).all():
@@ -219,8 +219,8 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         for _ in range(self._hold):
             command = flight.command
             try:
-                sample = self._fly(values.tolist(), command)
-            except FlightError:  # this step has no sample
+                sample = self._fly_step(values.tolist(), command)
+            except FlightError:  # a failed step has no sample
                 break
             positions = sample.actuation.throttle + (sample.actuation.tilt if flight.simulation.vehicle.ranges else ())
             self._actuators.appendleft(positions)
@@ -228,7 +228,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             if flight.ending is not None:
                 break
         if flight.ending is None or flight.ending.outcome != "failed":
-            self._last_observation = self._observation()
+            self._last_observation = self._make_observation()
         info: dict[str, Any] = {"time_s": flight.time}
         if flight.ending is not None:
             info |= {"outcome": flight.ending.outcome, "reason": flight.ending.reason}
@@ -236,7 +236,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         truncated = over and info["outcome"] == "completed"
         return self._last_observation.copy(), total, over and not truncated, truncated, info
 
-    def _fly(self, values: list[float], command: Command) -> Sample:
+    def _fly_step(self, values: list[float], command: Command) -> Sample:
         flight = self.flight
         if self._act == "actuators":
             jets = len(flight.simulation.vehicle.jets)
@@ -246,7 +246,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
             return flight.step(Command(command.attitude, command.altitude, (x, y, z), last))
         return flight.step(Command((x, y, z), self._start + last))
 
-    def _observation(self) -> Array:
+    def _make_observation(self) -> Array:
         flight = self.flight
         measured, command = flight.measured, flight.command
         values = [
@@ -263,7 +263,7 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         return bounded
 
     def render(self) -> str | None:
-        """Return one line: time, true angles, height, and the throttles of the last step; None without a mode."""
+        """Return one line: time, true angles, height and the last step's throttles; None without a render mode."""
         if self.render_mode is None:
             return None
         state = self.flight.state
@@ -277,8 +277,8 @@ class HexJetEnv(gymnasium.Env[Array, Array]):  # type: ignore[misc]  # no types 
         self.flight.close()
 
 
-def _servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
-    """Return the signals of what servos move, each normalised by the farther end of its range."""
+def _list_servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
+    """Return the signals of tilts and deflections, each normalised by the farther end of its range."""
     turning = len(vehicle.actuators) - len(vehicle.surfaces)
     signals = []
     for n, (low, high) in enumerate(vehicle.ranges):
@@ -288,8 +288,8 @@ def _servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
     return signals
 
 
-def _need_attitude_commands(flight: Stepper) -> None:
-    """Refuse a scenario that commands other than attitude and height (InputError), after closing it."""
+def _require_attitude_commands(flight: Stepper) -> None:
+    """Close the flight and raise InputError if its scenario commands other than attitude and height."""
     simulation = flight.simulation
     others = [name for name in simulation.command_script.signals if name == "collective" or name.startswith("rate_")]
     if simulation.pilot is not None or others:
@@ -300,7 +300,7 @@ def _need_attitude_commands(flight: Stepper) -> None:
         )
 
 
-def _box(signals: tuple[Signal, ...]) -> gymnasium.spaces.Box:
+def _make_box(signals: tuple[Signal, ...]) -> gymnasium.spaces.Box:
     low, high = (np.array([getattr(signal, end) for signal in signals]) for end in ("low", "high"))
     return gymnasium.spaces.Box(low, high, dtype=np.float64)
 

@@ -22,7 +22,7 @@ from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_paramete
 
 
 class AdrcAxis:
-    """One axis: ``gain`` rad/s^2 per command, loop and observer bandwidths in rad/s."""
+    """ADRC of one axis: ``gain`` in rad/s^2 per command, bandwidths of loop and observer in rad/s."""
 
     def __init__(self, gain: float, actuators: Actuators, speed: float, observer: float, step: float) -> None:
         self._gain, self._actuators, self._speed, self._step = gain, actuators, speed, step
@@ -55,7 +55,7 @@ class Adrc(RateLaw):
     )
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis."""
+        """Return the law of one axis with its parameters in units of the axis."""
         theta = axis.delay
         return AdrcAxis(
             axis.gain, Actuators.from_axis(axis), values["speed"] / theta, values["observer"] / theta, axis.step

@@ -14,7 +14,7 @@ from cosim.base.protocols import Parameter
 from cosim.laws import PREDICTORS, Axis, AxisLaw, Pid, RateAxis, RateLaw, attitude_gain_parameter, positive_parameter
 
 
-def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
+def _make_gain_parameters(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:
     return (
         attitude_gain_parameter(a),
         positive_parameter("p", p, "proportional gain times k theta"),
@@ -27,7 +27,7 @@ class Cascaded(RateLaw):
     """PID without predictor, tuned to a peak sensitivity of 1.7 like the other laws."""
 
     predictor: ClassVar[str] = "baseline"
-    parameters = _gains(0.2414, 0.7053, 0.1938, 0.4911)
+    parameters = _make_gain_parameters(0.2414, 0.7053, 0.1938, 0.4911)
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
         """Return the PID, its derivative filtered at a tenth of its lead but no faster than a step."""
@@ -47,7 +47,7 @@ class Smith(Cascaded):
     """PID with Smith's predictor (O. J. M. Smith, 1957), as in the paper."""
 
     predictor = "smith"
-    parameters = _gains(0.4926, 2.305, 0.08939, 0.3639)
+    parameters = _make_gain_parameters(0.4926, 2.305, 0.08939, 0.3639)
 
 
 class FilteredSmith(Cascaded):
@@ -55,7 +55,7 @@ class FilteredSmith(Cascaded):
 
     predictor = "filtered-smith"
     parameters = (
-        *_gains(0.2476, 0.7396, 0.2357, 0.3533),
+        *_make_gain_parameters(0.2476, 0.7396, 0.2357, 0.3533),
         positive_parameter("predictor", 0.4134, "time constant of the filter over theta"),
     )
 
@@ -65,7 +65,7 @@ class StatePredictor(Cascaded):
 
     predictor = "state"
     parameters = (
-        *_gains(0.3866, 1.13, 0.1345, 0.1375),
+        *_make_gain_parameters(0.3866, 1.13, 0.1345, 0.1375),
         positive_parameter("predictor", 11.2, "bandwidth of the observer times theta"),
     )
 
@@ -75,6 +75,6 @@ class StateDisturbance(Cascaded):
 
     predictor = "state-disturbance"
     parameters = (
-        *_gains(0.2821, 0.9686, 0.36, 0.01454),
+        *_make_gain_parameters(0.2821, 0.9686, 0.36, 0.01454),
         positive_parameter("predictor", 59.91, "bandwidth of the observer times theta"),
     )

@@ -22,16 +22,16 @@ from math import cos, exp, sin, sqrt
 
 from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
-DAMPING = 0.55  # of the reference model
+DAMPING = 0.55  # damping ratio of the filter H
 
 
 class SecondOrder:
-    """Exact discretisation of ``H`` with hold: value and slope of a continuous filter."""
+    """Exact discretisation of the filter ``H`` with held input: its value and slope."""
 
     def __init__(self, natural: float, step: float) -> None:
         decay, turn = DAMPING * natural, natural * sqrt(1.0 - DAMPING * DAMPING)
         e, c, s = exp(-decay * step), cos(turn * step), sin(turn * step)
-        # x' = A (x - input), of value and slope
+        # With x = (value - input, slope) the filter is x_k+1 = A x_k; these are the rows of A.
         self._a = (e * (c + decay / turn * s), e * s / turn)
         self._b = (-e * natural * natural / turn * s, e * (c - decay / turn * s))
         self.reset()
@@ -46,7 +46,7 @@ class SecondOrder:
 
 
 class IndiAxis:
-    """One axis: ``gain`` rad/s^2 per command, bandwidths in rad/s."""
+    """INDI of one axis: ``gain`` in rad/s^2 per command, bandwidths in rad/s."""
 
     def __init__(self, gain: float, actuators: Actuators, speed: float, filter_speed: float, step: float) -> None:
         self._gain, self._actuators, self._speed, self._step = gain, actuators, speed, step
@@ -79,7 +79,7 @@ class Indi(RateLaw):
     )
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis."""
+        """Return the law of one axis with its parameters in units of the axis."""
         theta = axis.delay
         return IndiAxis(
             axis.gain, Actuators.from_axis(axis), values["speed"] / theta, values["filter"] / theta, axis.step

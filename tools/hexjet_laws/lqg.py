@@ -34,7 +34,7 @@ def add_delay(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
 
 
 def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
-    """Return ``K`` and ``N``: they minimise ``sum y^2 + rho u^2``, and set ``y`` to the set-point at rest."""
+    """Return gain ``K``, which minimises ``sum y^2 + rho u^2``, and ``N``, with which ``y`` is the set-point at rest."""
     from scipy.linalg import solve_discrete_are
 
     b = B[:, None]
@@ -44,7 +44,7 @@ def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
 
 
 class KalmanFilter:
-    """A steady-state Kalman filter of a model with a random walk ``d`` at its input.
+    """Steady-state Kalman filter of a model with a random walk ``d`` as disturbance of its input.
 
     ``walk``: the walk's variance over that of the noise."""
 
@@ -66,26 +66,26 @@ class KalmanFilter:
         self.state: Array = np.zeros(len(self.F))
 
     def update(self, measured: float, arrives: float) -> Array:
-        """Model states and disturbance, after the command ``arrives`` has acted for a step and this was measured."""
+        """Return the estimated states and disturbance, given a measurement and the command that acted before it."""
         predicted = self.F @ self.state + self._B * arrives
         self.state = predicted + self.gain * (measured - self.H @ predicted)
         return self.state
 
 
 def discrete_model(axis: Axis) -> tuple[Array, Array, Array, int]:
-    """Return the model of an axis and its delay in whole steps, rounded to the nearest."""
+    """Return the discrete model of an axis, and its delay rounded to whole steps."""
     model: RateModel = axis.model
     return *cascade(model), round(model.delay_samples)
 
 
 def kalman_filter(axis: Axis, observer: float) -> KalmanFilter:
-    """Return the filter of an axis with this bandwidth, rad/s."""
+    """Return the Kalman filter of an axis whose bandwidth is ``observer`` [rad/s]."""
     A, B, C, _ = discrete_model(axis)
     return KalmanFilter(A, B, C, (observer**4 * axis.step**2) / axis.gain**2)
 
 
 class LqgAxis:
-    """LQG control of one axis."""
+    """LQG of one axis: ``speed`` and ``observer`` are the bandwidths of regulator and filter [rad/s]."""
 
     def __init__(self, axis: Axis, speed: float, observer: float) -> None:
         A, B, C, samples = discrete_model(axis)
@@ -120,6 +120,6 @@ class Lqg(RateLaw):
     )
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis."""
+        """Return the law of one axis with its parameters in units of the axis."""
         theta = axis.delay
         return LqgAxis(axis, values["speed"] / theta, values["observer"] / theta)

@@ -25,11 +25,11 @@ from cosim import FlightError, InputError
 from cosim.laws import Array, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 from hexjet_laws.lqg import discrete_model, kalman_filter
 
-BLOCK_STEPS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is held
+BLOCK_STEPS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps that each planned command lasts
 
 
 def osqp() -> Any:
-    """Return the solver's module.  Raises InputError if not installed."""
+    """Return the module of the solver OSQP.  Raises InputError if it is not installed."""
     try:
         import osqp
     except ImportError:
@@ -38,20 +38,20 @@ def osqp() -> Any:
 
 
 class MpcAxis:
-    """MPC of one axis; ``room`` is the command's range either way."""
+    """MPC of one axis, whose command is limited to ``-room`` and ``room``."""
 
     def __init__(self, axis: Axis, speed: float, observer: float, room: float) -> None:
         A, B, C, samples = discrete_model(axis)
         self._filter, self._room, self._samples = kalman_filter(axis, observer), room, samples
         horizon, moves, n = round(2.0 * axis.delay / axis.step), len(BLOCK_STEPS), len(A)
         weight = axis.gain**2 / (speed**4 * axis.step**2)
-        # Predict the state at which the next command acts, from the present state and the commands in transport.
+        # These predict the state at which the next command acts, from the present state and the commands in transport.
         powers = [np.eye(n)]
         for _ in range(max(samples, horizon)):
             powers.append(A @ powers[-1])
         self._of_state = powers[samples]
         self._of_sent = np.stack([powers[samples - 1 - i] @ B for i in range(samples)], axis=1)
-        # Response of y to a unit command at each step.
+        # These are the responses of y to a unit command, step by step.
         responses = np.array([C @ power @ B for power in powers[:horizon]])
         block = np.minimum(np.searchsorted(np.cumsum(BLOCK_STEPS), np.arange(horizon), side="right"), moves - 1)
         forced_response = np.zeros((horizon, moves))
@@ -62,7 +62,7 @@ class MpcAxis:
         change = np.eye(moves) - np.eye(moves, k=-1)
         self.hessian: Array = forced_response.T @ forced_response + weight * change.T @ change
         last = weight * change.T @ np.eye(moves)[:, 0]
-        # gradient = of_late state_late - of_setpoint r - last u_k-1
+        # The cost's gradient is of_arrival arrival - of_setpoint r - of_last u_k-1, with these factors.
         self._gradient = (forced_response.T @ free_response, forced_response.T @ np.ones(horizon), last)
         self._solution = -np.linalg.inv(self.hessian)
         self._osqp = osqp()
@@ -71,7 +71,7 @@ class MpcAxis:
     def reset(self) -> None:
         self._filter.reset()
         self._sent: Array = np.zeros(self._samples + 1)  # commands in transport, oldest first
-        self._solver: Any = None  # its start depends on the last solution
+        self._solver: Any = None  # anew: it starts at its last solution
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
         sent = self._sent
@@ -82,22 +82,22 @@ class MpcAxis:
         arrival = self._of_state @ state[:-1] + self._of_sent @ (sent[1:] + disturbance)
         of_arrival, of_setpoint, of_last = self._gradient
         gradient = of_arrival @ arrival - of_setpoint * setpoint - of_last * (applied + disturbance)
-        plan = self._solution @ gradient  # for command and disturbance
+        plan = self._solution @ gradient  # commands, disturbance included
         if np.abs(plan - disturbance).max() > self._room:
             plan = self.solve_bounded(gradient, disturbance)
         return float(plan[0]) - disturbance
 
     def solve_bounded(self, gradient: Array, disturbance: float) -> Array:
-        """Return the plan within the limits.  Raises FlightError where the solver finds none."""
+        """Return the planned commands within the limits.  Raises FlightError if the solver finds none."""
         from scipy.sparse import csc_matrix
 
         moves = len(gradient)
         low, high = np.full(moves, disturbance - self._room), np.full(moves, disturbance + self._room)
-        # Scaled by the largest curvature, which is 1e-3 or less otherwise.
+        # The programme is scaled by its largest curvature, which is 1e-3 or less otherwise.
         size = float(np.abs(self.hessian).max())
         if self._solver is None:
             self._solver = self._osqp.OSQP()
-            # Step lengths adapted by the clock would make flights irreproducible.
+            # OSQP would adapt its step lengths by the clock, which makes flights irreproducible.
             self._solver.setup(
                 csc_matrix(np.triu(self.hessian / size)), gradient / size, csc_matrix(np.eye(moves)), low, high,
                 eps_abs=1e-9, eps_rel=1e-9, adaptive_rho=False, rho=1.0, max_iter=20000,

@@ -18,11 +18,11 @@ from math import cos, exp, inf, pi, radians, sqrt, tan
 
 from cosim.laws import Axis, AxisLaw, RateLaw, attitude_gain_parameter, clamp, positive_parameter
 
-MAX_INTEGRATED_ERROR = radians(400.0)  # rad/s: no integration beyond it
+MAX_INTEGRATED_ERROR = radians(400.0)  # rad/s, without integration above it
 
 
 class LowPass:
-    """Butterworth's of second order by the bilinear transform, the corner frequency kept."""
+    """Second-order Butterworth low-pass by the bilinear transform, with its corner frequency kept."""
 
     def __init__(self, hertz: float, step: float) -> None:
         w = tan(pi * min(hertz * step, 0.45))
@@ -43,7 +43,7 @@ class LowPass:
 
 
 class Px4Axis:
-    """One axis with gains per step; ``reference`` rad/s; ``attitude`` 1/s, of the loop above."""
+    """PX4's rate controller of one axis with gains per step; ``reference`` [rad/s]; ``attitude``: outer gain [1/s]."""
 
     def __init__(
         self, p: float, i: float, d: float, forward: float, reference: float, attitude: float, limit: float, step: float
@@ -88,7 +88,7 @@ class Px4(RateLaw):
     )
 
     def make_axis_law(self, axis: Axis, values: Mapping[str, float]) -> AxisLaw:
-        """Return the law of one axis."""
+        """Return the law of one axis with its parameters in units of the axis."""
         unit, theta = 1.0 / (axis.gain * axis.delay), axis.delay
         p = values["p"] * unit
         limit = getattr(axis.belief.vehicle.control.rate, axis.name).integral_limit

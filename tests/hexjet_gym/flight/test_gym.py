@@ -19,7 +19,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not instal
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from hexjet_gym import ANGLE_SCALE, HEIGHT, MAX_CLIMB, HexJetEnv, time_on_target  # noqa: E402
+from hexjet_gym import ANGLE_SCALE, HEIGHT_SCALE, MAX_CLIMB, HexJetEnv, time_on_target  # noqa: E402
 
 ID = "hexjet_gym:HexJet-v0"
 QUICK = Scenario.load("roll-doublet").replace(duration_s=0.08, expect=[])
@@ -135,7 +135,7 @@ def test_the_scenarios_own_command_flown_through_it_is_worth_what_the_formula_sa
         angle = acos(max(-1.0, (np.cos(roll) * np.cos(pitch) + np.cos(roll) * np.cos(yaw) + np.cos(pitch) * np.cos(yaw)
                                 + np.sin(roll) * np.sin(pitch) * np.sin(yaw) - 1.0) / 2.0))  # fmt: skip
         height = log["altitude_m"][k + 1] - log["altitude_setpoint_m"][k]
-        expected += 0.004 * exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT) ** 2)
+        expected += 0.004 * exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT_SCALE) ** 2)
     # the turns do not quite commute with the set-point's: pitch and yaw stay below a hundredth of a radian
     assert total == pytest.approx(expected, rel=1e-3)
     assert 0.1 < total < 0.12  # the time before the step, and nearly nothing of the 10 degrees that come late
