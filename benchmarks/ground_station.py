@@ -31,12 +31,12 @@ from cosim.groundstation.links import Links
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import RecordOptions, Session
 
-ATTITUDE = 30
-HEARTBEAT_EVERY = 1.0
+ATTITUDE_ID = 30
+HEARTBEAT_INTERVAL_S = 1.0
 
 
 def resident_of(process: str) -> float | None:
-    """Resident memory of a process by its number, MB; None if the system does not tell, or it has ended."""
+    """Return the resident memory of a process [MB]; None if the system does not tell it."""
     try:
         with open(f"/proc/{process}/status", encoding="utf-8", errors="replace") as status:
             rows = [line.split() for line in status]
@@ -45,8 +45,8 @@ def resident_of(process: str) -> float | None:
     return next((1024 * int(row[1]) / 1e6 for row in rows if row[0] == "VmRSS:"), None)
 
 
-def _end() -> threading.Event:
-    """Set when who started this process closes its standard input; says that it is ready."""
+def _watch_for_end() -> threading.Event:
+    """Return an event that is set when standard input closes; print that this process is ready."""
     end = threading.Event()
 
     def wait() -> None:
@@ -59,7 +59,7 @@ def _end() -> threading.Event:
 
 
 class Station:
-    """A ground station as far as the vehicle can tell: heartbeats, and everything read."""
+    """Ground station that sends heartbeats and reads everything."""
 
     def __init__(self, port: int) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -67,10 +67,10 @@ class Station:
         self.mav = mav.MAVLink(None, srcSystem=255, srcComponent=190)
         self._due = 0.0
 
-    def beat(self) -> None:
+    def send_heartbeat(self) -> None:
         now = time.monotonic()
         if now >= self._due:
-            self._due = now + HEARTBEAT_EVERY
+            self._due = now + HEARTBEAT_INTERVAL_S
             self.send(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3))
 
     def send(self, message: Any) -> None:
@@ -78,28 +78,28 @@ class Station:
 
 
 def listen(port: int) -> None:
-    """Print when each ATTITUDE came, and the flight time [ms] in it."""
-    station, end = Station(port), _end()
-    first_seen: dict[int, float] = {}  # the first time that each state came
+    """Print the time of arrival of each ATTITUDE with its flight time [ms]."""
+    station, end = Station(port), _watch_for_end()
+    first_seen: dict[int, float] = {}  # time of arrival by flight time [ms]
     station.socket.settimeout(0.1)
     while not end.is_set():
-        station.beat()
+        station.send_heartbeat()
         try:
             data = station.socket.recv(2048)
         except OSError:
             continue
-        if data[0] == 0xFD and data[7] == ATTITUDE and not data[8]:
+        if data[0] == 0xFD and data[7] == ATTITUDE_ID and not data[8]:
             first_seen.setdefault(struct.unpack_from("<I", data, 10)[0], time.monotonic())
     print(json.dumps([(came, ms) for ms, came in first_seen.items()]))
 
 
 def flood(port: int) -> None:
-    """Commands, parameters and rubbish, ten thousand frames a second: no core of its own is needed for it."""
-    station, end = Station(port), _end()
+    """Send commands, parameter requests and random bytes, ten thousand frames a second."""
+    station, end = Station(port), _watch_for_end()
     station.socket.setblocking(False)
     rubbish = os.urandom(200)
     while not end.is_set():
-        station.beat()
+        station.send_heartbeat()
         for number in range(10):
             try:
                 station.send(mav.MAVLink_command_long_message(1, 1, 178, 0, 1.0, 2.0 + 0.01 * number, 0, 0, 0, 0, 0))
@@ -111,10 +111,10 @@ def flood(port: int) -> None:
 
 
 def silent(port: int) -> None:
-    """Says that it is there, and never reads."""
-    station, end = Station(port), _end()
+    """Send heartbeats and never read."""
+    station, end = Station(port), _watch_for_end()
     while not end.is_set():
-        station.beat()
+        station.send_heartbeat()
         time.sleep(0.2)
 
 
@@ -129,13 +129,13 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
                 published[round(snapshot.time * 1000.0)] = snapshot.published
 
         exchange.subscribe(note)
-        session = _session(links, Path(folder) / "run", factor)
+        session = _make_session(links, Path(folder) / "run", factor)
         kinds = ["listen", "listen", *(["flood", "silent"] if others else [])]
-        stations = [_spawn(kind, links.link.ports[0]) for kind in kinds]
+        stations = [_start_station(kind, links.link.ports[0]) for kind in kinds]
         marks: list[Any] = []
 
         def measure() -> None:
-            for wait in (3.0, seconds):  # until everybody is connected and has all parameters
+            for wait in (3.0, seconds):  # all stations have connected by then
                 time.sleep(wait)
                 marks.append(exchange.snapshot)
             session.stop("over")
@@ -157,7 +157,7 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
             "hz": steps / (marks[1].published - marks[0].published),
             "missed_deadlines": missed,
             "missed_percent": 100.0 * missed / steps,
-            "worst_ms": 1e3 * last.longest_delay,  # from the start on
+            "worst_ms": 1e3 * last.longest_delay,  # since the start
             "stalls": last.stalls - first.stalls,
             "state_to_packet_ms": {
                 "median": 1e3 * median(late),
@@ -174,13 +174,13 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
 
 
 def soak(seconds: float) -> dict[str, Any]:
-    """Up, to and fro, down, again and again, with two stations on the links."""
+    """Fly up, to and fro, and down, again and again, with two stations on the links; return what it took."""
     rows: list[dict[str, float | None]] = []
     with Links(["udpin:127.0.0.1:0"]) as links, TemporaryDirectory(dir=scratch()) as folder:
         exchange = links.exchange
-        session = _session(links, Path(folder) / "run", None, seconds)
-        stations = [_spawn("listen", links.link.ports[0]) for _ in range(2)]
-        threading.Thread(target=_to_and_fro, args=(exchange,), daemon=True).start()
+        session = _make_session(links, Path(folder) / "run", None, seconds)
+        stations = [_start_station("listen", links.link.ports[0]) for _ in range(2)]
+        threading.Thread(target=_command_flight, args=(exchange,), daemon=True).start()
 
         def watch() -> None:
             due = 60.0
@@ -217,7 +217,7 @@ def soak(seconds: float) -> dict[str, Any]:
         }
 
 
-def _to_and_fro(exchange: Exchange) -> None:
+def _command_flight(exchange: Exchange) -> None:
     position = 5.0
     while True:
         snapshot = exchange.snapshot
@@ -236,14 +236,14 @@ def _to_and_fro(exchange: Exchange) -> None:
         time.sleep(0.5)
 
 
-def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
+def _make_session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
         Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, duration=duration,
         records=RecordOptions(folder, report=False), on_begin=links.begin, on_end=links.end,
     )  # fmt: skip
 
 
-def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
+def _start_station(kind: str, port: int) -> subprocess.Popen[str]:
     station = subprocess.Popen(
         [sys.executable, "-P", "-m", "benchmarks.ground_station", "--station", kind, "--port", str(port)],
         stdin=subprocess.PIPE,
@@ -251,7 +251,7 @@ def _spawn(kind: str, port: int) -> subprocess.Popen[str]:
         text=True,
     )
     assert station.stdout is not None
-    station.stdout.readline()  # ready
+    station.stdout.readline()  # its line "ready"
     return station
 
 

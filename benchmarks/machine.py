@@ -18,7 +18,7 @@ _COMPILER = re.compile(rb"(GCC: \([^)\0]{1,60}\) [\d.]+|clang version [\d.]+)")
 
 @dataclass(frozen=True)
 class Machine:
-    """``processor_share``: processor time by wall time in flight; 1 on a quiet machine.  None: nobody told."""
+    """Properties of this machine and its load; None for what the system does not tell."""
 
     cpu: str
     cores: int
@@ -26,13 +26,13 @@ class Machine:
     system: str
     kernel: str
     libc: str
-    compiled: bool  # the modules of a control step; they fly from source as well, slower
-    load: tuple[float, float] | None  # processes wanting to run, in the last minute: at the beginning, at the end
+    compiled: bool  # are the step's modules compiled?
+    load: tuple[float, float] | None  # load average: beginning, end
     processor_share: float | None
 
 
 def look_around(begin: float | None, processor_share: float | None) -> Machine:
-    """Describe this machine; ``begin`` is :func:`load` before the measurements."""
+    """Return the properties of this machine; ``begin`` is :func:`load` before the measurements."""
     end = load()
     return Machine(
         cpu=_cpu(),
@@ -48,19 +48,19 @@ def look_around(begin: float | None, processor_share: float | None) -> Machine:
 
 
 def load() -> float | None:
-    """Return how many processes want to run, on average over the last minute; None: the system does not say."""
+    """Return the load average of the last minute; None if the system does not tell it."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def package_versions() -> dict[str, str]:
-    """Python, this package, all that it needs in turn, and the peers, as far as they are installed."""
+    """Return the versions of Python, this package, all that it needs, and the peers that are installed."""
     versions = {"python": platform.python_version()}
     waiting = ["hexjet-cosim", *PEERS]
     while waiting:
         name = waiting.pop(0)
         try:
             distribution = metadata.distribution(name)
-        except metadata.PackageNotFoundError:  # the clone itself, not installed; what is optional or for other systems
+        except metadata.PackageNotFoundError:  # optional, or for other systems
             continue
         if distribution.name.lower() not in versions:
             versions[distribution.name.lower()] = distribution.version
@@ -70,7 +70,7 @@ def package_versions() -> dict[str, str]:
 
 
 def compilers() -> dict[str, str]:
-    """Return what compiled Python, and the packages where the time goes, as far as their files say it themselves."""
+    """Return the compilers of Python and of the packages where the time goes, as their files state them."""
     versions = {"python": platform.python_compiler()}
     for name in COMPILED:
         spec = find_spec(name)
@@ -83,7 +83,7 @@ def compilers() -> dict[str, str]:
 
 
 def _needed(requirements: Iterable[str]) -> list[str]:
-    """Return the names in requirements that belong to no extra."""
+    """Return the names of requirements that belong to no extra."""
     plain = (text for text in requirements if "extra ==" not in text)
     return [match.group() for text in plain if (match := re.match(r"[A-Za-z0-9._-]+", text))]
 

@@ -19,13 +19,13 @@ ABSENT = "Not measured in this run.\n"
 
 
 def check_page(path: Path) -> None:
-    """Raise InputError if a page could not be written there: before hours of measuring, not after."""
+    """Raise InputError if a page cannot be written, before hours of measuring."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} cannot be written to")
     if path.exists():
-        _marks(path)
+        _read_marks(path)
 
 
 def write_page(path: Path, result: Result, command: str) -> None:
@@ -34,16 +34,16 @@ def write_page(path: Path, result: Result, command: str) -> None:
     Raises InputError if that is not possible.
     """
     texts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
-    texts |= {key: _part(part) for key, part in tables(result).items()}
+    texts |= {key: _format_part(part) for key, part in tables(result).items()}
     texts[COMMAND] = f"```\n{command}\n```\n"
     if path.exists():
-        write_marks(path, {name: texts.get(name, ABSENT) for name in _marks(path)})
+        write_marks(path, {name: texts.get(name, ABSENT) for name in _read_marks(path)})
         return
     marks = (f"\n<!-- measured: {name} -->\n{texts.get(name, ABSENT)}<!-- end -->\n" for name in NAMES)
     write_whole(path, "".join(["# What a flight costs\n", *marks]), InputError)
 
 
-def _marks(path: Path) -> list[str]:
+def _read_marks(path: Path) -> list[str]:
     """Return the marks of a page and its data page.
 
     Raises InputError for a page that cannot be read, or whose marks do not fit together.
@@ -57,11 +57,11 @@ def _marks(path: Path) -> list[str]:
     return names
 
 
-def _part(tables: list[Table]) -> str:
-    return "\n".join("\n".join(_lines(table)) + "\n" for table in tables)
+def _format_part(tables: list[Table]) -> str:
+    return "\n".join("\n".join(_format_table(table)) + "\n" for table in tables)
 
 
-def _lines(table: Table) -> Iterator[str]:
+def _format_table(table: Table) -> Iterator[str]:
     yield from (f"**{cell(table.title[:1].upper() + table.title[1:])}**", "")
     width = len(table.columns)
     yield row(("", *table.columns))

@@ -22,7 +22,7 @@ UNIT = (
 
 
 class BenchResult(api.Result):
-    """What was measured, and how it stands to what is asked for."""
+    """Measurements, and whether they reach the goals."""
 
     def __init__(self, measured: Result, files: dict[str, Path]) -> None:
         self.measured, self.files = measured, files
@@ -31,11 +31,11 @@ class BenchResult(api.Result):
         self._shown = [table for key in (*shown, ASKED, BESIDE) for table in self._tables[key]]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the measurements, with what is asked for."""
+        """Return the measurements as plain data, with the goals."""
         return to_dict(self.measured)
 
     def lines(self, quiet_fraction: float = 0.95) -> list[str]:
-        """Return what it was measured on, and what was not measured.
+        """Return lines on the machine, and on what was not measured.
 
         ``quiet_fraction``: of processor time in the wall time, below which others had the machine too.
         """
@@ -58,7 +58,7 @@ class BenchResult(api.Result):
         return lines + ([f"not measured: {', '.join(left_out)}"] if left_out else [])
 
     def tables(self) -> list[api.Table]:
-        """Return the figures, and last what was asked for and what came out."""
+        """Return the tables of measurements, and last that of the goals."""
         return [api.Table(each.title, ("", *each.columns), each.rows) for each in self._shown]
 
 

@@ -27,10 +27,10 @@ PARTS = (STEP, PEERS, PATHSIM, ROTORPY, START)
 
 @dataclass(frozen=True)
 class Plan:
-    """What to measure, and how much of it.
+    """Parts to measure, and their numbers of steps, rounds and processes.
 
-    ``steps`` of a flight, ``rounds`` through the jobs, of the dear ones ``dear_rounds`` at most; ``starts`` of
-    processes; ``hover_s`` of the flights beside RotorPy.
+    ``dear_rounds``: most rounds of jobs that take long; ``starts``: of processes; ``hover_s``: length of the flights
+    compared with RotorPy.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
@@ -48,7 +48,7 @@ FULL = Plan(steps=5000, rounds=9, hover_s=2.0)
 
 
 def make_plan(full: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
-    """Return the quick plan or the full one, or some parts ``only``; an amount that is None stays as it is.
+    """Return the quick or the full plan, or only some parts; amounts that are None are unchanged.
 
     Raises InputError for an unknown part.
     """
@@ -62,7 +62,7 @@ def make_plan(full: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Pl
 
 @dataclass(frozen=True)
 class Result:
-    """What was measured; None where it was not, and in ``failed`` why if it was tried.
+    """Measurements by part; None if a part was not measured, and its error in ``failed``.
 
     ``step``: by JSBSim runs a step, then by name.
     """
@@ -80,14 +80,14 @@ class Result:
     start: Startup | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """As it goes into JSON."""
+        """Return the measurements as plain data for JSON."""
         data: dict[str, Any] = asdict(self)
         del data["plan"]["folder"]
         return data
 
 
 def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda what, done, total: None) -> Result:
-    """Measure; ``on_progress`` is told which part is measured, how much of it is done, and of how much.
+    """Measure the parts of a plan; ``on_progress`` gets the part, its steps done, and their number.
 
     A part that fails is stated in the result and does not end the others.
     """
@@ -99,11 +99,11 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
         warm_up(folder / "warm")
         for part in PARTS:
             if part in plan.parts:
-                measured, total = _part(part, plan, folder / part)
+                measured, total = _make_measurement(part, plan, folder / part)
                 (folder / part).mkdir()
                 try:
-                    results[part] = measured(_Counter(on_progress, part, total))
-                except Exception as error:  # the others are worth having, also where somebody else's program fails
+                    results[part] = measured(_ProgressCounter(on_progress, part, total))
+                except Exception as error:  # other parts are measured all the same
                     failed[part] = str(error) if isinstance(error, FlightError) else f"{type(error).__name__}: {error}"
     busy = None
     if STEP in results:
@@ -119,8 +119,8 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
     )
 
 
-def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
-    """Return what measures a part, and how often it says that it has got further."""
+def _make_measurement(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
+    """Return the function that measures a part, and how many steps of progress it reports."""
     steps, rounds, dear = plan.steps, plan.rounds, min(plan.rounds, plan.dear_rounds)
     measures: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
@@ -132,8 +132,8 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
     return measures[part]
 
 
-class _Counter:
-    """Counts its calls towards ``total``."""
+class _ProgressCounter:
+    """Callable that counts its calls and reports them as progress towards ``total``."""
 
     def __init__(self, tell: Callable[[str, int, int], object], what: str, total: int) -> None:
         self._tell, self._what, self._total, self._done = tell, what, total, 0

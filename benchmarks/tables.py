@@ -24,7 +24,7 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """``columns`` are the headings after the first, which names the rows; ``notes`` stand below."""
+    """A table's title, headings after the first column, rows, and notes below it."""
 
     title: str
     columns: Row
@@ -33,39 +33,39 @@ class Table:
 
 
 def tables(result: Result) -> dict[str, list[Table]]:
-    """Return the tables by part, in the order in which they are read; none for a part that was not measured."""
+    """Return the tables by part in reading order; none for a part that was not measured."""
     measured: dict[str, tuple[Any, Callable[[Any], Iterable[Table]]]] = {
-        STEP: (result.step, lambda runs: starmap(_step, runs.items())),
-        PEERS: (result.peers, lambda part: [_peers(part)]),
-        PATHSIM: (result.pathsim, lambda part: [_pathsim(part)]),
-        ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
-        START: (result.start, _start),
+        STEP: (result.step, lambda runs: starmap(_make_step_table, runs.items())),
+        PEERS: (result.peers, lambda part: [_make_peers_table(part)]),
+        PATHSIM: (result.pathsim, lambda part: [_make_pathsim_table(part)]),
+        ROTORPY: (result.rotorpy, lambda part: [_make_rotorpy_table(part)]),
+        START: (result.start, _list_start_tables),
     }
     tables_by_part = {key: list(make(part)) for key, (part, make) in measured.items() if part}
-    goals = _goals(result)
+    goals = _make_goals_table(result)
     missed = [row[:-1] for row in goals.rows if row[-1] == "no"]
     return {
         ASKED: [goals],
         MISSED: [Table(f"goals that are not met, of {len(goals.rows)}", goals.columns[:-1], missed)],
-        BESIDE: list(_others_beside(result)),
+        BESIDE: list(_list_others_tables(result)),
         **tables_by_part,
-        MACHINE: list(_machine(result)),
+        MACHINE: list(_list_machine_tables(result)),
     }
 
 
 def spread(value: Spread) -> str:
-    """``median [lower quartile, upper quartile]``, to three digits of the median."""
-    digits = _digits(value.median)
+    """Return ``median [lower quartile, upper quartile]`` with three digits of the median."""
+    digits = _count_decimals(value.median)
     return f"{value.median:.{digits}f} [{value.low:.{digits}f}, {value.high:.{digits}f}]"
 
 
-def _digits(value: float) -> int:
-    """Decimals that leave three digits, and no more than three."""
+def _count_decimals(value: float) -> int:
+    """Return the number of decimals, at most three, that leaves three digits."""
     size = abs(value)
     return 0 if size >= 100.0 else 1 if size >= 10.0 else 2 if size >= 1.0 else 3
 
 
-def _goals(result: Result) -> Table:
+def _make_goals_table(result: Result) -> Table:
     rows = []
     for judged in judge_targets(result):
         bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"
@@ -73,48 +73,48 @@ def _goals(result: Result) -> Table:
     return Table("asked for", ("goal", "before", "after", "met"), rows)
 
 
-def _others_beside(result: Result) -> Iterator[Table]:
-    """Yield what others cost in this run, each beside what of ours does the same or more."""
+def _list_others_tables(result: Result) -> Iterator[Table]:
+    """Yield the table of what other programs cost in this run, beside what ours costs for the same or more."""
     rows: list[Row] = []
     for runs, costs in (result.step or {}).items():
         ours = costs[RECORDED].units.median
-        rows.append(_beside(f"bare JSBSim, {runs_a_step(runs)}", float(runs), "a recorded step", ours))
+        rows.append(_compare_row(f"bare JSBSim, {runs_a_step(runs)}", float(runs), "a recorded step", ours))
     if result.pathsim and result.pathsim.cost:
         theirs, ours = result.pathsim.cost.units.median, result.pathsim.ours.units.median
-        rows.append(_beside(f"{LABEL}, {runs_a_step(SUBSTEPS)}", theirs, "a recorded step", ours))
+        rows.append(_compare_row(f"{LABEL}, {runs_a_step(SUBSTEPS)}", theirs, "a recorded step", ours))
     if result.peers:
         ours = result.peers.costs[OURS][EXCHANGE].units_process.median
         for name, tasks in result.peers.costs.items():
             if name != OURS:
-                rows.append(_beside(f"{name}, six FMUs", tasks[EXCHANGE].units_process.median, "six FMUs", ours))
+                rows.append(_compare_row(f"{name}, six FMUs", tasks[EXCHANGE].units_process.median, "six FMUs", ours))
     if result.rotorpy:
         for name, hover in result.rotorpy.hovers.items():
             if WHOLE_FLIGHT in name:
                 ours = hover.cost.units.median / hover.ratio.median
-                rows.append(_beside(name, hover.cost.units.median, "a recorded step", ours))
+                rows.append(_compare_row(name, hover.cost.units.median, "a recorded step", ours))
     if rows:
         yield Table("others in the same run, units a step", ("theirs", "ours", "ours is", "theirs by ours"), rows)
 
 
-def _beside(name: str, theirs: float, what: str, ours: float) -> Row:
-    values = [f"{value:.{_digits(value)}f}" for value in (theirs, ours, theirs / ours)]
+def _compare_row(name: str, theirs: float, what: str, ours: float) -> Row:
+    values = [f"{value:.{_count_decimals(value)}f}" for value in (theirs, ours, theirs / ours)]
     return (name, values[0], values[1], what, values[2])
 
 
-def _cost(cost: Cost) -> Row:
+def _cost_row(cost: Cost) -> Row:
     return spread(cost.wall_us), spread(cost.cpu_us), spread(cost.units)
 
 
 US = ("us wall", "us cpu", "units")
 
 
-def _step(runs: int, costs: dict[str, Cost]) -> Table:
-    rows = [(name, *_cost(cost)[:2], "1" if name == BARE else spread(cost.units)) for name, cost in costs.items()]
+def _make_step_table(runs: int, costs: dict[str, Cost]) -> Table:
+    rows = [(name, *_cost_row(cost)[:2], "1" if name == BARE else spread(cost.units)) for name, cost in costs.items()]
     return Table(f"one control step, JSBSim runs in it: {runs}", US, rows)
 
 
-def _peers(peers: Peers) -> Table:
-    """Units of all threads' processor time: some of them step in threads of their own."""
+def _make_peers_table(peers: Peers) -> Table:
+    """Return the table of peers, in units of all threads' processor time, as some step in threads of their own."""
     rows = [
         (f"{name} {peers.versions[name]}: {task}", spread(costs[task].wall_us), spread(costs[task].units_process))
         for name, costs in peers.costs.items()
@@ -122,29 +122,29 @@ def _peers(peers: Peers) -> Table:
         if task in costs
     ]
     title = f"six instances of {peers.fmu}, {peers.steps} steps; units of all threads together"
-    return Table(title, ("us wall", "units"), rows, [_missing(name, why) for name, why in peers.missing.items()])
+    return Table(title, ("us wall", "units"), rows, [_missing_note(name, why) for name, why in peers.missing.items()])
 
 
-def _missing(name: str, why: str) -> str:
+def _missing_note(name: str, why: str) -> str:
     return f"{name} not measured: {why}"
 
 
-def _pathsim(diagram: BlockDiagram) -> Table:
-    rows = [("ours, recorded to disk", *_cost(diagram.ours), "1")]
+def _make_pathsim_table(diagram: BlockDiagram) -> Table:
+    rows = [("ours, recorded to disk", *_cost_row(diagram.ours), "1")]
     if diagram.cost and diagram.ratio:
-        rows.append((f"{LABEL} {diagram.version}", *_cost(diagram.cost), spread(diagram.ratio)))
-    notes = [] if diagram.missing is None else [_missing("PathSim", diagram.missing)]
+        rows.append((f"{LABEL} {diagram.version}", *_cost_row(diagram.cost), spread(diagram.ratio)))
+    notes = [] if diagram.missing is None else [_missing_note("PathSim", diagram.missing)]
     title = f"a hover of {diagram.steps} steps in a block diagram, {SUBSTEPS} JSBSim runs in a step"
     return Table(title, (*US, "by ours"), rows, notes)
 
 
-def _rotorpy(multirotor: Multirotor) -> Table:
+def _make_rotorpy_table(multirotor: Multirotor) -> Table:
     rows = []
     for name, hover in multirotor.hovers.items():
         second = spread(hover.cost.wall_us.times(hover.rate))
         step = spread(hover.cost.wall_us), spread(hover.cost.units)
         rows.append((name, *step, second, spread(hover.factor), spread(hover.ratio)))
-    notes = [] if multirotor.missing is None else [_missing("RotorPy", multirotor.missing)]
+    notes = [] if multirotor.missing is None else [_missing_note("RotorPy", multirotor.missing)]
     for rate, count in multirotor.evaluations.items():
         notes.append(
             f"RotorPy {multirotor.version} at {rate} Hz: {count:.1f} evaluations of its equations of motion a step."
@@ -153,7 +153,7 @@ def _rotorpy(multirotor: Multirotor) -> Table:
     return Table(f"a hover of {multirotor.seconds:g} s", columns, rows, notes)
 
 
-def _start(startup: Startup) -> Iterator[Table]:
+def _list_start_tables(startup: Startup) -> Iterator[Table]:
     rows = [
         (name, spread(measured))
         for name, measured in (
@@ -168,7 +168,7 @@ def _start(startup: Startup) -> Iterator[Table]:
     yield Table("Whole processes", ("s cpu", f"by {UNIT}"), costs)
 
 
-def _machine(result: Result) -> Iterator[Table]:
+def _list_machine_tables(result: Result) -> Iterator[Table]:
     machine, plan = result.machine, result.plan
     memory = "-" if machine.memory_mb is None else f"{machine.memory_mb / 1000.0:.1f} GB"
     rows = [

@@ -14,7 +14,7 @@ Action = Callable[[], object]
 
 
 class Clocked(NamedTuple):
-    """Seconds a step: by the clock on the wall, and on a processor, which leaves other processes out.
+    """Seconds a step: wall time, and processor time, which excludes other processes.
 
     ``cpu`` is of this thread, ``process`` of all threads that the job may have.
     """
@@ -25,7 +25,7 @@ class Clocked(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """What a step cost in one round, and what the unit cost around it."""
+    """Cost of a step in one round, and cost of the unit before and after it."""
 
     step: Clocked
     unit: Clocked
@@ -33,7 +33,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """Something to time: ``prepare()``, not timed, gives the action, which does ``steps`` steps.
+    """Something to time: ``prepare()``, not timed, returns the action, which does ``steps`` steps.
 
     ``substeps``: JSBSim runs a step of the flight that it is part of, and so which unit it is compared with.
     """
@@ -46,7 +46,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median, quartiles and least of what was found in so many ``repeats``."""
+    """Median, quartiles and least of ``repeats`` measured values."""
 
     median: float
     low: float
@@ -68,7 +68,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one step costs: microseconds, and units of the same round, in processor time and in wall time.
+    """Cost of one step: microseconds, and units of the same round, in processor time and in wall time.
 
     ``units`` is of this thread, ``units_process`` of all threads against the unit's one.
 
@@ -83,7 +83,7 @@ class Cost:
 
     @classmethod
     def of(cls, pairs: Sequence[Pair], less: int = 0) -> Cost:
-        """Return the cost from its rounds, ``less`` this many units in each."""
+        """Return the cost from its rounds, with ``less`` units taken off in each."""
         return cls(
             wall_us=Spread.of([1e6 * (step.wall - less * unit.wall) for step, unit in pairs]),
             cpu_us=Spread.of([1e6 * (step.cpu - less * unit.cpu) for step, unit in pairs]),
@@ -96,7 +96,7 @@ class Cost:
 def clock(job: Job) -> Clocked:
     """Prepare a job and time it."""
     action = job.prepare()
-    gc.collect()  # what the preparation leaves behind is not the job's to clear away
+    gc.collect()  # outside the timed part
     wall, process, cpu = time.perf_counter(), time.process_time(), time.thread_time()
     action()
     cpu, process, wall = time.thread_time() - cpu, time.process_time() - process, time.perf_counter() - wall
@@ -104,7 +104,7 @@ def clock(job: Job) -> Clocked:
 
 
 def interleave(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int) -> Iterator[tuple[Job, Pair]]:
-    """Time every job once a round, its unit before and after it; the rounds go through the jobs to and fro."""
+    """Time every job once a round, with its unit before and after; rounds alternate in direction."""
     for number in range(rounds):
         for job in jobs if number % 2 == 0 else reversed(jobs):
             before = clock(units[job.substeps])
@@ -115,7 +115,7 @@ def interleave(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int) -> It
 
 
 def ratio(pairs: Sequence[Pair], reference: Sequence[Pair]) -> Spread:
-    """Return a step's units by those of the reference's, round by round."""
+    """Return a step's units over those of the reference, round by round."""
     return Spread.of(
         [
             (one.step.cpu / one.unit.cpu) / (other.step.cpu / other.unit.cpu)

@@ -43,12 +43,12 @@ html_css_files = ["site.css"]
 html_js_files = [("site.js", {"defer": "defer"})]
 html_copy_source = False
 html_show_sourcelink = False
-html_show_search_summary = False  # it would be fetched, which a page opened as a file may not
+html_show_search_summary = False  # a local file may not fetch it
 html_math_renderer = "mathml"
 pygments_style = "friendly"
 
 
-def _mathml(translator: HTML5Translator, node: nodes.Element, block: bool) -> None:
+def _write_mathml(translator: HTML5Translator, node: nodes.Element, block: bool) -> None:
     try:
         shown = tex2mathml(node.astext(), as_block=block)
     except (MathError, SyntaxError) as error:
@@ -58,23 +58,23 @@ def _mathml(translator: HTML5Translator, node: nodes.Element, block: bool) -> No
     raise nodes.SkipNode
 
 
-def _inline(translator: HTML5Translator, node: nodes.Element) -> None:
-    _mathml(translator, node, block=False)
+def _write_inline_formula(translator: HTML5Translator, node: nodes.Element) -> None:
+    _write_mathml(translator, node, block=False)
 
 
-def _block(translator: HTML5Translator, node: nodes.Element) -> None:
+def _write_block_formula(translator: HTML5Translator, node: nodes.Element) -> None:
     translator.body.append(translator.starttag(node, "div", CLASS="formula"))
     try:
-        _mathml(translator, node, block=True)
+        _write_mathml(translator, node, block=True)
     finally:
         translator.body.append("</div>\n")
 
 
-_TEXTS: dict[str, str] = {}  # of every page
+_TEXTS: dict[str, str] = {}  # text of each page
 
 
-def _gather(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: nodes.document) -> None:
-    """Keep the text of a page, and have them all on the page of the search."""
+def _keep_text(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: nodes.document) -> None:
+    """Collect a page's text; add the texts' script to the page of the search."""
     if doctree is not None:
         _TEXTS[pagename] = " ".join(re.sub(r"<!--.*?-->", "", doctree.astext()).split())
     elif pagename == "search":
@@ -88,8 +88,8 @@ def _write_texts(app: Sphinx, error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Formulas as MathML; what a search finds with some words about it."""
-    app.connect("html-page-context", _gather)
+    """Register formulas as MathML, and the texts that the search shows."""
+    app.connect("html-page-context", _keep_text)
     app.connect("build-finished", _write_texts)
-    app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
+    app.add_html_math_renderer("mathml", (_write_inline_formula, None), (_write_block_formula, None))
     return {"parallel_read_safe": True}

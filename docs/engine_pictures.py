@@ -19,15 +19,15 @@ from matplotlib.axes import Axes
 
 ENGINES = Path(__file__).parents[1] / "engines"
 ORANGE, BLUE, GREY, RED = "#e8891c", "#2a78d6", "#8a939b", "#b3402a"
-RPM = 30.0 / math.pi
-# text stays text, and the same flight gives the same file
+RPM = 30.0 / math.pi  # rpm per rad/s
+# Text stays text, and the same flight gives the same file.
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "engines", "font.family": "sans-serif", "font.size": 9}
 
 Array = NDArray[np.float64]
 
 
 class Flight(NamedTuple):
-    """What one engine did, a value a step: s, N, rpm, K, kg/s."""
+    """Signals of one engine, a value a step: s, N, rpm, K, kg/s."""
 
     time: Array
     thrust: Array
@@ -37,7 +37,7 @@ class Flight(NamedTuple):
 
 
 def fly(spec: EngineSpec, step: float, start: float, throttle: Callable[[float], float], seconds: float) -> Flight:
-    """From equilibrium at a throttle; ``throttle`` gives that of a time, negative for shut off."""
+    """Run an engine from equilibrium; ``throttle`` gives that of a time, negative for shut off."""
     rows = []
     running = True
     with EngineBank(spec, 1, step) as bank:
@@ -53,21 +53,21 @@ def fly(spec: EngineSpec, step: float, start: float, throttle: Callable[[float],
     return Flight(time, thrust, speed * RPM, temperature, fuel)
 
 
-def static(axes: Axes, spec: EngineSpec) -> None:
+def draw_static(axes: Axes, spec: EngineSpec) -> None:
     axes.plot(spec.curve.throttle, spec.curve.thrust, color=BLUE)
     ends = [spec.curve.thrust[0], spec.curve.thrust[-1]]
     axes.plot([0, 1], ends, "--", color=GREY, lw=0.8)
     axes.set(xlabel="throttle", ylabel="thrust at rest [N]", xlim=(0, 1), ylim=(0, None))
 
 
-def large(axes: Axes, up: Flight, down: Flight) -> None:
+def draw_large_steps(axes: Axes, up: Flight, down: Flight) -> None:
     axes.plot(up.time, up.thrust, color=BLUE, label="throttle 0 to 1")
     axes.plot(down.time, down.thrust, color=ORANGE, label="1 to 0")
     axes.set(xlabel="time [s]", ylabel="thrust [N]", xlim=(0, up.time[-1]), ylim=(0, None))
     axes.legend(frameon=False, fontsize=8)
 
 
-def small(axes: Axes, spec: EngineSpec, step: float, seconds: float) -> None:
+def draw_small_steps(axes: Axes, spec: EngineSpec, step: float, seconds: float) -> None:
     for u, colour in ((0.1, ORANGE), (0.5, BLUE), (0.9, GREY)):
         before, after = (fly(spec, step, level, lambda _, u=level: u, 0.2).thrust[-1] for level in (u, u + 0.01))
         moved = fly(spec, step, u, lambda _, u=u: u + 0.01, seconds)
@@ -77,30 +77,30 @@ def small(axes: Axes, spec: EngineSpec, step: float, seconds: float) -> None:
 
 
 def first_order(name: str) -> None:
-    spec = load_engine(name, {}, step := _step(name))
+    spec = load_engine(name, {}, step := _read_step(name))
     seconds = 25.0 * max(spec.lag or 0.0, 0.01) / 5.0 + (spec.transport_delay or 0.0)
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 2.6), constrained_layout=True)
-    static(left, spec)
-    large(right, fly(spec, step, 0.0, lambda _: 1.0, seconds), fly(spec, step, 1.0, lambda _: 0.0, seconds))
+    draw_static(left, spec)
+    draw_large_steps(right, fly(spec, step, 0.0, lambda _: 1.0, seconds), fly(spec, step, 1.0, lambda _: 0.0, seconds))
     _save(figure, name)
 
 
 def identified(name: str) -> None:
-    spec = load_engine(name, {}, step := _step(name))
+    spec = load_engine(name, {}, step := _read_step(name))
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(10.2, 2.8), constrained_layout=True)
-    static(left, spec)
-    large(middle, fly(spec, step, 0.0, lambda _: 1.0, 10.0), fly(spec, step, 1.0, lambda _: 0.0, 10.0))
-    small(right, spec, step, 8.0)
+    draw_static(left, spec)
+    draw_large_steps(middle, fly(spec, step, 0.0, lambda _: 1.0, 10.0), fly(spec, step, 1.0, lambda _: 0.0, 10.0))
+    draw_small_steps(right, spec, step, 8.0)
     _save(figure, name)
 
 
 def turbine(name: str) -> None:
-    spec = load_engine(name, {}, step := _step(name))
+    spec = load_engine(name, {}, step := _read_step(name))
     figure, rows = plt.subplots(2, 3, figsize=(10.2, 5.2), constrained_layout=True)
     up, down = fly(spec, step, 0.0, lambda _: 1.0, 8.0), fly(spec, step, 1.0, lambda _: 0.0, 8.0)
-    static(rows[0, 0], spec)
-    large(rows[0, 1], up, down)
-    small(rows[0, 2], spec, step, 5.0)
+    draw_static(rows[0, 0], spec)
+    draw_large_steps(rows[0, 1], up, down)
+    draw_small_steps(rows[0, 2], spec, step, 5.0)
     for flight, colour in ((up, BLUE), (down, ORANGE)):
         rows[1, 0].plot(flight.time, flight.speed / 1e3, color=colour)
         rows[1, 1].plot(flight.time, flight.temperature - 273.15, color=colour)
@@ -119,7 +119,7 @@ def turbine(name: str) -> None:
     _save(figure, name)
 
 
-def _step(name: str) -> float:
+def _read_step(name: str) -> float:
     return 0.0025 if name == "motor" else 0.004
 
 

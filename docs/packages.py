@@ -22,7 +22,7 @@ from cosim.results.report.marks import table, write_marks
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "tables" / "packages.md"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
+PURPOSES = {  # why each required package is needed
     "cyclopts": "the command line: options out of the signatures of functions",
     "docstring-parser": "the texts of options, out of docstrings",
     "fastcrc": "checksums of MAVLink frames: a lockstep's, a log's",
@@ -57,19 +57,19 @@ EXTRAS = {
 }
 
 
-def plain(name: str) -> str:
-    """A package's name as an index compares it."""
+def normalise_name(name: str) -> str:
+    """Return a package's name in the form that package indexes compare."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def named(lines: Iterable[str]) -> list[str]:
-    """The packages that these requirements name, on this machine."""
+def list_required(lines: Iterable[str]) -> list[str]:
+    """Return the names of the packages that these requirements need on this machine."""
     found = (Requirement(line) for line in lines)
-    return [plain(each.name) for each in found if each.marker is None or each.marker.evaluate({"extra": ""})]
+    return [normalise_name(each.name) for each in found if each.marker is None or each.marker.evaluate({"extra": ""})]
 
 
-def needed(names: Iterable[str]) -> dict[str, str | None]:
-    """These packages and all that they need in turn, and for which of ``names`` each came first; None: for itself."""
+def list_all_required(names: Iterable[str]) -> dict[str, str | None]:
+    """Return all packages that ``names`` need, each with the first name that needs it; None for itself."""
     found: dict[str, str | None] = {}
     waiting: list[tuple[str, str | None]] = [(name, None) for name in names]
     while waiting:
@@ -77,14 +77,14 @@ def needed(names: Iterable[str]) -> dict[str, str | None]:
         if name not in found:
             found[name] = why
             try:
-                waiting += [(each, why or name) for each in named(distribution(name).requires or [])]
+                waiting += [(each, why or name) for each in list_required(distribution(name).requires or [])]
             except PackageNotFoundError:
                 continue
     return found
 
 
 def megabytes(name: str) -> float | None:
-    """What an installed package's files weigh; None where it is not installed."""
+    """Return the size [MB] of an installed package's files; None if it is not installed."""
     try:
         files = distribution(name).files or []
     except PackageNotFoundError:
@@ -94,20 +94,24 @@ def megabytes(name: str) -> float | None:
 
 
 def parts() -> dict[str, str]:
-    """The page's tables."""
-    core = needed(named(PROJECT["dependencies"]))
+    """Return the tables of the page by the names of their marks."""
+    core = list_all_required(list_required(PROJECT["dependencies"]))
     weights = {name: megabytes(name) or 0.0 for name in core}
     rows, rest = [], 0.0
-    for name in sorted(WHAT, key=lambda name: -weights[name]):
+    for name in sorted(PURPOSES, key=lambda name: -weights[name]):
         own = [each for each, why in core.items() if why == name]
         heavy = [f"{each} {weights[each]:.0f}" for each in sorted(own, key=lambda each: -weights[each])]
         rest += sum(weights[each] for each in own)
         brought = ", ".join(text for text in heavy if not text.endswith(" 0")) or "-"
-        rows.append([name, WHAT[name], brought, f"{weights[name]:.1f}"])
+        rows.append([name, PURPOSES[name], brought, f"{weights[name]:.1f}"])
     rows += [["what these bring", "", "", f"{rest:.1f}"], ["in all", "", "", f"{sum(weights.values()):.1f}"]]
     extras = []
     for name, what in EXTRAS.items():
-        more = [each for each in needed(named(PROJECT["optional-dependencies"][name])) if each not in core]
+        more = [
+            each
+            for each in list_all_required(list_required(PROJECT["optional-dependencies"][name]))
+            if each not in core
+        ]
         found = {each: megabytes(each) for each in more}
         known = {each: weight for each, weight in found.items() if weight is not None}
         most = ", ".join(f"{each} {known[each]:.0f}" for each in sorted(known, key=lambda each: -known[each])[:6])

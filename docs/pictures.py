@@ -27,7 +27,7 @@ ORANGE, BLUE, GREY = "#e8891c", "#2a78d6", "#8a939b"
 
 
 def roll_doublet() -> None:
-    """The first flight: without and with the predictor."""
+    """Draw the first flight: roll without and with the predictor."""
     scenario = Scenario.load("roll-doublet")
     baseline, smith = (fly(scenario.replace(controller=name)) for name in ("baseline", "smith"))
     figure, (roll, rate) = plt.subplots(2, 1, figsize=(9, 5.2), sharex=True, constrained_layout=True)
@@ -48,7 +48,7 @@ def roll_doublet() -> None:
 
 
 def paper_steps(found: Reproduction) -> None:
-    """The three delays in both fidelities."""
+    """Draw the paper's steps with three delays in both fidelities."""
     figure, axes = plt.subplots(2, 3, figsize=(11, 5), sharex=True, sharey=True, constrained_layout=True)
     fidelities = (("linear plant", found.linear.results), ("six degrees of freedom", found.flight_results))
     for row, (fidelity, results) in zip(axes, fidelities, strict=True):
@@ -69,12 +69,12 @@ def paper_steps(found: Reproduction) -> None:
 
 
 def paper_robustness(found: Reproduction) -> None:
-    """The Hex-Jet's maps."""
+    """Draw the robustness maps of the Hex-Jet."""
     maps = [each for each in found.linear.maps if each.vehicle == "hexjet"]
     figure, axes = plt.subplots(2, 3, figsize=(11, 5.6), sharex=True, sharey=True, constrained_layout=True)
     colours = mpl.colormaps["viridis_r"].with_extremes(bad="#c9a0a0")
     for panel, each in zip(axes.flat, maps, strict=True):
-        cells = np.array(each.sensitivity, dtype=float)  # None becomes nan
+        cells = np.array(each.sensitivity, dtype=float)  # None becomes NaN
         mesh = panel.pcolormesh(each.delay_errors, each.gains, cells, cmap=colours, vmin=1, vmax=4, shading="nearest")
         panel.contour(each.delay_errors, each.gains, cells, levels=[MAX_SENSITIVITY], colors="k", linewidths=1.2)
         panel.plot(0, 1, "kx", ms=8, mew=2)
@@ -90,10 +90,10 @@ def paper_robustness(found: Reproduction) -> None:
 
 
 def paper_offset(found: Reproduction) -> None:
-    """Half a kilogram 1 cm off centre, flown."""
+    """Draw flights with half a kilogram 1 cm off centre."""
     figure, axes = plt.subplots(figsize=(8, 3.4), constrained_layout=True)
     for each in found.offsets:
-        dash = "--" if each.controller == "state-disturbance" else "-"  # lies on the filtered Smith's
+        dash = "--" if each.controller == "state-disturbance" else "-"  # coincides with the filtered Smith's
         colour, name = COLOURS[each.controller], NAMES[each.controller]
         axes.plot(each.time, np.degrees(each.roll), dash, color=colour, label=name)
     axes.set(xlabel="time after the load came on board [s]", ylabel="roll [deg]", xlim=(0, 25))

@@ -34,37 +34,32 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_sitl.study import AutopilotTable
 
-# --- tables -----------------------------------------------------------------------------------------------------------
-
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A table in Markdown, whose cells are Markdown."""
+    """Return a table in Markdown, whose cells are Markdown."""
     head = list(head)
     lines = [head, ["---"] * len(head), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def cell(text: str) -> str:
-    """One line that does not end a cell; what Markdown would read as HTML or emphasis stays as it is."""
+    """Return a text as one line of a Markdown cell, with HTML and emphasis escaped."""
     shown = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text.replace("``", "`"))
     pieces = re.split(r"(`[^`]*`)", " ".join(shown.split()))
     pieces[::2] = [re.sub(r"([\\*_<>$\[\]])", r"\\\1", piece) for piece in pieces[::2]]
     return "".join(pieces).replace("|", "\\|")
 
 
-# --- commands ---------------------------------------------------------------------------------------------------------
-
-
 def commands_page() -> str:
-    """Every command: usage, what it does, arguments and options."""
+    """Return the page of all commands: usage, purpose, arguments and options."""
     said = (
         "# Commands\n\nAs `hexjet COMMAND --help` prints it. `hexjet --version` says which version runs. [What a command "
         "leaves behind as its exit status, and what it reads from the environment](environment.md).\n"
     )
-    return said + "".join(_command(name) for name in commands.list_names())
+    return said + "".join(_describe_command(name) for name in commands.list_names())
 
 
-def _command(name: str) -> str:
+def _describe_command(name: str) -> str:
     command = commands.load(name)
     if not isinstance(command, Command):
         return f"\n## hexjet {name}\n\n```text\n{command.help(80)}\n```\n"
@@ -74,11 +69,8 @@ def _command(name: str) -> str:
     return f"{shown}\n```text\nhexjet {name} {command.example}\n```\n"
 
 
-# --- keys of files ----------------------------------------------------------------------------------------------------
-
-
 class Key(NamedTuple):
-    """One key of a file."""
+    """Key of a scenario, study or vehicle file."""
 
     table: str  # such as [control.rate.roll]
     name: str
@@ -87,15 +79,15 @@ class Key(NamedTuple):
     meaning: str
 
 
-# Tables that a tool reads.
-OF_TOOLS: dict[type, type[BaseModel]] = {StudyAutopilot: AutopilotTable}
+# Models of the tables that tools read, by their protocol.
+TOOL_MODELS: dict[type, type[BaseModel]] = {StudyAutopilot: AutopilotTable}
 
 
 def tables(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
-    """Every table of a file by its heading, with its model; one that may be of several kinds comes once for each."""
+    """Yield every table of a file by its heading with its model; a table of several kinds comes once for each."""
     yield table, model
     for name, field in model.model_fields.items():
-        kind, inside = repr(field.annotation), list(_models(field.annotation))
+        kind, inside = repr(field.annotation), list(_list_models(field.annotation))
         for each in inside:
             named = ("NAME", "AXIS")[: kind.count("dict[") + kind.count("Dict[")]
             path = ".".join(filter(None, (table.strip("[]").partition("]")[0], name, *named)))
@@ -105,15 +97,17 @@ def tables(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, type[
 
 
 def keys(model: type[BaseModel]) -> Iterator[Key]:
-    """Every key of a file, table by table."""
+    """Yield every key of a file, table by table."""
     for heading, each in tables(model):
         for name, field in each.model_fields.items():
-            default = "needed" if field.is_required() else _default(field.get_default(call_default_factory=True))
-            yield Key(heading, name, _kind(field.annotation, field.metadata), default, _meaning(each, name))
+            default = "needed" if field.is_required() else _format_default(field.get_default(call_default_factory=True))
+            yield Key(
+                heading, name, _describe_type(field.annotation, field.metadata), default, _read_meaning(each, name)
+            )
 
 
 def keys_page(model: type[BaseModel], head: str) -> str:
-    """All keys of a file, a heading for each of its tables."""
+    """Return the page of all keys of a file, with a heading for each table."""
     rows: dict[str, list[list[str]]] = {}
     for key in keys(model):
         rows.setdefault(key.table, []).append([f"`{key.name}`", key.kind, key.default, key.meaning])
@@ -125,23 +119,23 @@ def keys_page(model: type[BaseModel], head: str) -> str:
     return shown
 
 
-def _models(kind: Any) -> Iterator[type[BaseModel]]:
+def _list_models(kind: Any) -> Iterator[type[BaseModel]]:
     if inspect.isclass(kind) and get_origin(kind) is None:
-        kind = OF_TOOLS.get(kind, kind)
+        kind = TOOL_MODELS.get(kind, kind)
         if issubclass(kind, BaseModel):
             yield kind
         return
     for each in get_args(kind):
-        yield from _models(each)
+        yield from _list_models(each)
 
 
-def _meaning(model: type[BaseModel], name: str) -> str:
-    """What a key means: the comment of its field is text, what is said elsewhere has links."""
+def _read_meaning(model: type[BaseModel], name: str) -> str:
+    """Return what a key means, from the comment of its field."""
     comment = comments_of(model).get(name)
     return cell(comment) if comment else meaning_of(model, name, markdown=True)
 
 
-def _default(value: Any) -> str:
+def _format_default(value: Any) -> str:
     if value is None:
         return "-"
     if value is PydanticUndefined:
@@ -151,47 +145,49 @@ def _default(value: Any) -> str:
     if value in ("", [], {}, ()):
         return "none"
     if isinstance(value, (list, tuple)):
-        return f"`[{', '.join(_toml(each) for each in value)}]`"
-    return f"`{_toml(value)}`"
+        return f"`[{', '.join(_format_toml(each) for each in value)}]`"
+    return f"`{_format_toml(value)}`"
 
 
-def _toml(value: Any) -> str:
+def _format_toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _kind(kind: Any, metadata: Iterable[Any] = ()) -> str:
-    """A type in words, with its bounds."""
-    said = " ".join(filter(None, [_word(kind), _bounds(metadata)]))
+def _describe_type(kind: Any, metadata: Iterable[Any] = ()) -> str:
+    """Return a type in words, with its bounds."""
+    said = " ".join(filter(None, [_name_type(kind), _describe_bounds(metadata)]))
     return said.replace("|", "\\|")
 
 
-def _word(kind: Any) -> str:
+def _name_type(kind: Any) -> str:
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return " ".join(filter(None, [_word(arguments[0]), _bounds(arguments[1:])]))
+        return " ".join(filter(None, [_name_type(arguments[0]), _describe_bounds(arguments[1:])]))
     if origin is Literal:
-        return ", ".join(f"`{_toml(each)}`" for each in arguments)
+        return ", ".join(f"`{_format_toml(each)}`" for each in arguments)
     if origin in (Union, types.UnionType):
-        words = dict.fromkeys(_word(each) for each in arguments if each is not type(None))
+        words = dict.fromkeys(_name_type(each) for each in arguments if each is not type(None))
         return " or ".join(words)
     if origin is tuple:
         if len(set(arguments)) == 1:
             return (
-                f"{len(arguments)} numbers" if _word(arguments[0]).startswith("number") else f"{len(arguments)} texts"
+                f"{len(arguments)} numbers"
+                if _name_type(arguments[0]).startswith("number")
+                else f"{len(arguments)} texts"
             )
-        return "pair of " + " and ".join(_word(each) for each in arguments)
+        return "pair of " + " and ".join(_name_type(each) for each in arguments)
     if origin is list:
-        return f"list: {_word(arguments[0])}"
+        return f"list: {_name_type(arguments[0])}"
     if origin is dict:
-        return f"table: {_word(arguments[1])} by name"
-    if inspect.isclass(kind) and issubclass(OF_TOOLS.get(kind, kind), BaseModel):
+        return f"table: {_name_type(arguments[1])} by name"
+    if inspect.isclass(kind) and issubclass(TOOL_MODELS.get(kind, kind), BaseModel):
         return "table"
     return {float: "number", int: "whole number", bool: "true, false", str: "text", Any: "any"}.get(kind, "text")
 
 
-def _bounds(metadata: Iterable[Any]) -> str:
+def _describe_bounds(metadata: Iterable[Any]) -> str:
     signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
     found = []
     for each in metadata:
@@ -205,11 +201,8 @@ def _bounds(metadata: Iterable[Any]) -> str:
     return ", ".join(found).replace("<", "&lt;").replace(">", "&gt;")
 
 
-# --- the log, metrics, the rest ---------------------------------------------------------------------------------------
-
-
 def columns_page() -> str:
-    """Every column of the log."""
+    """Return the page of all columns of the log."""
     head = (
         "# Columns of the log\n\nOne row of `flight.parquet` is one control step `k`. True and measured quantities are taken at `t_k`, before the "
         f"step; everything else acts over `[t_k, t_k+1)`. All are float64. A vehicle with more than {JETS} jets has the columns of jets up "
@@ -225,36 +218,36 @@ def columns_page() -> str:
 
 
 def metrics() -> Iterator[tuple[str, str]]:
-    """Every metric, with what its record says of it."""
+    """Yield every metric with its meaning."""
     axes = {"axes": ("roll", "pitch", "yaw")}
     for name, field in Metrics.model_fields.items():
-        inside = list(_models(field.annotation))
+        inside = list(_list_models(field.annotation))
         for model in inside:
             for prefix in axes.get(name, (name,)):
                 about = (inspect.getdoc(model) or "").replace(
                     "One axis.  None stands for what this flight cannot tell.", ""
                 )
                 for inner in model.model_fields:
-                    yield f"{prefix}.{inner}", _meaning(model, inner) or cell(about)
+                    yield f"{prefix}.{inner}", _read_meaning(model, inner) or cell(about)
         if not inside:
-            yield name, _meaning(Metrics, name)
+            yield name, _read_meaning(Metrics, name)
 
 
 def metrics_page() -> str:
-    """Every metric with its unit."""
+    """Return the page of all metrics with their units."""
     head = (
         "# Metrics\n\nNames as `[[expect]]`, `[success]`, `--success`, `summary.json` and campaigns use them; the [definitions](../docs/metrics.md), "
         "with what each leaves out. A metric [of your own](../docs/own-controller.md#your-own-metric-wind-sensors-and-observer) is `own.NAME`.\n\n"
     )
-    rows = [[f"`{name}`", _unit(name), meaning] for name, meaning in metrics()]
+    rows = [[f"`{name}`", _read_unit(name), meaning] for name, meaning in metrics()]
     return head + table(("metric", "unit", "meaning"), rows)
 
 
-def _unit(name: str) -> str:
+def _read_unit(name: str) -> str:
     return "%" if name.endswith("_percent") else unit_of(name) or "-"
 
 
-# The names in the environment that anything reads.
+# Environment variables that are read, and what for.
 ENVIRONMENT = {
     "COLUMNS": "width of tables in the terminal and in a pipe",
     "NO_COLOR": "set: no colours in the terminal",
@@ -279,7 +272,7 @@ ENVIRONMENT = {
 
 
 def environment_page() -> str:
-    """Exit statuses, and what is read from the environment."""
+    """Return the page of exit statuses and environment variables."""
     statuses = {
         DONE: "done: flown as planned, or completed within its limits and nothing checked, or what was asked for is written",
         FLIGHT_FAILED: "the flight crashed, diverged or failed, went beyond [its limits](../docs/metrics.md#limits), or missed what its "
@@ -297,7 +290,7 @@ def environment_page() -> str:
 
 
 def catalogue_page(kind: str, head: str) -> str:
-    """What is shipped of a kind: name, title, and what its file says."""
+    """Return the page of what is shipped of a kind: name, title, and its file."""
     shown = head
     for name in files_in(kind):
         data = read_toml(data_folder(kind) / f"{name}.toml")
@@ -309,7 +302,7 @@ def catalogue_page(kind: str, head: str) -> str:
 
 
 def pages() -> dict[str, str]:
-    """Every page by its file's name."""
+    """Return every page by its file's name."""
     return {
         "commands.md": commands_page(),
         "scenario.md": keys_page(

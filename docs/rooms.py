@@ -18,7 +18,7 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).parents[1]
 PICTURE = Path(__file__).parent / "pictures" / "rooms.png"
-DUTY = {
+PURPOSES = {
     "base": "records, frames, files, errors",
     "spec": "what files say",
     "control": "the flight computer",
@@ -36,13 +36,13 @@ DUTY = {
     "api": "what from cosim import gives",
     "cli": "one file a command",
 }
-# Names handed on to programs outside.
+# Public modules, which only hand names on.
 PUBLIC = {"blocks", "commands", "files", "gym", "laws", "logs", "loops", "pages", "studies"}
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 
 def rooms() -> dict[str, set[str]]:
-    """Each room with the rooms that it imports, anywhere in its text."""
+    """Return the packages that each package imports, anywhere in its text."""
     graph = grimp.build_graph("cosim")
     names = {module.split(".")[1] for module in graph.modules if "." in module} - PUBLIC
     found: dict[str, set[str]] = {name: set() for name in names}
@@ -54,7 +54,7 @@ def rooms() -> dict[str, set[str]]:
 
 
 def floors(imports: Mapping[str, set[str]]) -> dict[str, int]:
-    """The floor of each room, the lowest being 0.  Raises ValueError if rooms import each other in a circle."""
+    """Return the floor of each package, the lowest 0.  Raises ValueError if packages import in a circle."""
     found: dict[str, int] = {}
     while len(found) < len(imports):
         ready = {name for name, others in imports.items() if name not in found and others <= found.keys()}
@@ -65,7 +65,7 @@ def floors(imports: Mapping[str, set[str]]) -> dict[str, int]:
 
 
 def needed(imports: Mapping[str, set[str]]) -> list[tuple[str, str]]:
-    """The arrows without those that follow from others."""
+    """Return the imports without those that follow from others."""
 
     def reach(name: str) -> set[str]:
         return set().union(*({other} | reach(other) for other in imports[name]))
@@ -79,7 +79,7 @@ def needed(imports: Mapping[str, set[str]]) -> list[tuple[str, str]]:
 
 
 def draw() -> None:
-    """The picture."""
+    """Draw the packages and their imports."""
     imports = rooms()
     level = floors(imports)
     rows: dict[int, list[str]] = {}
@@ -112,7 +112,7 @@ def draw() -> None:
         axes.text(
             x,
             y - 0.12,
-            f"{DUTY.get(name, '')}\n{count}, {lines:,} lines",
+            f"{PURPOSES.get(name, '')}\n{count}, {lines:,} lines",
             ha="center",
             va="center",
             fontsize=6,

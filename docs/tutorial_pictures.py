@@ -20,7 +20,7 @@ PAGES = {
 
 
 def main(folder: Path) -> int:
-    """Take them, and keep the drawing of the vehicle."""
+    """Take the tutorial's pictures, and keep the drawing of the vehicle."""
     found = find_browser()
     if found is None:
         print("no pictures of pages: install chromium, or name a browser in HEXJET_BROWSER", file=sys.stderr)

@@ -9,7 +9,7 @@ from pathlib import Path
 from cosim import Scenario, fly, plot
 from cosim.files import new_folder
 
-doublet = Scenario.load("roll-doublet")  # 10 degrees one way and the other; the engines answer 0.1 s late
+doublet = Scenario.load("roll-doublet")
 folder = new_folder(Path("runs"), "first-flight")
 runs = {"smith": fly(doublet, folder), "baseline": fly(doublet, controller="baseline")}  # one into a run's folder
 

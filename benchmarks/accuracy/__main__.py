@@ -34,7 +34,7 @@ MARKS_BY_PART = {
 
 
 def case_table(folder: Path) -> tuple[str, list[Compared]]:
-    """Of the five cases, and its rows as data; quantities in which all agree to the last digit are left out."""
+    """Return the table of NASA's check cases, without what agrees to the last digit, and its rows as data."""
     comparisons = [
         row
         for number, case in CASES.items()
@@ -58,7 +58,7 @@ def case_table(folder: Path) -> tuple[str, list[Compared]]:
 
 
 def whole_flight_table() -> str:
-    """Whole flights with their controllers, at the number of runs that flights use."""
+    """Return the table of whole flights with their controllers, at the flights' number of JSBSim runs."""
     rows = []
     for name in CLOSED:
         angle, position = closed_loop(name, FLOWN_RUNS)
@@ -67,7 +67,7 @@ def whole_flight_table() -> str:
 
 
 def runs_table() -> str:
-    """Return the table by vehicle, and write what a scenario's ``substeps`` is resolved by."""
+    """Return the table of errors by vehicle and runs a step; write the file that ``substeps`` is resolved by."""
     flights = [measure_flight(scenario) for scenario in shipped_flights()]
     STEP_ERRORS.write_text(as_toml(flights), encoding="utf-8")
     heads = [f"{runs} run{'s' if runs > 1 else ''}" for runs in STEP_RUNS]

@@ -24,7 +24,7 @@ from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.jsbsim_units import FOOT, POUND_FOOT, POUND_FORCE, SLUG, SLUG_FT2
 
 EARTH_RATE = 7.292115e-5  # rad/s
-SECONDS, EVERY = 30.0, 0.1  # of the trajectories that are compared, and between their rows
+DURATION_S, ROW_INTERVAL_S = 30.0, 0.1  # compared length, interval of rows
 Array = NDArray[np.float64]
 
 
@@ -38,30 +38,30 @@ class Case:
     height_ft: float = 30_000.0
     velocity_ned_ft_s: Vector3 = ZERO3  # over the ground
     yaw_deg: float = 0.0
-    inertial_rate_deg_s: Vector3 | None = None  # None: at rest against the ground
+    inertial_rate_deg_s: Vector3 | None = None  # None: at rest on the Earth
     wind_ned_ft_s: Vector3 = ZERO3
-    drag_area_ft2: float = 0.0  # CD S
-    damping_ft4: Vector3 = ZERO3  # 0.25 S b^2 of roll and so on, for Clp = Cmq = Cnr = -1
+    drag_area_ft2: float = 0.0  # C_D S
+    damping_ft4: Vector3 = ZERO3  # 0.25 S b^2, Clp = Cmq = Cnr = -1
 
 
 _BRICK = 0.155404754, (0.001894220, 0.006211019, 0.007194665)
 _SPHERE = 1.0, (3.6, 3.6, 3.6)
-_CDS = 0.1 * 0.1963495
-_SPIN = (10.0, 20.0, 30.0)
+_DRAG_AREA_FT2 = 0.1 * 0.1963495
+_TUMBLE_DEG_S = (10.0, 20.0, 30.0)
 CASES = {
-    "02": Case("tumbling brick", *_BRICK, inertial_rate_deg_s=_SPIN),
+    "02": Case("tumbling brick", *_BRICK, inertial_rate_deg_s=_TUMBLE_DEG_S),
     "03": Case(
         "tumbling brick, damped",
         *_BRICK,
-        inertial_rate_deg_s=_SPIN,
+        inertial_rate_deg_s=_TUMBLE_DEG_S,
         damping_ft4=(0.25 * 0.22222 / 9.0, 0.25 * 0.22222 * 4.0 / 9.0, 0.25 * 0.22222 / 9.0),
     ),
-    "06": Case("falling sphere", *_SPHERE, inertial_rate_deg_s=ZERO3, drag_area_ft2=_CDS),
+    "06": Case("falling sphere", *_SPHERE, inertial_rate_deg_s=ZERO3, drag_area_ft2=_DRAG_AREA_FT2),
     "07": Case(
         "falling sphere, steady wind",
         *_SPHERE,
         inertial_rate_deg_s=ZERO3,
-        drag_area_ft2=_CDS,
+        drag_area_ft2=_DRAG_AREA_FT2,
         wind_ned_ft_s=(0.0, 20.0, 0.0),
     ),
     "09": Case(
@@ -70,7 +70,7 @@ CASES = {
         height_ft=0.0,
         velocity_ned_ft_s=(0.0, 1000.0, -1000.0),
         yaw_deg=90.0,
-        drag_area_ft2=_CDS,
+        drag_area_ft2=_DRAG_AREA_FT2,
     ),
 }
 QUANTITIES = (
@@ -92,13 +92,13 @@ QUANTITIES = (
     "aero_bodyForce_lbf_Y",
     "aero_bodyForce_lbf_Z",
 )
-# What double precision leaves of 30,000 runs on an Earth of 2e7 ft; no simulator prints as many digits of all it gives
-FLOOR = 1e-9
-ABOUT = 10  # rows
+# Rounding error of 30,000 runs in double precision on an Earth of 2e7 ft, less than what any simulator prints.
+MIN_DIFFERENCE = 1e-9
+NEAR_ROWS = 10  # rows of one second
 
 
 def body(case: Case) -> Vehicle:
-    """Return the body as a vehicle: jets that never push, one contact on top, the case's constants as in body.xml."""
+    """Return a case's body as a vehicle: jets without thrust, one contact on top, constants as in body.xml."""
     vehicle, _ = load_vehicle("hexjet")
     area = case.drag_area_ft2 * FOOT**2
     roll, pitch, yaw = (term * POUND_FOOT for term in case.damping_ft4)
@@ -120,13 +120,13 @@ def body(case: Case) -> Vehicle:
 
 
 def fly_case(case: Case, step: float | None = None, substeps: int | None = None) -> dict[str, Array]:
-    """Return the trajectory by quantity, a row every 0.1 s; ``step`` and ``substeps``: None for those of flights."""
+    """Return a case's trajectory by quantity, a row every 0.1 s; ``step``, ``substeps``: None for those of flights."""
     usual = Scenario(name="usual", duration_s=1.0)
     step, substeps = step or usual.step_s, substeps or usual.substeps
     yaw = radians(case.yaw_deg)
     rate = ZERO3
     if case.inertial_rate_deg_s is not None:
-        # at latitude 0 the Earth turns about north
+        # At latitude 0 the Earth turns about north.
         p, q, r = case.inertial_rate_deg_s
         rate = (p - degrees(EARTH_RATE * cos(yaw)), q + degrees(EARTH_RATE * sin(yaw)), r)
     n, e, d = (speed * FOOT for speed in case.velocity_ned_ft_s)
@@ -144,9 +144,9 @@ def fly_case(case: Case, step: float | None = None, substeps: int | None = None)
     rows = []
     try:
         state = frame.reset(initial, off, calm.wind)
-        for row in range(round(SECONDS / EVERY) + 1):
+        for row in range(round(DURATION_S / ROW_INTERVAL_S) + 1):
             if row:
-                for _ in range(round(EVERY / step)):
+                for _ in range(round(ROW_INTERVAL_S / step)):
                     state = frame.step(off, calm)
             latitude, longitude = frame.latitude_longitude_deg()
             pressure, temperature = frame.air()
@@ -170,7 +170,7 @@ def fly_case(case: Case, step: float | None = None, substeps: int | None = None)
 
 
 def read_simulators(folder: Path, number: str) -> dict[str, dict[str, tuple[Array, Array]]]:
-    """By simulator and quantity: its numbers, and half a unit of the last digit that it prints of each.
+    """Return each simulator's values by quantity, with half a unit of the last digit printed.
 
     Raises InputError if there are none.
     """
@@ -195,22 +195,22 @@ def _half_digit(text: str) -> float:
 
 @dataclass(frozen=True)
 class Compared:
-    """One quantity of one case, greatest values over the flight."""
+    """Comparison of one quantity of one case; differences are the greatest over the flight."""
 
     case: str
     quantity: str
     simulators: int
-    spread: float  # of NASA's simulators: the greatest less the least at the same time
-    nearest: float  # ours from the nearest of them
-    beyond: float  # ours beyond the outermost of them
-    inside: bool  # at every time no further from the nearest of them than they are from each other about that time
+    spread: float  # of NASA's simulators
+    nearest: float  # of ours to the nearest simulator
+    beyond: float  # of ours outside all simulators
+    inside: bool  # at every time
 
 
 def compare(number: str, hexjet: dict[str, Array], others: dict[str, dict[str, tuple[Array, Array]]]) -> list[Compared]:
-    """Ours beside NASA's simulators, time by time, for what at least two of them give.
+    """Compare our trajectory with NASA's simulators, time by time, where at least two of them have a quantity.
 
-    What they are from each other about a time is the greatest spread within a second of it, because their curves cross,
-    and half a unit of the last digit printed.
+    A value is inside if it is no further from the nearest simulator than their greatest spread within a second, because
+    their curves cross, and half a unit of the last printed digit.
     """
     comparisons = []
     for name in QUANTITIES:
@@ -218,14 +218,14 @@ def compare(number: str, hexjet: dict[str, Array], others: dict[str, dict[str, t
         if len(reference_columns) < 2:
             continue
         values = np.array([value for value, _ in reference_columns])
-        digits = np.max([digit for _, digit in reference_columns], axis=0) + FLOOR
+        digits = np.max([digit for _, digit in reference_columns], axis=0) + MIN_DIFFERENCE
         own = hexjet[name]
         if name.startswith("eulerAngle"):
             values = own + (values - own + 180.0) % 360.0 - 180.0
         low, high = values.min(axis=0), values.max(axis=0)
         nearest = np.abs(values - own).min(axis=0)
         spread = high - low
-        about = np.array([spread[max(0, row - ABOUT) : row + ABOUT + 1].max() for row in range(len(spread))])
+        about = np.array([spread[max(0, row - NEAR_ROWS) : row + NEAR_ROWS + 1].max() for row in range(len(spread))])
         beyond = np.maximum(np.maximum(low - own, own - high), 0.0)
         comparisons.append(
             Compared(

@@ -19,30 +19,28 @@ from cosim.spec.vehicle import Vehicle
 
 EARTH_RATE = np.array([0.0, 0.0, 7.292115e-5])  # rad/s
 MU, RADIUS, J2 = 3.986004418e14, 6378137.0, 1.08262982e-3  # WGS 84: m^3/s^2, m
-POLAR = 6356752.314245  # m
+POLAR_RADIUS = 6356752.314245  # m
 Array = NDArray[np.float64]
-
-
-Payload = tuple[float, float, float, float]  # kg, then its place, m, body
+Payload = tuple[float, float, float, float]  # kg, and position [m, body]
 NO_PAYLOAD: Payload = (0.0, 0.0, 0.0, 0.0)
-Air = tuple[Vector3, Vector3]  # wind, m/s, NED, and rate at which turbulence turns the air, rad/s, body
+Air = tuple[Vector3, Vector3]  # wind [m/s, NED], its rotation [rad/s]
 
 
 @dataclass(frozen=True)
 class StepInputs:
-    """What acts over one control step."""
+    """Forces, wind and masses that act over one control step."""
 
     forces: tuple[Vector3, ...]  # N, body, at the jets' stations
     disturbance: Disturbance
-    air: tuple[Air, Air] | None = None  # at both ends of the step, linear between; None: the disturbance's wind
-    moment: Vector3 = (0.0, 0.0, 0.0)  # N m, body, beside the disturbance's
-    momentum: Vector3 = (0.0, 0.0, 0.0)  # of the rotors, kg m^2/s, body
+    air: tuple[Air, Air] | None = None  # at both ends of the step
+    moment: Vector3 = (0.0, 0.0, 0.0)  # N m, body, added to the disturbance's
+    momentum: Vector3 = (0.0, 0.0, 0.0)  # of rotors, kg m^2/s, body
     burnt: float = 0.0  # kg
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One instant, as :class:`cosim.base.signals.State` has it but for the place."""
+    """Attitude, rates, velocity and position of the vehicle at one instant."""
 
     attitude: Array  # body to NED, 3 x 3
     rate: Array  # rad/s, body, against the Earth
@@ -51,13 +49,13 @@ class Motion:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the cross product of two vectors, as numpy's does but in a tenth of the time."""
+    """Return the cross product of two vectors, in a tenth of numpy's time."""
     (x, y, z), (u, v, w) = a.tolist(), b.tolist()
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def matrix(q: Array) -> Array:
-    """Of the quaternion (w, x, y, z)."""
+    """Return the rotation matrix of a quaternion (w, x, y, z)."""
     w, x, y, z = (q / np.linalg.norm(q)).tolist()
     return np.array(
         [
@@ -69,22 +67,22 @@ def matrix(q: Array) -> Array:
 
 
 def quaternion(turn: Array) -> Array:
-    """Of a rotation matrix with an angle below 180 deg."""
+    """Return the quaternion of a rotation matrix whose angle is below 180 deg."""
     w = 0.5 * np.sqrt(max(1.0 + np.trace(turn), 1e-16))
     axis = [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
     return np.array([w, *(part / (4.0 * w) for part in axis)])
 
 
 def local(latitude: float, longitude: float) -> Array:
-    """NED to Earth-fixed axes at a geodetic latitude and a longitude, rad."""
+    """Return the rotation from NED to Earth-fixed axes at a geodetic latitude and longitude [rad]."""
     s, c, sl, cl = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     return np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
 
 
 def geodetic(position: Array) -> tuple[float, float, float]:
-    """Latitude and longitude, rad, and height above the ellipsoid, m, of an Earth-fixed place (Bowring, iterated)."""
+    """Return latitude, longitude [rad] and height above the ellipsoid [m] of an Earth-fixed position (Bowring)."""
     x, y, z = position.tolist()
-    e2 = 1.0 - (POLAR / RADIUS) ** 2
+    e2 = 1.0 - (POLAR_RADIUS / RADIUS) ** 2
     flat = np.hypot(x, y)
     latitude = np.arctan2(z, flat * (1.0 - e2))
     for _ in range(4):
@@ -96,14 +94,14 @@ def geodetic(position: Array) -> tuple[float, float, float]:
 
 
 def gravitation(r: Array) -> Array:
-    """Attraction with J2, m/s^2."""
+    """Return the Earth's attraction with J2 [m/s^2] at an inertial position."""
     size = float(np.linalg.norm(r))
     across, flat = 5.0 * (r[2] / size) ** 2, 1.5 * J2 * (RADIUS / size) ** 2
     return np.asarray(-MU / size**3 * r * (1.0 + flat * (np.array([1.0, 1.0, 3.0]) - across)))
 
 
 def density(height: float) -> float:
-    """US Standard Atmosphere 1976 below 11 km, kg/m^3."""
+    """Return the air density [kg/m^3] of the US Standard Atmosphere 1976 below 11 km."""
     geopotential = 6356766.0 * height / (6356766.0 + height)
     temperature = 288.15 - 0.0065 * geopotential
     pressure = 101325.0 * (temperature / 288.15) ** (9.80665 / (287.05287 * 0.0065))
@@ -111,7 +109,7 @@ def density(height: float) -> float:
 
 
 class Body:
-    """The vehicle with what is fixed to it during one step."""
+    """Mass, inertia and lever arms of the vehicle with what is fixed to it during one step."""
 
     def __init__(self, vehicle: Vehicle, payload: Payload, burnt: float = 0.0) -> None:
         masses = [(payload[0], np.array(payload[1:]))]
@@ -121,7 +119,7 @@ class Body:
         self.centre = sum((mass * position for mass, position in masses), np.zeros(3)) / self.mass
         xy, xz, yz = vehicle.products_kg_m2
         self.inertia = np.diag(vehicle.inertia_kg_m2) - np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
-        for mass, position in [*masses, (-self.mass, self.centre)]:  # to the origin, and from there to the centre
+        for mass, position in [*masses, (-self.mass, self.centre)]:  # parallel axes to the common centre
             self.inertia = self.inertia + mass * (position @ position * np.eye(3) - np.outer(position, position))
         self.inverse = np.linalg.inv(self.inertia)
         self.arms = [np.array(jet.position_m) - self.centre for jet in vehicle.jets]
@@ -130,9 +128,9 @@ class Body:
 
 
 def start(latitude_deg: float, longitude_deg: float, height: float, motion: Motion) -> Array:
-    """Return the state (13) of a vehicle with this motion at this place; the axes coincide with the Earth's then."""
+    """Return the inertial state (13 numbers) of a motion at a geodetic position; at t = 0 the axes are the Earth's."""
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
-    e2 = 1.0 - (POLAR / RADIUS) ** 2
+    e2 = 1.0 - (POLAR_RADIUS / RADIUS) ** 2
     normal = RADIUS / np.sqrt(1.0 - e2 * np.sin(latitude) ** 2)
     r = np.array(
         [
@@ -154,14 +152,14 @@ def start(latitude_deg: float, longitude_deg: float, height: float, motion: Moti
 
 
 def earth(t: float) -> Array:
-    """Inertial to Earth-fixed axes."""
+    """Return the rotation from inertial to Earth-fixed axes at time ``t`` [s]."""
     angle = EARTH_RATE[2] * t
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def motion_of(state: Array, t: float) -> Motion:
-    """Return the motion that an observer on the ground sees ``t`` seconds after the start."""
+    """Return the motion relative to the ground ``t`` seconds after the start."""
     r, v, turn = state[:3], state[3:6], matrix(state[6:10])
     to_earth = earth(t)
     position = to_earth @ r
@@ -171,14 +169,14 @@ def motion_of(state: Array, t: float) -> Motion:
 
 
 def let_go(state: Array, shift: Array) -> Array:
-    """Shift the centre of gravity in the body by ``shift`` [m, body] and return the state; the body moves as it did."""
+    """Return the state after the centre of gravity moved by ``shift`` [m, body] without moving the body."""
     turn = matrix(state[6:10])
     moved = [state[:3] + turn @ shift, state[3:6] + turn @ cross(state[10:], shift), state[6:]]
     return np.concatenate(moved)
 
 
 def air_at(inputs: StepInputs, fraction: float) -> tuple[Array, Array]:
-    """Wind and rate of the air when this share of the step is over."""
+    """Return wind and rotation of the air after this fraction of the step."""
     if inputs.air is None:
         return np.array(inputs.disturbance.wind), np.zeros(3)
     begin, end = np.array(inputs.air)
@@ -187,7 +185,7 @@ def air_at(inputs: StepInputs, fraction: float) -> tuple[Array, Array]:
 
 
 def derivative(state: Array, t: float, body: Body, inputs: StepInputs, fraction: float) -> Array:
-    """Of the state, while ``inputs`` acts, when ``fraction`` of the step is over."""
+    """Return the state's time derivative under ``inputs`` after ``fraction`` of the step."""
     wind, air_rate = air_at(inputs, fraction)
     r, v, q, w = state[:3], state[3:6], state[6:10], state[10:]
     turn = matrix(q)
@@ -219,7 +217,7 @@ def integrate(
     parts: int = 2,
     payload: Payload | None = None,
 ) -> list[Motion]:
-    """Return the motion after every control step; ``parts``: steps of the Runge-Kutta method in each.
+    """Return the motion after every control step; ``parts``: Runge-Kutta steps in each.
 
     ``payload``: on board at the start; None: that of the first step.
     """

@@ -27,13 +27,13 @@ from cosim.vehicle.jsbsim_units import FOOT
 
 @dataclass(frozen=True)
 class Scheme:
-    """JSBSim's methods, by its numbers, and the share of a change that the first run carries on top."""
+    """Integration methods of JSBSim by its numbers, and the part of a change that the first run makes up."""
 
     title: str
     rates: tuple[float, float] = (ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_2)  # rotational, translational
     attitude: float = BUSS_2
     make_up: float = 0.5
-    at_once: bool = True  # payload, fuel and rotors: else as JSBSim takes them when they are written
+    at_once: bool = True  # masses and rotors act in their own run
 
 
 SCHEMES = {
@@ -48,7 +48,7 @@ FLOWN_RUNS = 4
 
 @dataclass(frozen=True)
 class Course:
-    """What acted on a vehicle, step by step, and where it began."""
+    """What acted on a vehicle in each step of a flight, and where the flight began."""
 
     title: str
     vehicle: Vehicle
@@ -59,7 +59,7 @@ class Course:
 
 
 class _Inputs:
-    """What the airframe of a flight was given in each of its steps."""
+    """Observer that keeps what the airframe was given in each step of a flight."""
 
     def __init__(self, simulation: Simulation, momentum: Vector3) -> None:
         self.inputs: list[StepInputs] = []
@@ -80,7 +80,7 @@ class _Inputs:
 
 
 def course(title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0)) -> Course:
-    """Fly, and return what acted; there must be no gusts or turbulence, and the aerodynamics are ``vehicle.toml``'s.
+    """Fly a scenario without gusts and return what acted; ``momentum``: of rotors that engines do not have.
 
     ``momentum``: of rotors that the engines do not have.
     """
@@ -96,31 +96,29 @@ def course(title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (
 PICKED_UP = {"kind": "payload", "start_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, -0.02, 0.10]}
 WIND = {"kind": "wind", "start_s": 2.0, "velocity_ned_m_s": [-4.0, 3.0, 0.0]}
 OFF_CENTRE = {"fuel": {"mass_kg": 18.0, "position_m": [0.2, 0.1, 0.1]}}
-
-
 AXES: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def turn_of(attitude: Quaternion) -> Array:
-    """Return the same rotation, body to NED, as a matrix."""
+def to_matrix(attitude: Quaternion) -> Array:
+    """Return a rotation, body to NED, as a matrix."""
     return np.array([rotate(attitude, axis) for axis in AXES]).T
 
 
-def seen(state: State, position: tuple[float, float, float]) -> Motion:
-    """Return the airframe's state in the form of the independent integration."""
-    return Motion(turn_of(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(position))
+def to_motion(state: State, position: tuple[float, float, float]) -> Motion:
+    """Return the airframe's state as the independent integration has it."""
+    return Motion(to_matrix(state.attitude), np.array(state.rate), np.array(state.velocity), np.array(position))
 
 
 def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[Motion]]:
-    """Return the airframe's motion at the start, and after every step."""
+    """Return the airframe's motion at the start and after every step of a course."""
     spins = any(any(each.momentum) for each in course.inputs)
     frame = Airframe(course.vehicle, course.folder, Environment(), course.step, runs, 1, spins)
 
-    def where() -> tuple[float, float, float]:
+    def read_position() -> tuple[float, float, float]:
         x, y, z = (frame._fdm.get_property_value(f"position/ecef-{axis}-ft") * FOOT for axis in "xyz")
         return (x, y, z)
 
-    def use() -> None:
+    def apply_scheme() -> None:
         for kind, method in zip(("rotational", "translational"), scheme.rates, strict=True):
             frame._set_property(f"simulation/integrator/rate/{kind}", method)
         frame._set_property("simulation/integrator/position/rotational", scheme.attitude)
@@ -138,15 +136,15 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
             frame._apply_disturbance(inputs.disturbance)
         state = frame.step(list(inputs.forces), inputs.disturbance, inputs.moment)
         if changed:
-            use()
-        return seen(state, where())
+            apply_scheme()
+        return to_motion(state, read_position())
 
     try:
         first = course.inputs[0]
         spin = first.momentum if spins else None
         state = frame.reset(course.initial, list(first.forces), first.disturbance.wind, spin, first.burnt)
-        begin = seen(state, where())
-        use()
+        begin = to_motion(state, read_position())
+        apply_scheme()
         motions = [step(each) for each in course.inputs]
     finally:
         frame.close()
@@ -155,7 +153,7 @@ def fly_again(course: Course, scheme: Scheme, runs: int) -> tuple[Motion, list[M
 
 @dataclass(frozen=True)
 class Error:
-    """Greatest over a flight."""
+    """Greatest differences between two integrations over a flight."""
 
     attitude_deg: float
     rate_deg_s: float
@@ -164,7 +162,7 @@ class Error:
 
 
 def exact(course: Course, parts: int = 2) -> list[Motion]:
-    """Return the motion after every step by independent integration of a course."""
+    """Return the motion after every step of a course by the independent integration."""
     earth = Environment()
     begin, _ = fly_again(replace(course, inputs=course.inputs[:1]), SCHEMES["flown"], 1)
     state = start(earth.latitude_deg, earth.longitude_deg, earth.ground_m + course.initial.altitude_m, begin)
@@ -182,22 +180,23 @@ CLOSED = (
 
 
 def closed_loop(name: str, runs: int, fine: int = 64) -> tuple[float, float]:
-    """Greatest differences of a flight's Euler angles [deg] and place [mm] from the same with ``fine`` runs."""
+    """Return a flight's greatest differences, Euler angles [deg] and position [mm], from one with ``fine`` runs."""
     logs = [fly(Scenario.load(name).replace(substeps=substeps, expect=[])).log for substeps in (runs, fine)]
     last = min(len(log) for log in logs)
 
-    def apart(columns: tuple[str, ...]) -> float:
+    def find_difference(columns: tuple[str, ...]) -> float:
         return max(float(np.abs(logs[0][column][:last] - logs[1][column][:last]).max()) for column in columns)
 
     angles, positions = ("roll_rad", "pitch_rad", "yaw_rad"), ("north_m", "east_m", "down_m")
-    return float(np.degrees(apart(angles))), 1e3 * apart(positions)
+    return float(np.degrees(find_difference(angles))), 1e3 * find_difference(positions)
 
 
-WINDOW = 0.5  # s: from the log again and again, so that a residual is a residual of the equations
+# Length [s] that is integrated from one row of a log, short so that residuals are those of the equations.
+WINDOW_S = 0.5
 
 
 def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[float, float]:
-    """Greatest residuals of a flight's rate [rad/s] and velocity [m/s], :data:`WINDOW` after a row of its log.
+    """Return the greatest residuals of rate [rad/s] and velocity [m/s], WINDOW_S after rows of a flight's log.
 
     From each such row's motion the equations are integrated with nothing but the log's thrusts, tilts, disturbances,
     wind and rate of the air, and compared with the row at the end.  ``air_turns`` False leaves the last out.  The first
@@ -233,9 +232,9 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
             StepInputs(forces, Disturbance(pushes[k], twists[k], payload=(mass, x, y, z)), (air[k], air[k + 1]))
         )
     earth = scenario.environment
-    steps, worst = round(WINDOW / scenario.step_s), (0.0, 0.0)
+    steps, worst = round(WINDOW_S / scenario.step_s), (0.0, 0.0)
     for first in range(1, len(steps_in) - steps + 1, steps):
-        turn = turn_of(from_euler(*angles[first]))
+        turn = to_matrix(from_euler(*angles[first]))
         motion = Motion(turn, np.array(rates[first]), np.array(velocities[first]), np.zeros(3))
         state = start(earth.latitude_deg, earth.longitude_deg, earth.ground_m + float(heights[first]), motion)
         end = integrate(vehicle, state, steps_in[first : first + steps], scenario.step_s)[-1]
@@ -248,7 +247,7 @@ def from_the_log(log: Log, scenario: Scenario, air_turns: bool = True) -> tuple[
 
 
 def error(one: list[Motion], other: list[Motion]) -> Error:
-    """Between two integrations of the same course."""
+    """Return the greatest differences between two integrations of the same course."""
     angles, rates, speeds, positions = [], [], [], []
     for a, b in zip(one, other, strict=True):
         turn = a.attitude.T @ b.attitude

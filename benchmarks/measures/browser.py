@@ -23,8 +23,8 @@ from cosim import FlightError
 PACKAGE = "playwright"
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 WINDOW = {"width": 1200, "height": 900}  # pixels
-BY = 20  # pixels a frame: 1200 a second, a brisk hand
-LATE = 1.5  # times a sixtieth of a second: a frame has been left out
+SCROLL_PIXELS = 20  # a frame: 1200 pixels a second
+LATE_FRAMES = 1.5  # a longer interval has a frame missing
 SCREEN_HZ = 60.0
 WAIT_MS = 600_000.0
 
@@ -48,7 +48,7 @@ _DRAWN = "document.documentElement.dataset.drawn === 'all' && document.documentE
 
 @dataclass(frozen=True)
 class Frames:
-    """How a page draws while something moves.
+    """Rate and cost of the frames that a page draws while something moves.
 
     Frames a second, % of them late; ms of processor time a frame, of the page's thread and of the process that draws.
     """
@@ -61,7 +61,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class PageTimes:
-    """A page as a browser shows it.
+    """Times of opening, scrolling and replaying a page.
 
     Seconds from asking for it until it is laid out and painted, processor time of its thread until then; frames while
     it is scrolled and, where it has a replay that runs, while that runs in sight.
@@ -74,7 +74,7 @@ class PageTimes:
 
 
 class Look:
-    """Looks at pages in one browser and keeps what it has seen of each."""
+    """Measures pages in one browser, and keeps what it measured of each."""
 
     def __init__(self, browser: Any) -> None:
         self._browser = browser
@@ -83,10 +83,10 @@ class Look:
         self.renderer = ""
 
     def at(self, page: Path, seconds: float) -> None:
-        """Open it, scroll it for so long, and replay for so long."""
+        """Open a page, scroll it for ``seconds``, and replay it for as long."""
         with self._browser.new_context(viewport=WINDOW) as context:
             tab = context.new_page()
-            spent = _Spent(self._browser, context, tab)
+            spent = _ProcessorTime(self._browser, context, tab)
             tab.goto(page.as_uri(), wait_until="domcontentloaded")
             times = {"open_cpu": 1e-3 * spent.page_ms()}
             tab.wait_for_function("performance.getEntriesByName('first-contentful-paint').length", timeout=WAIT_MS)
@@ -94,16 +94,16 @@ class Look:
             has = tab.evaluate("Boolean(document.getElementById('replay'))")
             if has:
                 tab.wait_for_function(_DRAWN, timeout=WAIT_MS)
-            times |= _frames("scroll", tab, spent, seconds, BY)
+            times |= _measure_frames("scroll", tab, spent, seconds, SCROLL_PIXELS)
             if has and tab.evaluate("document.documentElement.dataset.replay === 'ready'"):
                 self.renderer = tab.evaluate(_RENDERER)
                 tab.evaluate("hexjet.setTime(0); document.querySelector('.stage').scrollIntoView()")
                 tab.keyboard.press("k")
-                times |= _frames("replay", tab, spent, seconds, 0)
+                times |= _measure_frames("replay", tab, spent, seconds, 0)
         self._found.setdefault(page, []).append(times)
 
     def seen(self, page: Path) -> PageTimes:
-        """All looks at it."""
+        """Return the spread of all measurements of a page."""
         looks = self._found[page]
         all_of = {name: Spread.of([look[name] for look in looks]) for name in looks[0]}
         scrolled, replayed = (
@@ -116,8 +116,8 @@ class Look:
         return PageTimes(all_of["open"], all_of["open_cpu"], scrolled, replayed)
 
 
-class _Spent:
-    """Processor time, ms, as the browser tells it."""
+class _ProcessorTime:
+    """Processor time [ms] as the browser reports it."""
 
     def __init__(self, browser: Any, context: Any, tab: Any) -> None:
         self._whole, self._tools = browser.new_browser_cdp_session(), context.new_cdp_session(tab)
@@ -132,13 +132,13 @@ class _Spent:
         return 1e3 * sum(float(process["cpuTime"]) for process in processes if process["type"] == "GPU")
 
 
-def _frames(action: str, tab: Any, spent: _Spent, seconds: float, by: int) -> dict[str, float]:
+def _measure_frames(action: str, tab: Any, spent: _ProcessorTime, seconds: float, by: int) -> dict[str, float]:
     page, drawing = spent.page_ms(), spent.drawing_ms()
     times = [1e-3 * time for time in tab.evaluate(_FRAMES, [seconds, by])]
     gaps = [b - a for a, b in pairwise(times)]
     if not gaps:
         raise FlightError("the browser has drawn nothing")
-    late = sum(gap > LATE / SCREEN_HZ for gap in gaps)
+    late = sum(gap > LATE_FRAMES / SCREEN_HZ for gap in gaps)
     return {
         f"{action} rate": len(gaps) / sum(gaps),
         f"{action} late": 100.0 * late / len(gaps),
@@ -148,13 +148,13 @@ def _frames(action: str, tab: Any, spent: _Spent, seconds: float, by: int) -> di
 
 
 def find_browser() -> str | None:
-    """Return the program that ``HEXJET_BROWSER`` names, else one that is installed; None: none is."""
+    """Return the browser that ``HEXJET_BROWSER`` names, else an installed one; None if there is none."""
     return os.environ.get("HEXJET_BROWSER") or next(filter(None, map(shutil.which, NAMES)), None)
 
 
 @contextmanager
 def looking() -> Iterator[Look | str]:
-    """Yield what looks at pages in a browser with its usual settings; where there is no browser, the reason."""
+    """Yield a :class:`Look` in a browser; if there is no browser, the reason."""
     name = find_browser()
     if name is None:
         yield "no browser: install chromium, or name one in HEXJET_BROWSER"

@@ -14,7 +14,7 @@ from benchmarks.timing import Spread
 from cosim import FlightError
 from cosim.base.runtime.host import python_command
 
-# `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
+# Python code of `hexjet fly` that stops before its first step and prints the times since its start.
 _FIRST_STEP = """
 import sys, time
 python = time.time()
@@ -37,7 +37,7 @@ COMMAND = "from cosim.cli.start import main; main()"
 
 @dataclass(frozen=True)
 class Startup:
-    """Seconds from the start of ``hexjet fly hover`` to its first step, and of these: Python, imports, building.
+    """Seconds from the start of ``hexjet fly hover`` to its first step, split into Python, imports and building.
 
     ``commands``: whole processes, by what is typed.
     """
@@ -51,14 +51,14 @@ class Startup:
 
 @dataclass(frozen=True)
 class CommandCost:
-    """Processor seconds of a process from its start to its end, and by those of ``UNIT`` in the same round."""
+    """Processor seconds of a whole process, and their ratio to those of ``UNIT`` in the same round."""
 
     cpu_s: Spread
     units: Spread
 
 
 def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) -> Startup:
-    """Start ``times`` processes, after one that warms the file cache.  Raises FlightError if one does not get there."""
+    """Start ``times`` processes, after one that warms the file cache.  Raises FlightError for one that fails."""
     rows = []
     for number in range(times + 1):
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
@@ -77,7 +77,7 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
 
 
 def measure_commands(times: int, folder: Path, on_round: Callable[[], object]) -> dict[str, CommandCost]:
-    """Run what a user waits for ``times`` times in turn, after a round that warms up.
+    """Run users' commands ``times`` times in turn, after a round that warms up; return their cost.
 
     Raises FlightError if a command fails.
     """
@@ -104,7 +104,7 @@ def measure_commands(times: int, folder: Path, on_round: Callable[[], object]) -
 
 
 def processor_seconds(code: str, *arguments: str) -> float:
-    """Return what Python takes for ``code`` as a process, with bytecode kept as Python does.  Raises FlightError."""
+    """Return the processor time of ``code`` as a Python process with cached bytecode.  Raises FlightError."""
     import resource
 
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
@@ -117,7 +117,7 @@ def processor_seconds(code: str, *arguments: str) -> float:
 
 
 def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:
-    """Start this Python with this package; ``ask``: it reads what it is asked."""
+    """Start this Python with this package; with ``ask`` its standard input is a pipe."""
     return subprocess.Popen(
         python_command(code, *arguments),
         stdin=subprocess.PIPE if ask else None,

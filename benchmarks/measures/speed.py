@@ -25,7 +25,7 @@ from cosim.simulation.step import Simulation
 from cosim.vehicle.airframe import ADAMS_BASHFORTH_2, ADAMS_BASHFORTH_3, AIR_METHOD, FORCE_EXTRAPOLATION, RECTANGULAR
 
 SUBSTEPS = (1, 4)
-UNIT_RUNS = 2000  # timed before and after every job
+UNIT_RUNS = 2000  # JSBSim runs of one timing of the unit
 
 BARE = "one bare JSBSim run()"
 ENGINES = "six engine FMUs"
@@ -37,7 +37,7 @@ PRICE = "price of the better integrators"
 OUTSIDE_JSBSIM = "not JSBSim, no observer"
 OUTSIDE = "not JSBSim, recorded to disk"
 
-# what JSBSim takes where a model's file names none
+# JSBSim's integration methods if a model's file names none.
 JSBSIM_MODELS = {
     "rate/rotational": RECTANGULAR,
     "rate/translational": ADAMS_BASHFORTH_2,
@@ -45,11 +45,11 @@ JSBSIM_MODELS = {
     "position/translational": ADAMS_BASHFORTH_3,
 }
 
-Pairs = dict[tuple[int, str], list[Pair]]  # of the rounds, by JSBSim runs a step and name
+Pairs = dict[tuple[int, str], list[Pair]]  # by JSBSim runs a step, and name
 
 
 class RepeatedFlight:
-    """A flight that is flown again and again, recorded below ``folder`` or not."""
+    """A flight that is flown again and again, and may be recorded below ``folder``."""
 
     def __init__(self, simulation: Simulation, folder: Path) -> None:
         self.simulation = simulation
@@ -65,7 +65,7 @@ class RepeatedFlight:
             self._recording = None
 
     def plain(self, name: str) -> Job:
-        """Return the job of a whole flight that nobody looks at."""
+        """Return the job of a whole flight without observers."""
         return self._job(name, lambda: [])
 
     def recorded(self, name: str, every: int = 1) -> Job:
@@ -92,7 +92,7 @@ class RepeatedFlight:
 
 
 class Every:
-    """Shows an observer each ``every``-th step, from the first on."""
+    """Observer that passes each ``every``-th step on to another observer."""
 
     def __init__(self, every: int, observer: Observer) -> None:
         self._every = every
@@ -113,18 +113,18 @@ class Flights:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             self._whole = {substeps: self.fly(hover(self.steps, substeps)) for substeps in SUBSTEPS}
-            # airframes of their own, so that timing the unit leaves the flights alone
+            # The unit is timed on airframes of its own, so that the flights are not changed.
             self._bare = {substeps: self.build(substeps) for substeps in SUBSTEPS}
         except BaseException:
             self._stack.close()
             raise
 
     def build(self, substeps: int) -> Simulation:
-        """One more flight; closed with the others."""
+        """Build one more flight, which is closed with the others."""
         return self._stack.enter_context(build(hover(self.steps, substeps)))
 
     def fly(self, scenario: Scenario) -> RepeatedFlight:
-        """Any flight, closed with the others; recorded in a folder of its own."""
+        """Return a scenario's flight, which is closed with the others and recorded in a folder of its own."""
         simulation = self._stack.enter_context(build(scenario))
         flight = RepeatedFlight(simulation, Path(mkdtemp(dir=self._folder)))
         self._stack.callback(flight.close)
@@ -137,7 +137,7 @@ class Flights:
         self._stack.close()
 
     def units(self) -> dict[int, Job]:
-        """Bare JSBSim by the number of runs a step, which decides how long one of its steps is."""
+        """Return the jobs of bare JSBSim by its runs a step, which decide how long a run lasts."""
         return {substeps: Job(BARE, substeps, UNIT_RUNS, partial(self._run_bare, substeps)) for substeps in SUBSTEPS}
 
     def jobs(self, substeps: int) -> list[Job]:
@@ -166,7 +166,7 @@ class Flights:
 
 
 def bare(simulation: Simulation, runs: int) -> Action:
-    """Nothing but JSBSim: so many runs of the airframe in hover in the air, forces held."""
+    """Return the job of ``runs`` bare JSBSim runs of the airframe in hover with constant forces."""
     _begin(simulation)
     run = simulation.airframe.jsbsim_run()
 
@@ -178,7 +178,7 @@ def bare(simulation: Simulation, runs: int) -> Action:
 
 
 def _begin(simulation: Simulation, more: float = 0.0) -> list[Vector3]:
-    """Reset the airframe to hover; the jets' forces that hold it up, and so much ``more`` of them."""
+    """Reset the airframe to hover; return the jets' forces that carry it, and ``more`` of them."""
     jets = len(simulation.vehicle.jets)
     lift = -simulation.vehicle.mass_kg * GRAVITY / jets
     simulation.airframe.reset(simulation.scenario.initial, [(0.0, 0.0, lift)] * jets, ZERO3)
@@ -186,7 +186,7 @@ def _begin(simulation: Simulation, more: float = 0.0) -> list[Vector3]:
 
 
 def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
-    """Return the airframe's part of so many control steps, forces changing in each, as :meth:`Airframe.step` has it.
+    """Return the job of the airframe's part of control steps, with other forces in each.
 
     ``plain``: by the integrators that JSBSim has where nobody chooses, and without what the first run makes up.
     """
@@ -222,7 +222,7 @@ def airframe_alone(simulation: Simulation, steps: int, plain: bool) -> Action:
 
 
 def step_bank(engines: Engines | EngineChain, count: int, throttle: float, steps: int) -> Action:
-    """So many steps of ``count`` engines, whose throttles move about ``throttle``."""
+    """Step ``count`` engines ``steps`` times with throttles that move about ``throttle``."""
     engines.reset(throttle)
     moving = ((throttle,) * count, (throttle + 0.01,) * count)
     inputs = [(k, moving[k % 2]) for k in range(steps)]
@@ -236,7 +236,7 @@ def hover(steps: int, substeps: int) -> Scenario:
 
 
 def warm_up(folder: Path) -> None:
-    """Fly and record a second, so that nobody's time bears what is loaded when it is first used."""
+    """Fly and record one second, so that no job's time includes first imports."""
     with Flights(250, folder) as flights:
         for unit in flights.units().values():
             unit.prepare()()
@@ -244,16 +244,16 @@ def warm_up(folder: Path) -> None:
 
 
 def fly_through(simulation: Simulation, observers: Sequence[Observer] = ()) -> None:
-    """Fly to the end.  Raises FlightError if the vehicle does not get there: its time would say nothing."""
+    """Fly to the end.  Raises FlightError if the vehicle fails, as its time would mean nothing."""
     ending = simulation.run(observers)
     if ending.outcome != "completed":
         raise FlightError(f"the timed flight ended early: {ending.reason}")
 
 
 def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round: Callable[[], object]) -> Pairs:
-    """Time the jobs, interleaved; ``on_round`` is called after each round."""
+    """Time the jobs in interleaved rounds; ``on_round`` is called after each round."""
     pairs: Pairs = defaultdict(list)
-    gc.freeze()  # recorded inputs are many: the collector would go through them all before every job
+    gc.freeze()  # many objects, else scanned every job
     try:
         for done, (job, pair) in enumerate(interleave(jobs, units, rounds), 1):
             pairs[job.substeps, job.name].append(pair)
@@ -265,12 +265,12 @@ def collect(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int, on_round
 
 
 def differences(pairs: Sequence[Pair], less: Sequence[Pair]) -> list[Pair]:
-    """Return what a step of one costs more than a step of the other, round by round, in the unit around the first."""
+    """Return how much more a step of one job costs than of another, round by round, in the first's unit."""
     return [Pair(Clocked(*map(sub, one.step, other.step)), one.unit) for one, other in zip(pairs, less, strict=True)]
 
 
 def measure_speed(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> dict[int, dict[str, Cost]]:
-    """Costs by the number of JSBSim runs a step and by name; flights are recorded below ``folder``."""
+    """Return costs by JSBSim runs a step and name; flights are recorded below ``folder``."""
     with Flights(steps, folder) as flights:
         jobs = [job for substeps in SUBSTEPS for job in flights.jobs(substeps)]
         measured = collect(jobs, flights.units(), rounds, on_round)

@@ -22,7 +22,7 @@ from cosim.base.constants import GRAVITY
 from cosim.simulation.step import Simulation
 
 PACKAGE = "pathsim"
-SUBSTEPS = 4  # as the shipped scenarios have it
+SUBSTEPS = 4  # as in the shipped scenarios
 LABEL = "PathSim with JSBSim"
 NEWTON_LBF, FOOT_M = 1.0 / 4.4482216152605, 0.3048
 OUTPUTS = (
@@ -30,12 +30,12 @@ OUTPUTS = (
     *("attitude/phi-rad", "attitude/theta-rad", "attitude/psi-rad"),
     *("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"),
 )
-FARTHEST_FT = 1.0
+MAX_DRIFT_FT = 1.0  # else it does not hover
 
 
 @dataclass(frozen=True)
 class BlockDiagram:
-    """What a hover costs a step in PathSim and with us, recorded to disk; ``ratio``: theirs by ours, round by round.
+    """Cost of a step of hover, recorded to disk, in PathSim and here; ``ratio``: PathSim's by ours, by rounds.
 
     ``missing``: why PathSim was not measured.
     """
@@ -49,7 +49,7 @@ class BlockDiagram:
 
 
 def measure_block_diagram(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> BlockDiagram:
-    """Hover in either in turn, to and fro, each between two timings of the unit."""
+    """Time hover here and in PathSim in interleaved rounds."""
     pathsim = find_pathsim()
     missing = pathsim if isinstance(pathsim, str) else None
     with Flights(steps, folder) as flights:
@@ -64,8 +64,8 @@ def measure_block_diagram(steps: int, rounds: int, folder: Path, on_round: Calla
 
 
 def find_pathsim() -> PathSim | str:
-    """PathSim, or what is in the way of it."""
-    os.environ.setdefault("MPLBACKEND", "Agg")  # it imports pyplot, and nothing is to be shown
+    """Return PathSim, or the reason why it cannot be used."""
+    os.environ.setdefault("MPLBACKEND", "Agg")  # PathSim imports pyplot
     try:
         return PathSim()
     except (ImportError, OSError) as error:
@@ -73,7 +73,7 @@ def find_pathsim() -> PathSim | str:
 
 
 class PathSim:
-    """Its classes, and the diagram that is built of them."""
+    """PathSim's classes, and the block diagram that is built of them."""
 
     def __init__(self) -> None:
         pathsim, blocks = import_module("pathsim"), import_module("pathsim.blocks")
@@ -82,7 +82,7 @@ class PathSim:
         self._plant = _plant_class(blocks.Block)
 
     def hover(self, simulation: Simulation, steps: int) -> Action:
-        """So many control steps of hover, from a fresh start.  Raises FlightError, when run, if it does not hover."""
+        """Return the action of ``steps`` control steps of hover; it raises FlightError if the vehicle drifts."""
         bare(simulation, 0)  # resets the airframe to hover
         plant = self._plant(simulation)
         height, lift = float(plant.outputs[0]), simulation.vehicle.mass_kg / len(simulation.vehicle.jets)
@@ -97,18 +97,18 @@ class PathSim:
         diagram = self._simulation([plant, control, scope], wires, dt=step, log=False)
 
         def action() -> None:
-            diagram.run(duration=(steps - 0.5) * step, adaptive=False)  # half a step less: it adds up its time
+            diagram.run(duration=(steps - 0.5) * step, adaptive=False)  # half a step less, for rounding
             times, columns = scope.read()
             if len(times) != steps + 1:
                 raise FlightError(f"PathSim flew {len(times) - 1} steps of {steps}")
-            if not abs(float(columns[0][-1]) - height) < FARTHEST_FT:
+            if not abs(float(columns[0][-1]) - height) < MAX_DRIFT_FT:
                 raise FlightError(f"PathSim does not hover: it ends {columns[0][-1] - height:g} ft off")
 
         return action
 
 
 def _plant_class(block: Any) -> Any:
-    """Return the block of the airframe: a force in [N, down], JSBSim runs at the end of each step, outputs."""
+    """Return the class of the airframe's block: input force [N, down], JSBSim runs at a step's end, outputs."""
 
     class Plant(block):  # type: ignore[misc]
         def __init__(self, simulation: Simulation) -> None:
@@ -118,7 +118,7 @@ def _plant_class(block: Any) -> Any:
             self.read_outputs()
 
         def __len__(self) -> int:
-            return 0  # no output follows an input within a step
+            return 0  # no direct feed-through
 
         def update(self, t: float) -> None:
             """Nothing between the steps."""

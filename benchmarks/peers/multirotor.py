@@ -2,7 +2,7 @@
 
 Not the same work, and so no verdict: RotorPy integrates rigid body and motors by an adaptive Runge-Kutta method
 (``scipy.integrate.solve_ivp``) anew in every control step and keeps its log in memory; we run JSBSim's fixed steps
-with an FMU for every engine and write every column to disk.  What it does is counted and stated with its times.
+with an FMU for every engine and write every column to disk.  What it does is count_calls and stated with its times.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from benchmarks.timing import Action, Cost, Job, Pair, Spread
 from cosim import FlightError, Scenario
 
 PACKAGE = "rotorpy"
-RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's
-FARTHEST_M = 0.1  # from where it is to hover
+RATES = (250, 400)  # control [Hz]: Hex-Jet, quadrotor
+MAX_DRIFT_M = 0.1  # else it does not hover
 
 WHOLE_FLIGHT, PLANT = "whole flight", "vehicle alone"
-SUBSTEPS = 4  # as the shipped scenarios have it
+SUBSTEPS = 4  # as in the shipped scenarios
 
 
 def quadrotor(steps: int) -> Scenario:
-    """``hover`` on the quadrotor with its own motors, at its 400 Hz."""
+    """Return ``hover`` on the quadrotor with its own motors at 400 Hz."""
     step = 0.0025
     return Scenario.load("hover").replace(
         aircraft="quadrotor",
@@ -45,7 +45,7 @@ def quadrotor(steps: int) -> Scenario:
 
 @dataclass(frozen=True)
 class Hover:
-    """One way of hovering at ``rate`` steps a second.
+    """Cost of one way of hovering at ``rate`` steps a second.
 
     ``factor``: seconds flown in a second of wall time.  ``ratio``: its step by ours at the same rate, round by round.
     """
@@ -58,7 +58,7 @@ class Hover:
 
 @dataclass(frozen=True)
 class Multirotor:
-    """By name: ours, and RotorPy's if it is there, else why it is ``missing``.
+    """Costs of hovering by name: ours and RotorPy's; ``missing``: why RotorPy was not measured.
 
     ``evaluations``: of RotorPy's equations of motion in a control step, of the integration and of the rest.
     """
@@ -74,7 +74,7 @@ HEXJET_LABELS = {250: "ours, Hex-Jet", 400: "ours, quadrotor"}
 
 
 def measure_multirotor(seconds: float, rounds: int, folder: Path, on_round: Callable[[], object]) -> Multirotor:
-    """Hover for so long: every way in turn, to and fro, each between two timings of the unit."""
+    """Time all ways of hovering in interleaved rounds."""
     rotorpy = find_rotorpy()
     missing = rotorpy if isinstance(rotorpy, str) else None
     jobs: dict[str, tuple[int, Job]] = {}
@@ -105,8 +105,8 @@ def _hover(rate: int, rows: list[Pair], hexjet: list[Pair]) -> Hover:
 
 
 def find_rotorpy() -> RotorPy | str:
-    """RotorPy, or what is in the way of it."""
-    os.environ.setdefault("MPLBACKEND", "Agg")  # it imports pyplot, and nothing is to be shown
+    """Return RotorPy, or the reason why it cannot be used."""
+    os.environ.setdefault("MPLBACKEND", "Agg")  # RotorPy imports pyplot
     try:
         return RotorPy()
     except (ImportError, OSError) as error:
@@ -114,7 +114,7 @@ def find_rotorpy() -> RotorPy | str:
 
 
 class RotorPy:
-    """Its Hummingbird in hover: geometric controller fed by noisy motion capture, no wind, defaults everywhere else."""
+    """RotorPy's Hummingbird in hover, by its geometric controller and noisy motion capture, without wind."""
 
     def __init__(self) -> None:
         self._environment = import_module("rotorpy.environments").Environment
@@ -125,11 +125,11 @@ class RotorPy:
         self._replays: dict[tuple[int, int], tuple[Callable[..., Any], list[tuple[Any, ...]]]] = {}
 
     def whole(self, rate: int, steps: int) -> Action:
-        """``Environment.run`` without drawing.  Raises FlightError, when run, if it does not hover."""
+        """Return the action of ``Environment.run`` without drawing; it raises FlightError if the vehicle drifts."""
         return partial(self._fly, self._build(self._vehicle(), rate), rate, steps)
 
     def plant(self, rate: int, steps: int) -> Action:
-        """``Multirotor.step`` alone, on the states and motor commands of a flight: body, aerodynamics, motors."""
+        """Return the action of ``Multirotor.step`` alone, on the states and motor commands of a flight."""
         if (rate, steps) not in self._replays:
             self._replays[rate, steps] = self._replay(rate, steps)
         step, inputs = self._replays[rate, steps]
@@ -139,25 +139,25 @@ class RotorPy:
         vehicle, inputs = self._vehicle(), []
         step = vehicle.step
 
-        def noted(*arguments: Any) -> Any:
+        def note_arguments(*arguments: Any) -> Any:
             inputs.append(arguments)
             return step(*arguments)
 
-        vehicle.step = noted
+        vehicle.step = note_arguments
         self._fly(self._build(vehicle, rate), rate, steps)
         return step, inputs
 
     def evaluations(self, rate: int, steps: int = 50) -> float:
-        """How often its equations of motion are evaluated in a control step of the whole flight, on average."""
+        """Return how often the equations of motion are evaluated per control step of a whole flight."""
         vehicle = self._vehicle()
         inner, count = vehicle._s_dot_fn, 0
 
-        def counted(*arguments: Any) -> Any:
+        def count_calls(*arguments: Any) -> Any:
             nonlocal count
             count += 1
             return inner(*arguments)
 
-        vehicle._s_dot_fn = counted
+        vehicle._s_dot_fn = count_calls
         self._fly(self._build(vehicle, rate), rate, steps)
         return count / steps
 
@@ -165,7 +165,7 @@ class RotorPy:
         import numpy as np
 
         numbers = self._parameters
-        speed = sqrt(9.81 * numbers["mass"] / (numbers["num_rotors"] * numbers["k_eta"]))  # its own g
+        speed = sqrt(9.81 * numbers["mass"] / (numbers["num_rotors"] * numbers["k_eta"]))  # RotorPy's gravity
         start = {
             "x": np.zeros(3),
             "v": np.zeros(3),
@@ -181,12 +181,12 @@ class RotorPy:
         return self._environment(vehicle=vehicle, controller=control, trajectory=self._trajectory(), sim_rate=rate)
 
     def _fly(self, environment: Any, rate: int, steps: int) -> None:
-        # it adds up its time: half a step less, and rounding cannot add one
+        # Half a step less, as RotorPy adds up its time and rounding must not add a step.
         end = (steps - 0.5) / rate
         result = environment.run(t_final=end, use_mocap=True, terminate=False, plot=False, verbose=False)
         steps_flown = len(result["time"]) - 1
         if steps_flown != steps:
             raise FlightError(f"RotorPy flew {steps_flown} steps of {steps}: {result['exit'].value}")
         position = [float(value) for value in result["state"]["x"][-1]]
-        if not all(abs(value) < FARTHEST_M for value in position):
+        if not all(abs(value) < MAX_DRIFT_M for value in position):
             raise FlightError(f"RotorPy does not hover: it ends at {position} m")

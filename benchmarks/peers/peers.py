@@ -28,9 +28,9 @@ from cosim.engine import EngineBank, load_engine
 from cosim.files import scratch
 
 ENGINE = "edf-as-flown-fmi2"
-STEP = 0.004
-SUBSTEPS = 4  # as the shipped scenarios have it; decides how long a step the unit takes
-MOST_STEPS = 1000  # the slowest takes a quarter of a millisecond a step
+STEP_S = 0.004
+SUBSTEPS = 4  # as in the shipped scenarios
+MAX_STEPS = 1000  # the slowest takes 0.25 ms a step
 
 OURS = "ours"
 EXCHANGE = "throttles in, step, thrusts out"
@@ -40,7 +40,7 @@ Throttles = Sequence[float]
 
 
 class Stepper(NamedTuple):
-    """Six fresh instances at time 0.  ``step``: without handing values over, where there is such a call."""
+    """Six new instances at time 0: steps with values exchanged, and without where that is possible."""
 
     exchange: Callable[[int, Throttles], Sequence[float]]
     step: Callable[[int], object] | None
@@ -54,13 +54,13 @@ class Peer:
     """A co-simulation engine that steps FMUs; ``open`` makes new instances, closed with the stack."""
 
     name: str
-    package: str  # distribution, whose version is stated
+    package: str  # name of the distribution
     open: Opener
 
 
 @dataclass(frozen=True)
 class Peers:
-    """What six engines cost a step, by engine and then by what was done; who is missing, and why."""
+    """Cost of a step of six engines, by program and task; why programs are missing."""
 
     fmu: str
     steps: int
@@ -70,13 +70,13 @@ class Peers:
 
 
 def inputs(steps: int) -> list[tuple[float, ...]]:
-    """Six throttles a step, each at another place and all moving."""
+    """Return six throttles for each step, all different and all moving."""
     return [tuple(0.4 + 0.02 * jet + 0.01 * ((k + jet) % 2) for jet in range(JETS)) for k in range(steps)]
 
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
-    """Those that can be used here, us first, and for the others what is in the way."""
-    peers = [Peer(OURS, "hexjet-cosim", _hexjet), Peer("FMPy's wrappers", "FMPy", _fmpy)]
+    """Return the programs that can be used here, ours first, and why others cannot."""
+    peers = [Peer(OURS, "hexjet-cosim", _open_hexjet), Peer("FMPy's wrappers", "FMPy", _open_fmpy)]
     missing = {}
     for name, package, prepare in (("ecos", "ecospy", _prepare_ecos), ("libcosim", "libcosimpy", _prepare_libcosim)):
         try:
@@ -87,8 +87,8 @@ def find_peers() -> tuple[list[Peer], dict[str, str]]:
 
 
 def measure_peers(steps: int, rounds: int, folder: Path, on_round: Callable[[], object]) -> Peers:
-    """Time them in turn, to and fro, each between two timings of the unit."""
-    steps = min(steps, MOST_STEPS)
+    """Time all programs in interleaved rounds."""
+    steps = min(steps, MAX_STEPS)
     peers, missing = find_peers()
     with ExitStack() as stack, Flights(steps, folder) as flights:
         benches = [stack.enter_context(Bench(peer, steps)) for peer in peers]
@@ -102,7 +102,7 @@ def measure_peers(steps: int, rounds: int, folder: Path, on_round: Callable[[], 
 
 
 class Bench:
-    """One of them with instances of its own, new ones for every timing."""
+    """One program with instances of its own, new ones for every timing."""
 
     def __init__(self, peer: Peer, steps: int) -> None:
         self._peer = peer
@@ -117,15 +117,15 @@ class Bench:
         self._open.close()
 
     def new(self) -> Stepper:
-        """Fresh instances; those before are closed."""
+        """Open new instances; those before are closed."""
         self._open.close()
         return self._peer.open(self._open)
 
     def jobs(self) -> list[Job]:
-        """With values handed over, and without where that can be done."""
+        """Return the jobs of steps with values exchanged, and without where that is possible."""
         jobs = [Job(f"{self._peer.name}: {EXCHANGE}", SUBSTEPS, self._steps, self._exchange)]
         if self.new().step is not None:
-            jobs.append(Job(f"{self._peer.name}: {ALONE}", SUBSTEPS, self._steps, self._alone))
+            jobs.append(Job(f"{self._peer.name}: {ALONE}", SUBSTEPS, self._steps, self._run_without_exchange))
         return jobs
 
     def _exchange(self) -> Action:
@@ -137,7 +137,7 @@ class Bench:
         if not min(thrust) > 0.0:
             raise FlightError(f"{self._peer.name}: six engines at part throttle give {list(thrust)} N")
 
-    def _alone(self) -> Action:
+    def _run_without_exchange(self) -> Action:
         step = self.new().step
         assert step is not None
 
@@ -148,40 +148,40 @@ class Bench:
         return action
 
 
-def _bank(stack: ExitStack) -> EngineBank:
-    bank = stack.enter_context(EngineBank(load_engine(ENGINE, {}, STEP), JETS, STEP))
+def _open_bank(stack: ExitStack) -> EngineBank:
+    bank = stack.enter_context(EngineBank(load_engine(ENGINE, {}, STEP_S), JETS, STEP_S))
     bank.reset(0.0)
     return bank
 
 
-def _fmu() -> tuple[Path, int, int]:
+def _read_archive() -> tuple[Path, int, int]:
     """Return the archive, and the value references of its throttle and its thrust."""
-    path = load_engine(ENGINE, {}, STEP).path
+    path = load_engine(ENGINE, {}, STEP_S).path
     with zipfile.ZipFile(path) as archive, archive.open("modelDescription.xml") as file:
         variables = ElementTree.parse(file).iter("ScalarVariable")
         references = {variable.get("name"): int(variable.get("valueReference", "")) for variable in variables}
     return path, references["throttle"], references["thrust"]
 
 
-def _hexjet(stack: ExitStack) -> Stepper:
-    bank = _bank(stack)
+def _open_hexjet(stack: ExitStack) -> Stepper:
+    bank = _open_bank(stack)
 
     def exchange(k: int, throttles: Throttles) -> Sequence[float]:
-        return _thrust(bank.step(k, tuple(throttles)))
+        return _read_thrusts(bank.step(k, tuple(throttles)))
 
     return Stepper(exchange, None)
 
 
-def _thrust(answer: Any) -> Sequence[float]:
-    """Return the thrusts in what the bank answers."""
+def _read_thrusts(answer: Any) -> Sequence[float]:
+    """Return the thrusts in the output of the engine bank."""
     thrust: Sequence[float] = getattr(answer, "thrust", answer)
     return thrust
 
 
-def _fmpy(stack: ExitStack) -> Stepper:
-    """FMPy's Python wrappers around instances of the same archive, by which a script would step them."""
+def _open_fmpy(stack: ExitStack) -> Stepper:
+    """Return a stepper of FMPy's Python wrappers around instances of the same archive."""
     fmpy: Any = import_module("fmpy")
-    path, throttle, thrust = _fmu()
+    path, throttle, thrust = _read_archive()
     description = fmpy.read_model_description(path)
     folder = fmpy.extract(path, stack.enter_context(TemporaryDirectory(dir=scratch())))
     slaves = [fmpy.instantiate_fmu(folder, description) for _ in range(JETS)]
@@ -199,7 +199,7 @@ def _fmpy(stack: ExitStack) -> Stepper:
 
     def step(k: int) -> None:
         for slave in slaves:
-            slave.doStep(currentCommunicationPoint=k * STEP, communicationStepSize=STEP)
+            slave.doStep(currentCommunicationPoint=k * STEP_S, communicationStepSize=STEP_S)
 
     return Stepper(exchange, step)
 
@@ -207,17 +207,17 @@ def _fmpy(stack: ExitStack) -> Stepper:
 def _prepare_ecos() -> Opener:
     library = Path(sys.prefix) / "lib" / "libtbb.so.12"
     if library.is_file():
-        # ecospy's library for Linux needs oneTBB and does not bring it; the package tbb puts it where nobody looks
+        # ecospy's library for Linux needs oneTBB, which the package tbb installs outside the search path.
         ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
     ecospy = import_module("ecospy")
     ecospy.EcosLib.set_log_level("off")
 
-    def opened(stack: ExitStack) -> Stepper:
-        path, _, _ = _fmu()
+    def open_instances(stack: ExitStack) -> Stepper:
+        path, _, _ = _read_archive()
         structure = ecospy.EcosSimulationStructure()
         for jet in range(JETS):
             structure.add_model(f"jet{jet}", str(path))
-        simulation = ecospy.EcosSimulation(step_size=STEP, structure=structure)
+        simulation = ecospy.EcosSimulation(step_size=STEP_S, structure=structure)
         stack.callback(structure.free)
         stack.callback(simulation.free)
         simulation.init()
@@ -231,7 +231,7 @@ def _prepare_ecos() -> Opener:
 
         return Stepper(exchange, lambda k: simulation.step())
 
-    return opened
+    return open_instances
 
 
 def _prepare_libcosim() -> Opener:
@@ -239,9 +239,9 @@ def _prepare_libcosim() -> Opener:
     execution, slave, manipulator, observer, logging = (import_module(f"libcosimpy.Cosim{part}") for part in names)
     logging.log_output_level(logging.CosimLogLevel.FATAL)
 
-    def opened(stack: ExitStack) -> Stepper:
-        path, throttle, thrust = _fmu()
-        run = execution.CosimExecution.from_step_size(round(STEP * 1e9))
+    def open_instances(stack: ExitStack) -> Stepper:
+        path, throttle, thrust = _read_archive()
+        run = execution.CosimExecution.from_step_size(round(STEP_S * 1e9))
         slaves = [slave.CosimLocalSlave(str(path), f"jet{jet}") for jet in range(JETS)]
         indices = [run.add_local_slave(each) for each in slaves]
         inlet, outlet = manipulator.CosimManipulator.create_override(), observer.CosimObserver.create_last_value()
@@ -254,9 +254,9 @@ def _prepare_libcosim() -> Opener:
             run.step()
             return [outlet.last_real_values(index, [thrust])[0] for index in indices]
 
-        def step(k: int, keep: Any = slaves) -> None:  # libcosim does not keep the slaves alive
+        def step(k: int, keep: Any = slaves) -> None:  # libcosim keeps no reference
             run.step()
 
         return Stepper(exchange, step)
 
-    return opened
+    return open_instances

@@ -34,7 +34,7 @@ def add_delay(A: Array, B: Array, samples: int) -> tuple[Array, Array]:
 
 
 def regulator(A: Array, B: Array, C: Array, rho: float) -> tuple[Array, float]:
-    """Return gain ``K``, which minimises ``sum y^2 + rho u^2``, and ``N``, with which ``y`` is the set-point at rest."""
+    """Return gain ``K``, which minimises ``sum y^2 + rho u^2``, and ``N``, which makes ``y`` the set-point at rest."""
     from scipy.linalg import solve_discrete_are
 
     b = B[:, None]

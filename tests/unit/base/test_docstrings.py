@@ -48,7 +48,7 @@ def documented() -> Iterator[tuple[str, Any]]:
                         yield f"{name}.{member}", found
 
 
-CALLED = runpy.run_path(str(DOCS / "api.py"))["called"]
+CALLED = runpy.run_path(str(DOCS / "api.py"))["read_export"]
 EACH = dict(documented())
 EXAMPLES = [p for d in ("cosim", "tools") for p in sorted((ROOT / d).rglob("*.py")) if ">>> " in p.read_text()]
 

@@ -147,7 +147,7 @@ def test_every_page_is_in_the_contents(website: dict[str, Any]) -> None:
 def test_the_front_page_has_the_doors_of_the_readme(website: dict[str, Any]) -> None:
     """Each in a box of its own with its commands, and nothing of the page is lost."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    front = website["_in_a_grid"](readme)
+    front = website["_arrange_front_page"](readme)
     doors = re.findall(r"^````{container} door\n\*\*(.+?)\*\*(.*?)^````$", front, re.MULTILINE | re.DOTALL)
     assert [name for name, _ in doors] == re.findall(r"^\*\*(.+?)\.\*\*", readme, re.MULTILINE)
     assert len(doors) == 6
@@ -163,7 +163,7 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
     shown = {name for page in website["sources"]() for _, _, name in website["PICTURE"].findall(page.read_text())}
     assert set(website["LIVE"]) <= shown & set(PAGES)
     page = DOCS / "runs.md"
-    text = website["_seen_from"](page, "a ![b](pictures/page-flight.png) [c](../README.md#install)", tmp_path, True)
+    text = website["_resolve_links"](page, "a ![b](pictures/page-flight.png) [c](../README.md#install)", tmp_path, True)
     assert text.split() == [
         *("a", "```{image}", "pictures/page-flight.png", ":alt:", "b", ":class:", "live"),
         *(":target:", "../live/flight.html", "```", "[c](../index.md#install)"),
