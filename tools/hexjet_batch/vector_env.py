@@ -18,7 +18,7 @@ from hexjet_batch.fly import is_within, prepare
 from hexjet_batch.make import read_flight
 from hexjet_batch.stages.rotations import from_euler
 from hexjet_batch.stages.step import altitude_of, hold_up, start, step
-from hexjet_gym import ANGLE_SCALE, HEIGHT, HexJetEnv, Vary
+from hexjet_gym import ANGLE_SCALE, HEIGHT_SCALE, HexJetEnv, Vary
 
 
 class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type: ignore[misc]  # as in hexjet_gym
@@ -122,7 +122,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
         along = sum(a * b for a, b in zip(self._inputs.setpoint, moved.motion.attitude, strict=True))
         angle, height = 2.0 * np.arccos(np.minimum(abs(along), 1.0)), altitude - asked.altitude
         self._asked, self._inputs = self._script.at(self._k)
-        reward = self._n.step * np.exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT) ** 2)
+        reward = self._n.step * np.exp(-((angle / ANGLE_SCALE) ** 2) - (height / HEIGHT_SCALE) ** 2)
         return np.where(self._lost, 0.0, reward)
 
     def _positions(self, throttle: Any, tilt: Any) -> Array:
