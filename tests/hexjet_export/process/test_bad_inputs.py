@@ -126,7 +126,7 @@ def answers(folder: Path, loops: bool, *flags: str) -> None:
     (folder / "spoiled.c").write_text(source)
     program = folder / "spoiled"
     files = [str(folder / name) for name in ("spoiled.c", "ours.c", "ours_parameters.c")]
-    command = [str(CC), *measure.FLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
+    command = [str(CC), *measure.CFLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
     assert compiled.returncode == 0, compiled.stderr
     good, spoiled = (

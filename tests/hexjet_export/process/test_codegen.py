@@ -32,7 +32,7 @@ def ran(folder: Path, *flags: str, cc: str | None = CC, name: str = "ours") -> s
     """What the test program says, compiled with warnings as errors."""
     program = folder / "program"
     files = [str(folder / source) for source in measure.list_sources(name)]
-    command = [str(cc), *measure.FLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
+    command = [str(cc), *measure.CFLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
@@ -133,7 +133,7 @@ def test_a_microcontroller_repeats_the_flight(flown: Path, board: str, flags: li
     image = flown / "image.elf"
     files = [*(str(flown / source) for source in measure.list_sources("ours")), str(TOOLS / "cortex_m_start.c")]
     script = str(TOOLS / "cortex_m.ld")
-    built = [str(cc), *measure.FLAGS, *flags, "-mthumb", "-O2", "--specs=rdimon.specs", "-T", script, "-o", str(image)]
+    built = [str(cc), *measure.CFLAGS, *flags, "-mthumb", "-O2", "--specs=rdimon.specs", "-T", script, "-o", str(image)]
     done = subprocess.run([*built, *files, "-lm"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     options = ["-M", board, "-nographic", "-semihosting-config", "enable=on,target=native", "-kernel", str(image)]
@@ -199,7 +199,7 @@ def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Pa
     objects = []
     for source in ("ours.c", "ours_parameters.c"):
         objects.append(tmp_path / f"{source}.o")
-        subprocess.run([str(CC), *measure.FLAGS, "-O2", "-c", "-o", objects[-1], flown / source], check=True)
+        subprocess.run([str(CC), *measure.CFLAGS, "-O2", "-c", "-o", objects[-1], flown / source], check=True)
     listed = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
     kinds = {line.split()[-2]: line.split()[-1] for line in listed.splitlines() if len(line.split()) >= 2}
     symbols = [line.split() for line in listed.splitlines() if len(line.split()) >= 2]
