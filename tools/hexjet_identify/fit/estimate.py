@@ -96,11 +96,11 @@ class Estimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return form, parameters with standard deviations, bounds of the delay and BIC, for JSON."""
-        values, deviations = ({name: pair[k] for name, pair in self.numbers.items()} for k in (0, 1))
+        numbers = self.numbers
         return {
             "form": self.form.label,
-            **values,
-            "standard_deviations": {name: one if np.isfinite(one) else None for name, one in deviations.items()},
+            **{name: value for name, (value, _) in numbers.items()},
+            "standard_deviations": {name: one if np.isfinite(one) else None for name, (_, one) in numbers.items()},
             "delay_bounds_95_s": list(self.delay_bounds) if np.isfinite(self.delay_bounds[0]) else None,
             "bic": self.bic,
         }
@@ -179,8 +179,9 @@ def solve(
         of_noise = np.zeros((len(base), 0))
         if many:
             # What the noise's terms change of it, less what the linear parameters make good (Kaufman, 1975).
-            late = problem.earlier(leave(problem, form, x, linear), len(noise)) @ terms
-            frame = np.linalg.qr(problem.whiten(form.columns(problem, x), noise))[0]
+            answers = form.columns(problem, x)
+            late = problem.earlier(problem.output - answers @ linear, len(noise)) @ terms
+            frame = np.linalg.qr(problem.whiten(answers, noise))[0]
             of_noise = (frame @ (frame.T @ late) - late) / size
         moved = np.pad(np.diag(widths), ((0, 0), (0, many)))
         columns = [(left(values + step) - base) / width for step, width in zip(moved, widths, strict=True)]
@@ -225,8 +226,9 @@ def fit_static(problem: Problem) -> Estimate:
 
 
 def thin(problem: Problem, rows: int = 400) -> Problem:
-    """Return the problem with about so many ``rows`` and commands: a coarse search needs no more."""
-    coarse = problem.at(np.arange(len(problem.output)) % max(1, len(problem.output) // rows) == 0)
+    """Return the problem with about so many ``rows``, those of each log alike, and commands: enough to search."""
+    every = max(1, len(problem.output) // rows)
+    coarse = problem.at(np.concatenate([np.arange(len(log.times)) % every == 0 for log in problem.logs]))
     seconds = 2.0 * sum(float(np.ptp(log.times)) for log in coarse.logs) / rows
     return replace(coarse, logs=[log.with_fewer_commands(seconds) for log in coarse.logs])
 

@@ -73,9 +73,6 @@ def read(path: Path, number: int | None = None) -> FlightLog:
     return FlightLog(path, "Betaflight blackbox", _channels(head, frames), tuple(remarks), frames.events)
 
 
-# ---- the head
-
-
 @dataclass(frozen=True)
 class Layout:
     """The fields of one kind of frame."""
@@ -169,9 +166,6 @@ def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]
     of = "I" if kind == "P" else kind
     signed = numbers("signed", of) if f"Field {of} signed" in headers else [1] * len(names)
     return Layout(tuple(map(str.strip, names)), tuple(map(bool, signed)), tuple(predictors), tuple(groups))
-
-
-# ---- the frames
 
 
 @dataclass
@@ -389,9 +383,6 @@ class _Frames:
 def _goes_on(before: tuple[int, int], here: tuple[int, int]) -> bool:
     """Return whether neither count nor time goes back, nor far ahead; both are of 32 bits and may roll over."""
     return (here[0] - before[0]) & MASK < MOST_COUNTS and (here[1] - before[1]) & MASK < MOST_US
-
-
-# ---- the channels
 
 
 def _channels(head: Head, frames: _Frames) -> dict[str, Channel]:

@@ -79,9 +79,6 @@ def columns_with_time(path: Path, columns: TableColumns, name: str | None = None
     return Table(numbers, times, time, taken, columns.units, columns.left_out, remarks)
 
 
-# ---- the time
-
-
 def _time(path: Path, held: TableColumns, name: str | None) -> str:
     columns = held.numbers
     if name is not None:
@@ -146,9 +143,6 @@ def _since_first(times: Array) -> tuple[Array, str]:
     filled = np.interp(np.arange(len(times)), good, times[good])
     days = np.concatenate([[0.0], np.cumsum(np.diff(filled) < -0.5 * DAY_S)])
     return times + DAY_S * days - first, f"counts from its first row, {first:g} s of the day"
-
-
-# ---- logs
 
 
 def make_log(path: Path, columns: TableColumns, time: str | None = None, unit: str | None = None) -> FlightLog:

@@ -104,9 +104,6 @@ def read(path: Path) -> FlightLog:
     return FlightLog(path, "MAVLink telemetry log", channels, index.remarks(begin), sorted(events))
 
 
-# ---- frames
-
-
 @cache
 def _kinds() -> dict[int, list[Kind]]:
     """Return what a message of each number may be: of several dialects the checksum tells which."""
@@ -227,9 +224,6 @@ def _next(data: bytes, at: int) -> int:
     """Return where the time of the next frame may be, from ``at`` on: eight bytes before a magic byte."""
     candidates = [candidate for magic in (MAGIC_1, MAGIC_2) if (candidate := data.find(magic, at + STAMP)) >= 0]
     return min(candidates) - STAMP if candidates else len(data)
-
-
-# ---- tables
 
 
 def _table(data: bytes, kind: Kind, frames: list[Frame]) -> np.ndarray:

@@ -44,8 +44,8 @@ class Check(NamedTuple):
 class LogIdentification:
     """The models that were identified from a log; ``estimates`` has the chosen form first.
 
-    ``coherence``: frequencies [Hz], and that of command with output; ``band_hz``: in which a command tells most of the
-    delay, in this noise.
+    ``white``: what is left over of each row, made white, NaN where rows before it are lost.  ``coherence``: frequencies
+    [Hz], and that of command with output; ``band_hz``: in which a command tells most of the delay, in this noise.
     """
 
     path: Path
@@ -56,6 +56,7 @@ class LogIdentification:
     problem: Problem
     estimates: tuple[Estimate, ...]
     checks: tuple[Check, ...]
+    white: Array
     coherence: tuple[Array, Array]
     band_hz: tuple[float, float]
     notes: tuple[str, ...]
@@ -146,11 +147,14 @@ def identify_log(
     fall = without_command(problem, chosen) - chosen.deviance
     _refuse(fall, estimates, prepared, where)
     notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
-    checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
+    white, use = _on_clock(problem, chosen)
+    commanded = _held_on_clock(problem, None)
+    checks = _checks(problem, chosen, white, use, commanded, log.signal(signals.setpoint) if signals.setpoint else None)
     if _noisy(problem, chosen):
         # By how much the command lowers the sum of squares of what is left over, made white.
         explained = chosen.loss * float(np.expm1(fall / chosen.rows))
-        if reason := _why_refused(problem, chosen, checks, explained):
+        together = _test_against("fed back", white, use, commanded, problem.step, first=0)
+        if reason := _why_refused(chosen, checks, together, explained):
             raise NotIdentifiedError(f"{where}: {reason}")
         notes += _describe_failed(checks)
     else:
@@ -167,7 +171,8 @@ def identify_log(
         problem,
         tuple(estimates),
         tuple(checks),
-        _coherence(problem),
+        np.where(use, white, np.nan)[problem.grid],
+        _coherence(problem, commanded),
         band,
         tuple(notes),
     )
@@ -249,20 +254,24 @@ def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str
     return doubts
 
 
-# ---- tests of what is left
-
-
-def on_clock(problem: Problem, estimate: Estimate) -> tuple[Array, Flags]:
+def _on_clock(problem: Problem, estimate: Estimate) -> tuple[Array, Flags]:
     """Return what is left over, made white, on an even clock, and where it is told."""
     use = problem.equations(len(estimate.noise))
     white = problem.on_grid(problem.whiten(estimate.residual, estimate.noise), use)
     return white, problem.on_grid(np.ones(use.sum()), use) > 0.0
 
 
-def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None, lags: int = 20) -> list[Check]:
+def _checks(
+    problem: Problem,
+    estimate: Estimate,
+    white: Array,
+    use: Flags,
+    command: Array,
+    setpoint: Channel | None,
+    lags: int = 20,
+) -> list[Check]:
     from scipy.stats import chi2
 
-    white, use = on_clock(problem, estimate)
     power, count, total = float(white @ white), int(use.sum()), 0.0
     # Up to there each term of the noise's model made it white.
     first = min(len(estimate.noise), 20) + 1
@@ -272,7 +281,6 @@ def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None, lags
             r = float(white[lag:] @ white[:-lag]) / power
             total += r * r * count * count / max(int(together.sum()), 1)
     checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
-    command = _held_on_clock(problem, None)
     checks.append(_test_against("residuals: free of the command", white, use, command, problem.step))
     if setpoint is not None:
         asked = _held_on_clock(problem, setpoint)
@@ -302,9 +310,9 @@ def _noisy(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
 
 
 def _why_refused(
-    problem: Problem,
     chosen: Estimate,
     checks: Sequence[Check],
+    together: Check,
     explained: float,
     fed_back: float = 0.25,
     enough: float = 0.2,
@@ -312,17 +320,15 @@ def _why_refused(
     """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
 
     A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
-    command explains less than ``enough`` of what is left over, and of that more goes with the command of that time than
-    ``fed_back`` of what it explains at all, the loop feeds the disturbance back: the model of the noise is of finite
-    order, and what it lacks is in command and residual alike.
+    command explains less than ``enough`` of what is left over, and of that more goes with the command of that time
+    (``together``) than ``fed_back`` of what it explains at all, the loop feeds the disturbance back: the model of the
+    noise is of finite order, and what it lacks is in command and residual alike.
     """
 
     def follow(check: Check, misfit: float = 0.02, small: float = 1e-3) -> bool:
         """Return whether more follows than ``misfit`` of what is left over, and ``small`` of what is explained."""
         return check.failed and check.share > misfit and check.share * chosen.loss > small * explained
 
-    white, use = on_clock(problem, chosen)
-    together = _test_against("fed back", white, use, _held_on_clock(problem, None), problem.step, first=0)
     by_setpoint = any(check.failed for check in checks[2:])
     weak = explained <= enough * chosen.loss and together.share * chosen.loss > fed_back * explained
     if weak and not by_setpoint and follow(together):
@@ -398,9 +404,6 @@ def _describe_failed(checks: Sequence[Check]) -> list[str]:
     ]
 
 
-# ---- what the flight lacked
-
-
 def information(estimate: Estimate, hertz: Array, step: float) -> Array:
     """Return the information on the delay of a command of unit power at each frequency: |w G A|^2 / power of e."""
     s, (_, rate, *lags) = 2j * np.pi * hertz, estimate.x.tolist()
@@ -440,15 +443,11 @@ def _advice(
     ]
 
 
-def _coherence(problem: Problem) -> tuple[Array, Array]:
+def _coherence(problem: Problem, command: Array) -> tuple[Array, Array]:
     """Return Hz and the coherence of command and output, by Welch's method over all stretches, gaps bridged."""
     from scipy.signal import coherence
 
-    command = _held_on_clock(problem, None)
     output = np.interp(np.arange(len(command)), problem.grid, problem.output)
-    moving = np.concatenate([command, output])
-    if not np.all(np.isfinite(moving)):
-        return np.empty(0), np.empty(0)
     per = min(len(output) - 1, max(64, round(4.0 / problem.step)))
     hertz, value = coherence(np.diff(command), np.diff(output), 1.0 / problem.step, nperseg=per, detrend="constant")
     return np.asarray(hertz[1:]), np.asarray(value[1:])

@@ -24,7 +24,7 @@ from hexjet_identify.engine_file import (
     write_with_engine,
 )
 from hexjet_identify.fit.estimate import Estimate
-from hexjet_identify.prediction_error.identify_log import LogIdentification, information, on_clock
+from hexjet_identify.prediction_error.identify_log import LogIdentification, information
 
 BOUNDS = (
     "The first model is the one that is written. The bounds of the delay are those of its profile likelihood; the "
@@ -278,17 +278,11 @@ def _delay(estimate: Estimate) -> str:
     return f"{1e3 * estimate.delay:.4g} {bounds}"
 
 
-# ---- figures
-
-
 def _signals(result: LogIdentification) -> Iterator[Signals]:
     """Yield the stretches, with the model's output from the command alone and the residuals."""
-    problem, estimate = result.problem, result.chosen
-    white, use = on_clock(problem, estimate)
-    left = np.where(use, white, np.nan)[problem.grid]
-    for log, rows in zip(result.prepared.stretches, problem.spans, strict=True):
-        model = log.output - estimate.residual[rows]
-        yield Signals(log.command_times, log.command, log.times, log.output, model, left[rows])
+    for log, rows in zip(result.prepared.stretches, result.problem.spans, strict=True):
+        model = log.output - result.chosen.residual[rows]
+        yield Signals(log.command_times, log.command, log.times, log.output, model, result.white[rows])
 
 
 def _draw_information(result: LogIdentification) -> dict[str, Any]:

@@ -137,9 +137,6 @@ def clock_of(times: Array) -> Clock:
     return Clock(fitted, float(np.std((times - even) / fitted)), float(short.sum() / (short.sum() + len(times))))
 
 
-# ---- pieces
-
-
 def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
     """Return a channel without what is no number, in the order of time; of a clock that went back, the longest part."""
     times, values = channel.times, channel.values
@@ -237,10 +234,8 @@ def _find_movement(
         return []
     for begin, end in spans:
         edges = np.arange(begin, end, idle_s)
-        moving = []
-        for at in edges:
-            part = command.values[(command.times >= at) & (command.times < at + idle_s)]
-            moving.append(bool(part.size) and float(np.ptp(part)) > 1e-3 * size)
+        windows = zip(*(np.searchsorted(command.times, ends) for ends in (edges, edges + idle_s)), strict=True)
+        moving = [low < high and float(np.ptp(command.values[low:high])) > 1e-3 * size for low, high in windows]
         # A pause of pause_s at most between movement is none.
         rows = np.flatnonzero(moving)
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > round(pause_s / idle_s) + 1) + 1) if rows.size else ():

@@ -27,7 +27,7 @@ from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import FlightLog, LogSignals, signals_of
 from hexjet_identify.prediction_error.estimate import without_command
 from hexjet_identify.prediction_error.identify_log import MIN_DEVIANCE_FALL
-from hexjet_identify.prediction_error.stretches import Prepared, prepare
+from hexjet_identify.prediction_error.stretches import prepare
 
 MODELLED = "Measured and modelled"
 ERROR = (
@@ -212,11 +212,11 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     of_sums: list[str] = []
     command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
     prepared = prepare(command, output, longest, None, begin, end)
-    signals = []
-    for stretch in prepared.stretches:
-        problem = Problem([stretch], np.empty(0), longest)
+    problem, signals = prepared.problem(), []
+    simulated = _simulate(problem, model)
+    for stretch, span in zip(prepared.stretches, problem.spans, strict=True):
         commanded = stretch.command[np.searchsorted(stretch.command_times, stretch.times, side="right") - 1]
-        signals.append((stretch.times, commanded, stretch.output, _simulate(problem, model)))
+        signals.append((stretch.times, commanded, stretch.output, simulated[span]))
     fits = [(output, answer) for _, _, output, answer in signals]
     measured = np.concatenate([output - output.mean() for output, _ in fits])
     error = np.concatenate([output - answer for output, answer in fits])
@@ -238,16 +238,17 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         rms / size,
         rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
         1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
-        _fit_anew(prepared, model),
+        _fit_anew(problem, model, problem.output - simulated, prepared.late),
         tuple(signals),
         (*log.remarks, *of_sums, *prepared.notes),
     )
 
 
-def _fit_anew(prepared: Prepared, model: StatedModel) -> Refit | None:
-    """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell."""
-    problem = prepared.problem()
-    left = problem.output - _simulate(problem, model)
+def _fit_anew(problem: Problem, model: StatedModel, left: Array, late: float) -> Refit | None:
+    """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell.
+
+    ``left``: what the model leaves over; ``late``: by how much the command may have moved before its row, s.
+    """
     noise = problem.fit_noise(left, problem.best_order(left, model.form.without_pole(model.x)))
     kept = range(1, len(model.x))
     x, noise, _ = solve(problem, model.form, model.x, noise, kept)
@@ -259,7 +260,7 @@ def _fit_anew(prepared: Prepared, model: StatedModel) -> Refit | None:
         gain / model.gain,
         DEVIATIONS_95 * deviation / abs(model.gain),
         found.delay - float(model.x[0]),
-        DEVIATIONS_95 * found.deviation(0) + prepared.late,
+        DEVIATIONS_95 * found.deviation(0) + late,
     )
 
 

@@ -171,13 +171,17 @@ def find_causes(
 
 
 class _Fit(NamedTuple):
-    """Where a candidate stands: its values and their flight, what other numbers and its own do, and the next step."""
+    """Where a candidate stands: its values and their flight, what other numbers and its own do, and the next step.
+
+    ``is_anew``: the slopes are those at the point.
+    """
 
     values: Array
     point: Point
     around: Slopes
     slopes: Array
     step: Step
+    is_anew: bool
 
 
 class _Table:
@@ -251,32 +255,41 @@ class _Table:
         if not (self._removed(step.squares) > promising if is_off else np.any(np.abs(step.values) > step.bounds)):
             return fit._replace(values=fit.values + step.values), step
         fit = self._advance(misfit, one, fit) or fit
-        left = misfit.solve(fit.point, fit.around).squares
-        if one.numbers and (not is_off or self._removed(left) >= contends):
+        last = misfit.solve(fit.point, fit.around)
+        if one.numbers and (not is_off or self._removed(last.squares) >= contends):
             fit = self._settle(misfit, one, fit)
             # Weights of the search hide channels that are told well, once what was off in them is explained.
             left = misfit.solve(fit.point, fit.around).squares
             weighted = misfit.weighted(np.maximum(left.mean(axis=0) / misfit.floor, 1.0) ** -0.5)
+            fit = self._solve(weighted, one, fit.values, fit.point, fit.around, fit.slopes, fit.is_anew)
             fit = self._settle(weighted, one, fit)
-            fit = self._solve(weighted, one, fit.values, fit.point, misfit.linearise(fit.point), fit.slopes)
-        return fit, misfit.solve(fit.point, fit.around)
+            if not fit.is_anew:
+                fit = self._solve(weighted, one, fit.values, fit.point, misfit.linearise(fit.point), fit.slopes)
+            last = misfit.solve(fit.point, fit.around)
+        return fit, last
 
     def _solve(
-        self, misfit: Misfit, one: Candidate, values: Array, point: Point, around: Slopes, slopes: Array
+        self,
+        misfit: Misfit,
+        one: Candidate,
+        values: Array,
+        point: Point,
+        around: Slopes,
+        slopes: Array,
+        is_anew: bool = False,
     ) -> _Fit:
         deviation = np.array([number.deviation for number in one.numbers])
-        return _Fit(values, point, around, slopes, misfit.solve(point, around, slopes, deviation))
+        return _Fit(values, point, around, slopes, misfit.solve(point, around, slopes, deviation), is_anew)
 
     def _settle(self, misfit: Misfit, one: Candidate, fit: _Fit, rounds: int = 8) -> _Fit:
         """Step until the next step is a tenth of the bounds, or no part of it, by slopes taken anew, leaves less."""
-        fit, is_anew = self._solve(misfit, one, fit.values, fit.point, fit.around, fit.slopes), False
         for _ in range(rounds):
             moved = self._advance(misfit, one, fit)
             fit = moved or fit
-            if (moved is None and is_anew) or np.all(np.abs(fit.step.values) < 0.1 * fit.step.bounds):
+            if (moved is None and fit.is_anew) or np.all(np.abs(fit.step.values) < 0.1 * fit.step.bounds):
                 break
             around, slopes = misfit.linearise(fit.point), self._slopes(one, fit.values, fit.point)
-            fit, is_anew = self._solve(misfit, one, fit.values, fit.point, around, slopes), True
+            fit = self._solve(misfit, one, fit.values, fit.point, around, slopes, is_anew=True)
         return fit
 
     def _fly_case(self, one: Candidate) -> Point:

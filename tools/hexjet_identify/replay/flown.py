@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -101,37 +102,40 @@ class Model:
     Raises InputError for a scenario that cannot be built.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, kept_loads: int = 4) -> None:
         self.scenario = scenario.replace(sensor_noise=False, expect=[])
         self.vehicle, self._folder = self.scenario.resolved_vehicle()
         self._sensors = _without_resolution(self.vehicle.sensors)
         self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
-        self._loads: dict[tuple[object, ...], Loads] = {}
+        # A number is tried at a few values in turn, beside the vehicle as stated.
+        self._load = lru_cache(kept_loads)(self._run_engines)
         # It is known when its engines have run.
         self.engine: EngineSpec | None = None
 
     def loads(self, flight: RecordedFlight, change: Change) -> Loads:
         """Return what the engines, servos and effects do with the commands of a flight."""
-        key = (tuple(sorted(change.parameters.items())), change.engines_s, change.servos_s, change.servo_lag_s)
-        if key not in self._loads:
-            loads = self._run_engines(flight, change)
-            if any(key[1:]):
-                return loads
-            self._loads[key] = loads
-        return self._loads[key]
+        parameters = tuple(sorted(change.parameters.items()))
+        return self._load(flight, parameters, change.engines_s, change.servos_s, change.servo_lag_s)
 
-    def _run_engines(self, flight: RecordedFlight, change: Change) -> Loads:
+    def _run_engines(
+        self,
+        flight: RecordedFlight,
+        parameters: tuple[tuple[str, float], ...],
+        engines_s: float,
+        servos_s: float,
+        servo_lag_s: float,
+    ) -> Loads:
         scenario = self.scenario
-        if change.parameters:
-            scenario = scenario.replace(mismatch={"engine_parameters": dict(change.parameters)})
-        if change.servo_lag_s:
-            scenario = scenario.replace(vehicle=_slower_servos(self.vehicle, change.servo_lag_s))
+        if parameters:
+            scenario = scenario.replace(mismatch={"engine_parameters": dict(parameters)})
+        if servo_lag_s:
+            scenario = scenario.replace(vehicle=_slower_servos(self.vehicle, servo_lag_s))
         with build(scenario) as simulation:
             self.engine = self.engine or simulation.engine
             propulsion = simulation.propulsion
-            throttle = later(flight.throttle, change.engines_s / flight.step)
+            throttle = later(flight.throttle, engines_s / flight.step)
             commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
-            tilts = [tuple(row) for row in later(flight.tilt, change.servos_s / flight.step).tolist()]
+            tilts = [tuple(row) for row in later(flight.tilt, servos_s / flight.step).tolist()]
             states = recorded_states(flight, self.vehicle)
             propulsion.refuel()
             propulsion.reset(commands[0], states[0], ZERO3)

@@ -70,7 +70,7 @@ class ThrottleChannels:
     limits: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RecordedFlight:
     """A log at the beginnings of control steps of ``step`` s, ``times`` [s] of its clock; NaN where it has nothing.
 
