@@ -16,15 +16,15 @@ from cosim.identify.files import PICTURE, write_identification
 from cosim.pages import Page
 from hexjet_identify.picture import draw_picture
 
-# The library's engine of a fitted form, and its internal step.
+# Name of the library's engine that holds a fitted form, and its internal step [s].
 FITTED, FITTED_STEP_S = "fitted", 0.004
-LARGEST_SAMPLES = 1000  # of its delay
+MAX_DELAY_SAMPLES = 1000  # of that engine
 DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
 
 
-def whole_delay(samples: float, deviation: float) -> tuple[int, float]:
-    """Return a delay in the whole steps that an engine has, and its deviation with the part of a step that is off."""
-    whole = min(round(samples), LARGEST_SAMPLES)
+def round_delay(samples: float, deviation: float) -> tuple[int, float]:
+    """Return a delay rounded to whole steps of an engine, and its standard deviation with the rounding error."""
+    whole = min(round(samples), MAX_DELAY_SAMPLES)
     return whole, float(np.hypot(deviation, samples - whole))
 
 

@@ -15,7 +15,7 @@ from cosim.results.report.three_views import begin_drawing, finish_drawing, line
 WIDTH, LEFT, RIGHT = 860.0, 64.0, 844.0  # px
 # Top and bottom of the figure's first two panels, px.
 PANELS = {"y": (40.0, 120.0), "y2": (140.0, 400.0)}
-MOST_POINTS = 1500  # a curve, about two a pixel
+MAX_POINTS = 1500  # a curve, about two a pixel
 TICKS = 5  # of an axis, about
 STYLE = (
     "text { font: 12px system-ui, sans-serif; fill: #222; } .grid { stroke: #ddd; } .frame { fill: #fff; }"
@@ -28,9 +28,9 @@ def draw_picture(name: str, figure: Figure) -> str:
     curves = [one for one in figure["data"] if one["yaxis"] in PANELS]
     root = begin_drawing(name, WIDTH, PANELS["y2"][1] + 44.0, STYLE)
     ET.SubElement(root, "rect", {"class": "frame", "width": "100%", "height": "100%"})
-    times = _range([one["x"] for one in curves])
-    for tick in _ticks(*times):
-        x = _place(tick, times, (LEFT, RIGHT))
+    times = _finite_range([one["x"] for one in curves])
+    for tick in _round_ticks(*times):
+        x = _to_pixel(tick, times, (LEFT, RIGHT))
         for top, bottom in PANELS.values():
             line(root, "grid", x, top, x, bottom)
         text(root, x, PANELS["y2"][1] + 16.0, f"{tick:g}", "label", "middle")
@@ -44,60 +44,60 @@ def draw_picture(name: str, figure: Figure) -> str:
     )
     for axis, (top, bottom) in PANELS.items():
         own = [one for one in curves if one["yaxis"] == axis]
-        values = _range([one["y"] for one in own])
-        for tick in _ticks(*values):
-            y = _place(tick, values, (bottom, top))
+        values = _finite_range([one["y"] for one in own])
+        for tick in _round_ticks(*values):
+            y = _to_pixel(tick, values, (bottom, top))
             line(root, "grid", LEFT, y, RIGHT, y)
             text(root, LEFT - 6.0, y + 4.0, f"{tick:g}", "label", "end")
         text(root, LEFT, top - 6.0, figure["layout"][axis.replace("y", "yaxis")]["title"]["text"], "label")
         for one in own:
-            _curve(root, one, times, values, (bottom, top))
-    _legend(root, curves)
+            _draw_curve(root, one, times, values, (bottom, top))
+    _draw_legend(root, curves)
     return finish_drawing(root)
 
 
-def _curve(
+def _draw_curve(
     root: ET.Element, one: Figure, times: tuple[float, float], values: tuple[float, float], ends: tuple[float, float]
 ) -> None:
     kept = np.flatnonzero(np.isfinite(one["y"]))
-    kept = kept[:: max(1, len(kept) // MOST_POINTS)]
+    kept = kept[:: max(1, len(kept) // MAX_POINTS)]
     points = " ".join(
-        f"{_place(x, times, (LEFT, RIGHT)):.1f},{_place(y, values, ends):.1f}"
+        f"{_to_pixel(x, times, (LEFT, RIGHT)):.1f},{_to_pixel(y, values, ends):.1f}"
         for x, y in zip(one["x"][kept].tolist(), one["y"][kept].tolist(), strict=True)
     )
-    ET.SubElement(root, "polyline", {"points": points} | _stroke(one))
+    ET.SubElement(root, "polyline", {"points": points} | _line_style(one))
 
 
-def _stroke(one: Figure) -> dict[str, str]:
+def _line_style(one: Figure) -> dict[str, str]:
     """Return how a curve is drawn, as its figure says."""
     width, opacity = 0.7 * one["line"]["width"], one.get("opacity", 1.0)
     return {"stroke": one["line"]["color"], "stroke-width": f"{width:g}", "stroke-opacity": f"{opacity:g}"}
 
 
-def _legend(root: ET.Element, curves: Sequence[Figure]) -> None:
+def _draw_legend(root: ET.Element, curves: Sequence[Figure]) -> None:
     """Name each kind of curve once, in a row above the panels."""
     x = LEFT + 180.0
     for name, one in {one["name"]: one for one in reversed(curves)}.items():
-        ET.SubElement(root, "polyline", {"points": f"{x:g},14 {x + 24:g},14"} | _stroke(one))
+        ET.SubElement(root, "polyline", {"points": f"{x:g},14 {x + 24:g},14"} | _line_style(one))
         text(root, x + 30.0, 18.0, name, "label")
         x += 54.0 + 7.0 * len(name)
 
 
-def _range(values: Sequence[Array]) -> tuple[float, float]:
-    """Return the least and the most of finite values, apart."""
+def _finite_range(values: Sequence[Array]) -> tuple[float, float]:
+    """Return the range of all finite values, widened if it is empty."""
     every = np.concatenate(values)
     every = every[np.isfinite(every)]
     low, high = float(every.min()), float(every.max())
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def _place(value: float, values: tuple[float, float], ends: tuple[float, float]) -> float:
-    """Return where a value is drawn between the ends of an axis, px."""
+def _to_pixel(value: float, values: tuple[float, float], ends: tuple[float, float]) -> float:
+    """Return the position [px] of a value between the ends of an axis."""
     return ends[0] + (value - values[0]) / (values[1] - values[0]) * (ends[1] - ends[0])
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """Return round numbers between two."""
+def _round_ticks(low: float, high: float) -> list[float]:
+    """Return round numbers between two limits."""
     power = 10.0 ** floor(log10((high - low) / TICKS))
     step = next(size * power for size in (1.0, 2.0, 5.0, 10.0) if size * power * TICKS >= high - low)
     return [float(f"{k * step:.12g}") for k in range(ceil(low / step), floor(high / step) + 1)]

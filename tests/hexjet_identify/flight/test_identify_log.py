@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from hexjet_identify.fit.forms import Poles
-from hexjet_identify.fit.problem import spread
+from hexjet_identify.fit.problem import noise_basis
 from hexjet_identify.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
 from hexjet_identify.prediction_error.identify_log import LogIdentification, _test_against, identify_log
 from hexjet_identify.prediction_error.stretches import WORKING_STEP_S
@@ -152,7 +152,7 @@ def test_the_noises_model_is_as_long_as_delay_and_lags_and_the_gains_bounds_hold
     order, (gain, deviation) = len(chosen.noise), chosen.gain
     assert order * WORKING_STEP_S >= 0.98 * chosen.total[0]
     assert abs(gain - truth.gain) < 1.96 * deviation
-    covered = spread(order)
+    covered = noise_basis(order)
     assert np.linalg.matrix_rank(covered) == covered.shape[1] < len(covered) == order
 
 

@@ -12,7 +12,7 @@ from cosim.spec.vehicle import engine_of, load_vehicle
 from hexjet_identify.logs import read_flight_log
 from hexjet_identify.replay import Choices, Replay, ThrottleChannels, record_flight, replay
 from hexjet_identify.replay.flown import Model
-from hexjet_identify.replay.replay import NOT_EXPLAINED, draw
+from hexjet_identify.replay.replay import NOT_EXPLAINED, draw_vehicles
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
 ENGINE = engine_of("crazyflie")
@@ -62,7 +62,7 @@ def test_at_rest_there_is_nothing_to_fly() -> None:
 def test_draws_follow_the_uncertainty_of_the_engine() -> None:
     model = Model(HOVER)
     model.engine = load_engine(str(ENGINE), {}, HOVER.step_s)
-    changes = list(draw(model, Choices(draws=400)))
+    changes = list(draw_vehicles(model, Choices(draws=400)))
     gains, lags = (np.array([change.parameters[name] for change in changes]) for name in ("gain", "lag"))
     assert np.std(gains) == pytest.approx(0.0126, rel=0.15)
     assert np.std(lags) == pytest.approx(0.03, rel=0.15)

@@ -10,9 +10,9 @@ from known_benches import Truth, bench_log
 from hexjet_identify.bench.engine_table import fit_power_law
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_small_movements
-from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, hats
+from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, interpolation_weights
 from hexjet_identify.fit.estimate import fit
-from hexjet_identify.fit.evidence import Foretold, Verdict, describe_movements, hold_back, judge
+from hexjet_identify.fit.evidence import PredictedMovement, Verdict, describe_movements, judge, predict_held_back
 from hexjet_identify.fit.forms import Lags, Limits, Poles
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
@@ -60,7 +60,7 @@ def test_limits_go_in_a_straight_line_until_the_lag_takes_over() -> None:
 def test_slopes_of_limits_are_the_differences(is_straight: bool) -> None:
     log = log_of(TIMES, 0.5 + 0.4 * np.sin(0.2 * TIMES**2), TIMES, is_straight)
     knots = np.linspace(0.1, 0.9, 4)
-    at, shares = np.array([0.1037, 0.2, 150.0, 100.0, *(200.0 * knots**1.5)]), hats(log.command, knots)
+    at, shares = np.array([0.1037, 0.2, 150.0, 100.0, *(200.0 * knots**1.5)]), interpolation_weights(log.command, knots)
     slopes = answer_of_limits(log, shares, at[4:], *at[:4])[:, 1:]
     for number, step in enumerate(np.diag(1e-6 * at)):
         above, below = (answer_of_limits(log, shares, x[4:], *x[:4])[:, 0] for x in (at + step, at - step))
@@ -70,7 +70,7 @@ def test_slopes_of_limits_are_the_differences(is_straight: bool) -> None:
 
 def test_shares_of_levels_are_hats() -> None:
     np.testing.assert_allclose(
-        hats(np.array([-1.0, 0.25, 0.5, 2.0]), np.array([0.0, 0.5, 1.0])),
+        interpolation_weights(np.array([-1.0, 0.25, 0.5, 2.0]), np.array([0.0, 0.5, 1.0])),
         [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
     )
 
@@ -127,13 +127,13 @@ def test_each_movement_of_a_staircase_is_foretold_from_every_second_other_one() 
     """The times of a lag of 0.4 s behind 0.1 s: delay - lag ln(1 - share)."""
     times, command, thrust, _ = bench_log("stairs of 5 s", 100.0)
     problem = Problem([log_of(times, command, thrust)], np.unique(command), 2.0)
-    held = hold_back(problem, fit(problem, Lags(1), np.array([0.2, np.log(0.2)])), 0.5)
+    held = predict_held_back(problem, fit(problem, Lags(1), np.array([0.2, np.log(0.2)])), 0.5)
     assert [one.begin for one in held] == pytest.approx([*range(5, 50, 5), 55], abs=0.011)
     for one in held:
         assert one.model == pytest.approx([0.1 - 0.4 * np.log(1.0 - share) for share in (0.1, 0.5, 0.9)], abs=0.03)
         assert one.rms == pytest.approx(0.5, rel=0.15)
     assert sum(one.count_near() for one in held) >= 0.9 * 3 * len(held)
-    stuck = Foretold(0, 88.9, 33.0, 60.0, 1.0, (1.0, 2.0, 4.0), (1.05, 2.5, float("nan")), (0.0, 0.0, 0.0))
+    stuck = PredictedMovement(0, 88.9, 33.0, 60.0, 1.0, (1.0, 2.0, 4.0), (1.05, 2.5, float("nan")), (0.0, 0.0, 0.0))
     assert stuck.count_near() == 1
     assert describe_movements((stuck,), "krpm", 67.0) == [
         ["88.9 s", "33 to 60 krpm", "1.5 %", "1 s (+5 %)", "2 s (+25 %)", "4 s (never)"]

@@ -13,9 +13,9 @@ from cosim.base.errors import InputError
 from cosim.results.export import export_log
 from cosim.results.run import begin_run, open_run
 from hexjet_identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of
-from hexjet_identify.logs.flight_log import Channel, terms
-from hexjet_identify.logs.log_columns import ESTIMATED, as_columns
-from hexjet_identify.prediction_error.identify_log import _clock
+from hexjet_identify.logs.flight_log import Channel, parse_sum
+from hexjet_identify.logs.log_columns import ESTIMATES_NOTE, as_columns
+from hexjet_identify.prediction_error.identify_log import _clock_dict
 from hexjet_identify.prediction_error.stretches import Clock
 
 pytestmark = pytest.mark.usefixtures("logs_read_here")
@@ -205,7 +205,7 @@ def test_other_logs_become_columns_as_far_as_they_go(tmp_path: Path) -> None:
     log, remarks = as_columns(FlightLog(tmp_path / "x", "made up", channels))
     np.testing.assert_allclose(log["time_s"], fast - 2.0)
     np.testing.assert_allclose(np.degrees(log["yaw_rad"]), [np.nan, *[-1.0] * 4, *[0.0] * 3], atol=1e-9)
-    assert {"times count from its first row, 2.000 s of its clock", ESTIMATED} <= set(remarks)
+    assert {"times count from its first row, 2.000 s of its clock", ESTIMATES_NOTE} <= set(remarks)
     with pytest.raises(InputError, match="no rates, attitude, position or throttles that are known"):
         as_columns(FlightLog(tmp_path / "x", "made up", {"a": Channel(fast, fast)}))
 
@@ -223,10 +223,10 @@ def test_what_a_log_lacks_is_named_beside_what_it_has() -> None:
 
 
 def test_a_sum_is_read_as_written() -> None:
-    assert terms("- a.b[0] + 0.5*deg(c) - 2 * d") == [(-1.0, "a.b[0]"), (0.5, "deg(c)"), (-2.0, "d")]
+    assert parse_sum("- a.b[0] + 0.5*deg(c) - 2 * d") == [(-1.0, "a.b[0]"), (0.5, "deg(c)"), (-2.0, "d")]
     for text in ("", "a b", "a + + b", "3*", "a -"):
         with pytest.raises(InputError):
-            terms(text)
+            parse_sum(text)
 
 
 def test_degrees_and_squares_are_taken_before_they_are_added() -> None:
@@ -348,4 +348,4 @@ def test_the_shared_flights_are_read() -> None:
 
 
 def test_a_clock_keeps_the_keys_that_its_readers_know() -> None:
-    assert _clock(Clock(0.004, math.nan, 0.25)) == {"step": 0.004, "jitter": None, "lost": 0.25}
+    assert _clock_dict(Clock(0.004, math.nan, 0.25)) == {"step": 0.004, "jitter": None, "lost": 0.25}

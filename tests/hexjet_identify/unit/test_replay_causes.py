@@ -9,25 +9,25 @@ from scipy.signal import lfilter
 
 from cosim.base.frames import from_euler, rotate
 from hexjet_identify.replay import Choices
-from hexjet_identify.replay.causes import Causes, Part, Row, name_rows
-from hexjet_identify.replay.flown import later
+from hexjet_identify.replay.causes import CauseRow, Causes, FittedNumber, name_rows
+from hexjet_identify.replay.flown import delay_rows
 from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, measure_bands, measure_ratio, theil
 from hexjet_identify.replay.misfit import Scores
-from hexjet_identify.replay.replay import are_beyond, is_foreign
+from hexjet_identify.replay.replay import are_beyond_tolerances, is_uncommanded
 from hexjet_identify.replay.wind import level_part
 
 
-def row(name: str, value: float, stated: float = 1.0, **others: Any) -> Row:
-    part = Part(name, "", stated, value, 0.01, 0.3)
+def row(name: str, value: float, stated: float = 1.0, **others: Any) -> CauseRow:
+    part = FittedNumber(name, "", stated, value, 0.01, 0.3)
     given: dict[str, Any] = {"removed": 1.0, "windows": np.zeros(8), "over_noise": 1.0, "fits": True, "changes": 9.0}
-    return Row(name, (part,), **given | others)
+    return CauseRow(name, (part,), **given | others)
 
 
 def test_a_named_number_beyond_the_tolerances_is_not_explained() -> None:
     """Though every channel is inside the envelope, which engines that are hardly known make wide."""
 
-    def beyond(draws_engine: bool, *rows: Row) -> bool:
-        return are_beyond(Causes(7.0, rows, (), ""), Choices(), draws_engine, 0.4)
+    def beyond(draws_engine: bool, *rows: CauseRow) -> bool:
+        return are_beyond_tolerances(Causes(7.0, rows, (), ""), Choices(), draws_engine, 0.4)
 
     inertia, little = (row("moment of inertia about z", value) for value in (0.7, 0.95))
     lag, late = row("lag of the engines", 0.12, 0.1), row("further delay of the attitude", 0.03, 0.0)
@@ -71,8 +71,8 @@ def test_what_explains_too_little_is_not_named(others: dict[str, Any], said: str
 
 
 def test_the_digits_of_a_number_tell_its_bounds_apart() -> None:
-    assert Part("mass", "", 1.0, 1.15994, 0.00032, 0.3).text.endswith("(95 %: 1.15962 to 1.16026)")
-    assert Part("delay", "s", 0.0, 0.01249, 0.00012, 0.02).text == "delay: 12.49 ms (95 %: 12.37 to 12.61)"
+    assert FittedNumber("mass", "", 1.0, 1.15994, 0.00032, 0.3).text.endswith("(95 %: 1.15962 to 1.16026)")
+    assert FittedNumber("delay", "s", 0.0, 0.01249, 0.00012, 0.02).text == "delay: 12.49 ms (95 %: 12.37 to 12.61)"
 
 
 def test_what_no_command_moves_is_foreign() -> None:
@@ -85,10 +85,10 @@ def test_what_no_command_moves_is_foreign() -> None:
         bands = measure_bands(ratio, 0.01)
         return ChannelMeasures(name, "rad/s", 0.1, 1.0, 1.0, 0.01, theil(measured, modelled), bands, True, ratio)
 
-    assert is_foreign(channel(blown, 0.01 * flown))
-    assert not is_foreign(channel(blown, 0.4 * blown))
-    assert not is_foreign(channel(blown, -0.4 * blown))
-    assert not is_foreign(channel(blown, 0.01 * flown + 100.0, LEVEL))
+    assert is_uncommanded(channel(blown, 0.01 * flown))
+    assert not is_uncommanded(channel(blown, 0.4 * blown))
+    assert not is_uncommanded(channel(blown, -0.4 * blown))
+    assert not is_uncommanded(channel(blown, 0.01 * flown + 100.0, LEVEL))
 
 
 def test_forces_are_turned_as_an_attitude_turns_them() -> None:
@@ -115,5 +115,5 @@ def test_bounds_hold_the_truth(memory: float) -> None:
 
 def test_signals_are_later_by_whole_rows_and_parts_of_them() -> None:
     values = np.arange(12.0).reshape(2, 6)
-    assert later(values, 1.5, axis=1)[:, 2:].tolist() == (values[:, 2:] - 1.5).tolist()
-    assert later(values.T, -2.0)[:4].tolist() == (values.T[:4] + 2.0).tolist()
+    assert delay_rows(values, 1.5, axis=1)[:, 2:].tolist() == (values[:, 2:] - 1.5).tolist()
+    assert delay_rows(values.T, -2.0)[:4].tolist() == (values.T[:4] + 2.0).tolist()

@@ -136,11 +136,11 @@ def test_frames_of_no_message_that_is_known_are_no_log(tmp_path: Path, monkeypat
     log = read(tmp_path, 5 * frame + flown())
     assert "messages of unknown numbers were left out: 15658734" in log.remarks
     monkeypatch.setattr(tlog, "DIALECTS", tlog.DIALECTS[:1])  # without that of ArduPilot's messages
-    tlog._kinds.cache_clear()
+    tlog._load_kinds.cache_clear()
     try:
         (tmp_path / "own.tlog").write_bytes(flown())
         log = tlog.read(tmp_path / "own.tlog")
         assert len(log.channels["ATTITUDE.roll"].values) == ROWS
         assert "messages of unknown numbers were left out: 11030" in log.remarks
     finally:
-        tlog._kinds.cache_clear()
+        tlog._load_kinds.cache_clear()

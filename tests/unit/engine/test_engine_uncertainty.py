@@ -17,7 +17,7 @@ from cosim.engine import load_engine
 from cosim.engine.fmu.uncertainty import MAX_SIGMA, lower_factor, without_uncertainty
 from cosim.engine.source import find_source
 from hexjet_identify.replay.flown import Model
-from hexjet_identify.replay.replay import Choices, draw
+from hexjet_identify.replay.replay import Choices, draw_vehicles
 
 TABLE = """[uncertainty]
 source = "bench.csv: 6 steps"
@@ -147,7 +147,7 @@ def test_a_replay_draws_each_parameter_cut_off_at_its_own_deviation_whatever_it_
     tmp_path: Path,
 ) -> None:
     engine = load_engine(str(mapping(tmp_path)), {}, 0.004, unchecked=True)
-    drawn = list(draw(cast(Model, SimpleNamespace(engine=engine)), Choices(draws=6000)))
+    drawn = list(draw_vehicles(cast(Model, SimpleNamespace(engine=engine)), Choices(draws=6000)))
     pole, gain = (np.array([change.parameters[name] for change in drawn]) for name in ("pole", "gain"))
     for name, values, deviation in (("pole", pole, 0.006), ("gain", gain, 0.02)):
         off = (values - engine.parameters[name]) / deviation

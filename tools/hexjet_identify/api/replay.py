@@ -56,11 +56,11 @@ class ReplayResult(FolderResult):
 
     def tables(self) -> list[Table]:
         """Return the channels, with how long each is within the envelope, and what each number would explain."""
-        from hexjet_identify.replay.page import TABLE, cause_rows, channel_rows
+        from hexjet_identify.replay.page import CAUSE_COLUMNS, cause_rows, channel_rows
 
         titles = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
         channels = Table("", titles, channel_rows(self.replayed))
-        return [channels, Table("what each number would explain", TABLE, cause_rows(self.replayed))]
+        return [channels, Table("what each number would explain", CAUSE_COLUMNS, cause_rows(self.replayed))]
 
     def _figures(self) -> Mapping[str, Any]:
         from hexjet_identify.replay.page import figures

@@ -13,19 +13,19 @@ from cosim.base.errors import EngineError, InputError, nearest
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
 from hexjet_identify.bench.record import BenchRecord
-from hexjet_identify.bench.running import SPEED_UNITS
+from hexjet_identify.bench.running import RPM_PER_UNIT
 from hexjet_identify.fit.answers import average_over_rows
 from hexjet_identify.fit.forms import Form
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
 
-# Step of the simulation, s, in which a command is the mean of what it is.
+# Step of the simulation [s]; the throttle of a step is the mean of the command over it.
 STEP_S = 0.004
 RPM = 60.0 / (2.0 * np.pi)
 
 
 class EngineChoices(NamedTuple):
-    """An engine, the parameters of it that are fitted beside the delay, and others that are set."""
+    """The engine to fit, the names of the parameters to fit beside the delay, and values of other parameters."""
 
     engine: str
     fitted: tuple[str, ...]
@@ -34,7 +34,7 @@ class EngineChoices(NamedTuple):
 
 @dataclass(frozen=True)
 class EngineForm(Form):
-    """An engine whose parameters change: ``x`` = delay [s], then the parameters.
+    """An engine model as a form to fit: ``x`` = delay [s], then the fitted parameters.
 
     ``start``: where they begin; ``seconds``: delay and lags together, as lags alone would have them.  The output is the
     engine's speed [rpm] or its thrust [N]; with ``is_set_point`` the command is a speed, which gives the throttle.
@@ -69,21 +69,21 @@ class EngineForm(Form):
         return np.array(low), np.array(high)
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return by how much each of ``x`` is changed to see what it does."""
+        """Return the finite-difference step of each of ``x``."""
         return 1e-3 * np.array([0.1, *self.start[1:]])
 
     def columns(self, problem: Problem, x: Array) -> Array:
         """Return one column: the output of all logs, from rest at each log's first command."""
         try:
             with make_bank([self.with_values(x[1:])], STEP_S) as bank:
-                answers = [self._run(bank, log, float(x[0])) for log in problem.logs]
+                answers = [self._simulate_log(bank, log, float(x[0])) for log in problem.logs]
         except EngineError:
             return np.asarray(problem.output - problem.swing)[:, None]
         return np.concatenate(answers)[:, None]
 
     @property
     def is_linear(self) -> bool:
-        """None of its parameters is linear."""
+        """False: the output is linear in no parameter."""
         return False
 
     def total(self, x: Array) -> float:
@@ -101,8 +101,8 @@ class EngineForm(Form):
         settings = (*kept, *((self.variables[name], value) for name, value in chosen.items()))
         return replace(self.spec, parameters={**self.spec.parameters, **chosen}, settings=settings)
 
-    def _run(self, bank: Any, log: Log, delay: float) -> Array:
-        """Return the answer to the command as it is, at times that are earlier by the delay: both come to the same."""
+    def _simulate_log(self, bank: Any, log: Log, delay: float) -> Array:
+        """Simulate the engine with a log's command, and return its output at the log's rows, the delay later."""
         throttle = log.command
         if self.is_set_point:
             levels = np.linspace(0.0, 1.0, 41)
@@ -110,7 +110,7 @@ class EngineForm(Form):
         begin = float(log.times[0]) - self.longest_delay
         count = int(np.ceil((float(log.times[-1]) - begin) / STEP_S)) + 1
         edges: Array = np.asarray(begin + STEP_S * np.arange(count + 1), np.float64)
-        means = np.clip(_means(log, throttle, edges), 0.0, 1.0)
+        means = np.clip(_mean_throttle(log, throttle, edges), 0.0, 1.0)
         first = bank.reset(float(means[0]))
         if self.is_speed:
             outputs = [first] + [bank.step(k, (float(u),)) for k, u in enumerate(means)]
@@ -120,8 +120,8 @@ class EngineForm(Form):
         return average_over_rows(log, lambda times: np.asarray(np.interp(times - delay, edges, course)))
 
 
-def _means(log: Log, throttle: Array, edges: Array) -> Array:
-    """Return the mean throttle between each two of these times."""
+def _mean_throttle(log: Log, throttle: Array, edges: Array) -> Array:
+    """Return the mean throttle between each two neighbouring times of ``edges`` [s]."""
     if log.is_straight:
         return np.asarray(np.interp(0.5 * (edges[1:] + edges[:-1]), log.command_times, throttle))
     times = log.command_times
@@ -134,7 +134,7 @@ def _means(log: Log, throttle: Array, edges: Array) -> Array:
 def make_form(records: Sequence[BenchRecord], choices: EngineChoices, longest_delay: float) -> EngineForm:
     """Return an engine as a form for these logs.  Raises InputError for what cannot be fitted."""
     first = records[0]
-    is_speed = first.output_unit in SPEED_UNITS
+    is_speed = first.output_unit in RPM_PER_UNIT
     if not is_speed and first.newtons is None:
         raise InputError(
             f"{first.path}: {first.output_name} is in {first.output_unit or 'no unit'}; an engine has thrust or rpm"
@@ -159,5 +159,5 @@ def make_form(records: Sequence[BenchRecord], choices: EngineChoices, longest_de
                 raise InputError(f"{choices.engine} reports no speed, and {first.output_name} is one")
     begin = 0.1 if late is None else late * (spec.internal_step or STEP_S)
     start = np.array([begin, *(spec.parameters[name] for name in choices.fitted)])
-    is_set_point = first.command_unit in SPEED_UNITS
+    is_set_point = first.command_unit in RPM_PER_UNIT
     return EngineForm(choices, spec, variables, start, is_speed, is_set_point, longest_delay)

@@ -15,9 +15,9 @@ from hexjet_identify.bench.identification import Identification
 from hexjet_identify.engine_file import (
     DEVIATIONS_95,
     FITTED_STEP_S,
-    LARGEST_SAMPLES,
+    MAX_DELAY_SAMPLES,
+    round_delay,
     uncertainty_table,
-    whole_delay,
 )
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.forms import Limits
@@ -43,7 +43,7 @@ class Parameters(NamedTuple):
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     def told(self, name: str) -> tuple[float, float]:
-        """Return a parameter and its standard deviation; 0 of one that is not there."""
+        """Return the value and standard deviation of a named parameter; zeros if the engine has no such parameter."""
         if name not in self.names:
             return 0.0, 0.0
         row = self.names.index(name)
@@ -51,7 +51,7 @@ class Parameters(NamedTuple):
 
 
 def engine_parameters(found: Identification) -> Parameters:
-    """Return the engine ``fitted`` that comes closest: offset + gain throttle^exponent is laid through the levels."""
+    """Return parameters of the engine ``fitted`` nearest to the estimate: its power law is laid through the levels."""
     chosen, knots = found.chosen, np.maximum(found.problem.knots, 0.0)
     unit, levels = found.records[0].newtons or 1.0, chosen.levels(found.problem)
     rows, first = len(levels), len(chosen.x) - len(levels) if isinstance(chosen.form, Limits) else len(chosen.x)
@@ -76,7 +76,7 @@ def engine_parameters(found: Identification) -> Parameters:
     law = fit_power_law(knots, levels, weights)
     miss = levels - law[1] - law[0] * knots ** law[2]
     if rows > 3:
-        # What the law misses of the levels is as uncertain as noise of theirs, by how well each level is told.
+        # The misfit of the power law at the levels counts as noise of theirs, weighted by how well each is known.
         covariance[first:, first:] += np.diag(float(np.sum((miss * weights) ** 2)) / (rows - 3) / weights**2)
     values = np.array(list(at.values()))
     steps = np.concatenate([np.full(first, 1e-4), np.full(rows, 1e-3 * max(float(np.ptp(levels)), 1e-300))])
@@ -111,7 +111,7 @@ def fit_power_law(
 
 
 def why_no_engine(found: Identification) -> str:
-    """Return why no engine is left, or an empty string where one is."""
+    """Return why no engine file is written, or an empty string if one is."""
     record = found.records[0]
     if found.refused:
         return found.refused[0]
@@ -124,17 +124,17 @@ def why_no_engine(found: Identification) -> str:
         return "what throttle 0 and 1 are is not known: throttle_range LOW HIGH"
     if not engine_parameters(found).told("gain")[0] > 0.0:
         return "the thrust falls where the throttle rises"
-    if found.chosen.delay > LARGEST_SAMPLES * FITTED_STEP_S:
-        return f"its delay is longer than {LARGEST_SAMPLES * FITTED_STEP_S:g} s"
+    if found.chosen.delay > MAX_DELAY_SAMPLES * FITTED_STEP_S:
+        return f"its delay is longer than {MAX_DELAY_SAMPLES * FITTED_STEP_S:g} s"
     return ""
 
 
 def engine_table(found: Identification) -> dict[str, object]:
-    """Return the mapping file's table of the library's engine ``fitted``, with ``[uncertainty]``."""
+    """Return ``engine.toml`` of the library's engine ``fitted`` as a table, with ``[uncertainty]``."""
     told = engine_parameters(found)
     parameters: dict[str, object] = dict(zip(told.names, told.values.tolist(), strict=True))
     deviations = told.deviations
-    parameters[DELAY], deviations[0] = _whole(found.chosen, FITTED_STEP_S)
+    parameters[DELAY], deviations[0] = _round_delay(found.chosen, FITTED_STEP_S)
     names = ", ".join(record.path.name for record in found.records)
     moves = sum(int(np.count_nonzero(np.diff(record.command))) for record in found.records)
     seconds = sum(float(record.times[-1] - record.times[0]) for record in found.records)
@@ -145,15 +145,15 @@ def engine_table(found: Identification) -> dict[str, object]:
     return {"fmu": "engine.fmu", "title": f"Engine fitted to {names}", "parameters": parameters, "uncertainty": table}
 
 
-def _whole(estimate: Estimate, step: float) -> tuple[int, float]:
-    """Return a delay in whole steps, and the deviation with which its bounds hold."""
+def _round_delay(estimate: Estimate, step: float) -> tuple[int, float]:
+    """Return the delay in whole engine steps, and a standard deviation that covers its 95 % bounds and the rounding."""
     low, high = estimate.delay_bounds
     deviation = max(estimate.delay - low, high - estimate.delay) / DEVIATIONS_95
-    return whole_delay(estimate.delay / step, deviation / step)
+    return round_delay(estimate.delay / step, deviation / step)
 
 
 def own_engine_table(found: Identification, form: EngineForm) -> dict[str, object]:
-    """Return an engine's own mapping file's table, with what was set and fitted, and ``[uncertainty]``."""
+    """Return ``engine.toml`` of a fitted engine model as a table: settings, fitted parameters, ``[uncertainty]``."""
     chosen, spec, step = found.chosen, form.spec, form.spec.internal_step or STEP_S
     table: dict[str, object] = dict(read_toml(spec.mapping)) if spec.mapping else {}
     known = table.get("parameters")
@@ -162,7 +162,7 @@ def own_engine_table(found: Identification, form: EngineForm) -> dict[str, objec
     names, keep = list(form.choices.fitted), list(range(1, len(chosen.x)))
     deviations = [chosen.deviation(row) for row in keep]
     if DELAY in spec.parameters:
-        parameters[DELAY], off = _whole(chosen, step)
+        parameters[DELAY], off = _round_delay(chosen, step)
         names, deviations, keep = [DELAY, *names], [off, *deviations], [0, *keep]
     kept, covariance = _keep_unfitted(spec.uncertainty, {*names, *form.choices.settings})
     covariance = block_diag(chosen.covariance[np.ix_(keep, keep)], covariance)
@@ -179,7 +179,7 @@ def own_engine_table(found: Identification, form: EngineForm) -> dict[str, objec
 
 
 def _keep_unfitted(stated: Uncertainty | None, taken: set[str]) -> tuple[list[str], Array]:
-    """Return the parameters that an engine states to be uncertain and that are not ``taken``, and their covariance."""
+    """Return the uncertain parameters that the engine states and the fit did not take, with their covariance."""
     if stated is None:
         return [], np.empty((0, 0))
     rows = [row for row, name in enumerate(stated.parameters) if name not in taken]

@@ -10,19 +10,19 @@ import numpy as np
 
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 from hexjet_identify.bench.engine_form import EngineForm
-from hexjet_identify.bench.record import BenchRecord, next_step
+from hexjet_identify.bench.record import BenchRecord, describe_next_step
 from hexjet_identify.fit.estimate import Estimate
-from hexjet_identify.fit.evidence import Foretold, Verdict
+from hexjet_identify.fit.evidence import PredictedMovement, Verdict
 from hexjet_identify.fit.forms import Lags
 from hexjet_identify.fit.problem import Problem
 
-# What parameters of the forms are called in a sentence.
+# Names of the forms' parameters in a sentence.
 WORDS = {"lag_s": "the lag", "second_lag_s": "the second lag", "rise": "the fastest rise", "fall": "the fastest fall"}
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What bench logs tell of an engine; ``estimates`` has the chosen form first.
+    """Result of identifying an engine from bench logs; ``estimates`` begins with the chosen form.
 
     ``total``: delay and lags together, s; ``spread``: standard deviations between several logs of the library's engine
     as fitted to each.
@@ -35,19 +35,19 @@ class Identification:
     estimates: tuple[Estimate, ...]
     total: float
     verdict: Verdict
-    held_back: tuple[Foretold, ...]
+    held_back: tuple[PredictedMovement, ...]
     notes: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
     spread: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def chosen(self) -> Estimate:
-        """The form that the evidence chooses."""
+        """The estimate of the chosen form."""
         return self.estimates[0]
 
     @property
     def engine(self) -> EngineForm | None:
-        """The engine whose own parameters were fitted, if that was asked."""
+        """The engine model whose own parameters were fitted; None where lags or limits were."""
         return self.chosen.form if isinstance(self.chosen.form, EngineForm) else None
 
     @property
@@ -57,18 +57,18 @@ class Identification:
 
     @property
     def is_told(self) -> bool:
-        """Whether the logs tell delay and lags together at all."""
+        """Whether the logs determine delay and lags, and not the static line alone."""
         return self.chosen.form != Lags(0)
 
     @property
     def unknown(self) -> list[str]:
-        """The chosen form's parameters, but for the delay, whose 95 % bounds exceed the value."""
+        """Names of the chosen form's parameters, without the delay, whose 95 % bounds exceed their value."""
         numbers = self.chosen.numbers.items()
         return [name for name, (value, one) in numbers if name != "delay_s" and not 1.96 * one <= abs(value)]
 
     @property
     def refused(self) -> list[str]:
-        """Why the model is none of this engine, a line a reason; empty where it is."""
+        """Reasons not to use the model as this engine, a line each; empty if there is none."""
         if not self.is_explained:
             return ["the model does not explain the log"]
         if not self.is_told:
@@ -78,22 +78,22 @@ class Identification:
         names, (total, off) = " and ".join(WORDS.get(name, name) for name in self.unknown), self.chosen.total
         return [
             f"the log does not tell {names}, whose 95 % bounds exceed the value; delay and lags together are "
-            f"{total:.3g} ±{1.96 * off:.2g} s. Next: {next_step(self.records, self.total)}"
+            f"{total:.3g} ±{1.96 * off:.2g} s. Next: {describe_next_step(self.records, self.total)}"
         ]
 
     @property
     def judgement(self) -> Judgement:
-        """Whether the model explains the logs."""
+        """The verdict on the model with its evidence."""
         return judge_model(self.is_explained, self.verdict.words)
 
     @property
     def residual_rms(self) -> float:
-        """Root mean square of what is left over, in the output's unit."""
+        """Root mean square of the residual, in the output's unit."""
         return float(np.sqrt(np.mean(self.chosen.residual**2)))
 
     @property
     def unit(self) -> str:
-        """Unit of the output as it is fitted: that of the log, or rpm or N of an engine's own."""
+        """Unit of the fitted output: that of the log, or rpm or N where an engine model was fitted."""
         return self.records[0].output_unit if self.engine is None else self.engine.unit
 
     def to_dict(self) -> dict[str, Any]:

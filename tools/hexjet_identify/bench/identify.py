@@ -15,14 +15,14 @@ from hexjet_identify.bench.identification import Identification
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_doubts, describe_untold
 from hexjet_identify.fit.estimate import Estimate, bound_delay, find_start, fit, fit_limits, fit_static
-from hexjet_identify.fit.evidence import Foretold, hold_back, judge, spread_of_delay
+from hexjet_identify.fit.evidence import PredictedMovement, judge, predict_held_back, spread_of_delay
 from hexjet_identify.fit.forms import Lags, Limits
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
 
 
 class Choices(NamedTuple):
-    """What a user may state of bench logs.
+    """Options of the identification from bench logs.
 
     ``limits``: what throttle 0 and 1 are; ``between`` rows the command is ``held``, ``straight``, or ``auto``: by how
     it moves; ``longest_delay`` [s] that is looked for.
@@ -43,15 +43,15 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     limits, known = throttle_limits(records, choices.limits, notes)
     fitted = _fit_lags(records, limits, choices, notes)
     static = fit_static(fitted.problem)
-    held_back: tuple[Foretold, ...] = ()
+    held_back: tuple[PredictedMovement, ...] = ()
     if _is_static(fitted.estimates[0], static):
         problem, best, total, estimates = fitted.problem, static, 0.0, (static, *fitted.estimates)
     else:
-        fitted = _fit_more(fitted, notes)
+        fitted = _try_limits_and_drift(fitted, notes)
         problem, best = fitted.problem, fitted.estimates[0]
         total = best.form.total(best.x)
-        held_back = hold_back(problem, best, total)
-        estimates = (replace(best, delay_bounds=_bounds(fitted, records, total, notes)), *fitted.estimates[1:])
+        held_back = predict_held_back(problem, best, total)
+        estimates = (replace(best, delay_bounds=_bound_delay(fitted, records, total, notes)), *fitted.estimates[1:])
     verdict = judge(problem, best, total, held_back)
     notes += [note for record in records for note in record.notes]
     found = Identification(
@@ -62,7 +62,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
 
 
 def _is_static(best: Estimate, static: Estimate, clear: float = 10.0, wide: float = 0.5) -> bool:
-    """Return whether delay and lags are not told: without them BIC is hardly worse, or the bounds of both are wide.
+    """Return whether the logs determine the static line alone: BIC is hardly worse without lags, or bounds are wide.
 
     What they explain the half of is told, whatever noise with memory makes of the rest.
     """
@@ -131,7 +131,7 @@ def throttle_limits(
 
 
 def as_log(record: BenchRecord, limits: tuple[float, float], is_straight: bool) -> Log:
-    """Return a record with its command as a share of a range.
+    """Return a record as a log to fit, its command scaled so that ``limits`` are 0 and 1.
 
     A held command that moves after rows that are lost moves in the middle of them, for all that is known.
     """
@@ -144,14 +144,14 @@ def as_log(record: BenchRecord, limits: tuple[float, float], is_straight: bool) 
     return Log(times, command, record.times, record.output, record.step, is_straight)
 
 
-def moves_on(command: Array) -> bool:
-    """Return whether a command moves from row to row where it moves at all, as a ramp does and a step does not."""
+def moves_gradually(command: Array) -> bool:
+    """Return whether a command that changes does so from row to row, as a ramp and unlike steps."""
     moved = np.diff(command) != 0.0
     return bool((moved[1:] & moved[:-1]).sum() > 0.5 * max(moved.sum(), 1))
 
 
 def make_problem(logs: Sequence[Log], longest_delay: float, most_levels: int = 12) -> Problem:
-    """Return logs as a problem: levels where the command stood if they are few, else evenly over its range."""
+    """Return logs as one problem, with static levels at the commands that occur, or evenly spaced if these are many."""
     command = np.concatenate([log.command for log in logs])
     levels = np.unique(np.round(command, 4))
     if len(levels) > most_levels:
@@ -160,8 +160,8 @@ def make_problem(logs: Sequence[Log], longest_delay: float, most_levels: int = 1
     return Problem(logs, levels, min(longest_delay, 0.5 * span))
 
 
-class _Fitted(NamedTuple):
-    """Forms as fitted, the best first; whether a command may be held or straight between rows, and whether it shows."""
+class _FormFits(NamedTuple):
+    """Estimates of the forms, best first; whether hold or line between rows was open, and is still doubtful."""
 
     problem: Problem
     estimates: tuple[Estimate, ...]
@@ -172,14 +172,14 @@ class _Fitted(NamedTuple):
 
 def _fit_lags(
     records: Sequence[BenchRecord], limits: tuple[float, float], choices: Choices, notes: list[str], rows: int = 1500
-) -> _Fitted:
+) -> _FormFits:
     """Fit one lag and two; a command that moves from row to row both as held and as straight, if neither is said.
 
     More than so many ``rows`` are averaged where they are far finer than the answer.
     """
     for record in records:
         check_moves(record)
-    is_open = choices.between == "auto" and any(moves_on(record.command) for record in records)
+    is_open = choices.between == "auto" and any(moves_gradually(record.command) for record in records)
     ways = (True, False) if is_open else (choices.between == "straight",)
     first = make_problem([as_log(record, limits, ways[0]) for record in records], choices.longest_delay)
     start = find_start(first)
@@ -193,13 +193,13 @@ def _fit_lags(
             near[0] = max(start[0] - 0.5 * records[0].command_row, 0.0)
         one = fit(problem, Lags(1), near)
         two = fit(problem, Lags(2), np.array([*one.x, 0.2]))
-        found.append(_Fitted(problem, tuple(sorted((one, two), key=lambda each: each.bic)), two))
+        found.append(_FormFits(problem, tuple(sorted((one, two), key=lambda each: each.bic)), two))
     found.sort(key=lambda each: each.estimates[0].bic)
     if not is_open:
         return found[0]
     best, other = found
     row = max(record.command_row for record in records)
-    # Of a command whose rows were averaged it cannot be seen.
+    # With averaged rows of the command the log cannot show whether it is held or goes straight between rows.
     is_averaged = any(len(log.command) < len(record.command) for log, record in zip(logs, records, strict=True))
     is_doubtful = is_averaged or other.estimates[0].bic - best.estimates[0].bic < 20.0
     name, taken = records[0].command_name, "straight" if best.problem.logs[0].is_straight else "held"
@@ -210,13 +210,13 @@ def _fit_lags(
     return best._replace(is_open=True, is_doubtful=is_doubtful)
 
 
-def _one_lag(fitted: _Fitted) -> Estimate:
+def _select_one_lag(fitted: _FormFits) -> Estimate:
     return next(each for each in fitted.estimates if each.form == Lags(1))
 
 
-def _fit_more(
-    fitted: _Fitted, notes: list[str], least: float = 0.002, clear: float = 10.0, largest_drift: float = 0.15
-) -> _Fitted:
+def _try_limits_and_drift(
+    fitted: _FormFits, notes: list[str], least: float = 0.002, clear: float = 10.0, largest_drift: float = 0.15
+) -> _FormFits:
     """Try limits of rise and fall, and a gain that drifts, where lags leave more than ``least`` of the range.
 
     Either is taken where BIC falls by ``clear`` and a fifth of the residual's power goes; a gain that drifts by more
@@ -236,7 +236,7 @@ def _fit_more(
     since = np.concatenate([(log.times - log.times[0]) / span - 0.5 for log in problem.logs])
     model = best.answer(problem)
     drifting = replace(problem, drift=np.column_stack([model * since, model * since**2]))
-    one = fit(drifting, Lags(1), _one_lag(fitted).x)
+    one = fit(drifting, Lags(1), _select_one_lag(fitted).x)
     two = fit(drifting, Lags(2), np.array([*one.x, 0.2]))
     found = min((one, two), key=lambda each: each.bic)
     drifted = float(np.mean(found.residual**2))
@@ -251,8 +251,10 @@ def _fit_more(
     return fitted._replace(problem=drifting, estimates=tuple(sorted((one, two), key=lambda e: e.bic)), two_lags=two)
 
 
-def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes: list[str]) -> tuple[float, float]:
-    """Return 95 % bounds of the delay, s: those of two lags, which contain one, by their profile.
+def _bound_delay(
+    fitted: _FormFits, records: Sequence[BenchRecord], total: float, notes: list[str]
+) -> tuple[float, float]:
+    """Return 95 % bounds of the delay [s] by the profile likelihood of two lags, which contain one.
 
     A held command may have moved a row before it is logged; of one that may be held half a row is not known.
     """
@@ -276,7 +278,7 @@ def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes
 
 
 def compare_logs(found: Identification, apart: float = 3.29) -> Identification:
-    """Return it with the spread between several logs; those of one engine are not ``apart`` by so many deviations."""
+    """Return the result with the spread of parameters between logs; note those ``apart`` by so many deviations."""
     logs, chosen = found.problem.logs, found.chosen
     if len(logs) < 2 or not found.is_told or isinstance(chosen.form, Limits) or found.problem.drift.size:
         return found

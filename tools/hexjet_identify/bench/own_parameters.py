@@ -15,14 +15,14 @@ from hexjet_identify.bench.identify import (
     as_log,
     check_moves,
     make_problem,
-    moves_on,
+    moves_gradually,
     throttle_limits,
 )
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_small_movements
-from hexjet_identify.bench.running import SPEED_UNITS
+from hexjet_identify.bench.running import RPM_PER_UNIT
 from hexjet_identify.fit.estimate import Estimate, find_start, fit
-from hexjet_identify.fit.evidence import hold_back, judge, spread_of_delay
+from hexjet_identify.fit.evidence import judge, predict_held_back, spread_of_delay
 from hexjet_identify.fit.forms import Lags
 from hexjet_identify.fit.problem import Problem
 
@@ -36,24 +36,24 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
     for record in records:
         check_moves(record)
     form = make_form(records, engine, choices.longest_delay)
-    limits = (0.0, 1.0 / SPEED_UNITS.get(first.command_unit, 1.0))
+    limits = (0.0, 1.0 / RPM_PER_UNIT.get(first.command_unit, 1.0))
     if not form.is_set_point:
         limits, is_known = throttle_limits(records, choices.limits, notes)
         if not is_known:
             raise InputError(f"{first.path}: what throttle 0 and 1 are is not known: throttle_range LOW HIGH")
-    is_open = choices.between == "auto" and any(moves_on(record.command) for record in records)
+    is_open = choices.between == "auto" and any(moves_gradually(record.command) for record in records)
     if is_open:
         half = 500.0 * max(record.command_row for record in records)
         notes.append(
             f"{first.command_name} moves from row to row: taken for straight between rows; if it is held, the delay is "
             f"{half:.3g} ms less (between held)"
         )
-    unit = SPEED_UNITS.get(first.output_unit, first.newtons or 1.0)
+    unit = RPM_PER_UNIT.get(first.output_unit, first.newtons or 1.0)
     logs = [as_log(record, limits, is_open or choices.between == "straight") for record in records]
     problem = make_problem([replace(log, output=unit * log.output) for log in logs], choices.longest_delay)
     form = replace(form, seconds=Lags(1).total(find_start(problem)))
     estimate = fit(problem, form, form.start)
-    held_back = hold_back(problem, estimate, form.seconds)
+    held_back = predict_held_back(problem, estimate, form.seconds)
     row = max(log.command_row for log in logs)
     half = 1.96 * estimate.deviation(0) + spread_of_delay(problem, estimate, form.seconds, row)
     bounds = max(estimate.delay - half, 0.0), estimate.delay + half
@@ -71,7 +71,7 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
 def _describe_beginning(
     problem: Problem, estimate: Estimate, records: Sequence[BenchRecord], seconds: float = 0.5, share: float = 0.05
 ) -> list[str]:
-    """Return a line for each log whose first ``seconds`` are off by a ``share`` of the range: it does not rest."""
+    """Return a note for each log that does not begin at rest: ``seconds`` of it are off by ``share`` of the range."""
     notes = []
     for record, log, rows in zip(records, problem.logs, problem.spans, strict=True):
         off = abs(float(np.mean(estimate.residual[rows][log.times - log.times[0] <= seconds])))

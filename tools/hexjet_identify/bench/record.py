@@ -16,11 +16,11 @@ from cosim.base.errors import InputError
 from hexjet_identify.bench.running import find_running
 from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 from hexjet_identify.logs.read import read_flight_log
-from hexjet_identify.logs.table import NO_NUMBERS
+from hexjet_identify.logs.table import NOT_NUMBERS
 
-# With fewer rows noise is not told from an answer.
-LEAST_ROWS = 20
-COMMANDS = (
+# Fewer rows cannot separate noise from a response.
+MIN_ROWS = 20
+COMMAND_PATTERNS = (
     r"throttle",
     r"\besc\b",
     r"pla\b",
@@ -28,26 +28,19 @@ COMMANDS = (
     r"command|cmd",
     r"pwm|servo",
 )  # the likeliest first
-OUTPUTS = (r"thrust|schub|pouss", r"force|load|^f\b", r"rpm|speed|\bn1\b|\bn\b")
-NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
-NEWTONS = {
-    "N": 1.0,
-    "kN": 1e3,
-    "mN": 1e-3,
-    "kgf": 9.80665,
-    "gf": 9.80665e-3,
-    "kg": 9.80665,
-    "g": 9.80665e-3,
-    "lbf": 4.4482216152605,
-}
-# A kilogram or a pound of thrust is its weight.
-NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}
-CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
+OUTPUT_PATTERNS = (r"thrust|schub|pouss", r"force|load|^f\b", r"rpm|speed|\bn1\b|\bn\b")
+NO_OUTPUT_PATTERN = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
+# Newtons in a unit of thrust; a kilogram or a pound of thrust is its weight.
+NEWTONS_PER_UNIT = {
+    "N": 1.0, "kN": 1e3, "mN": 1e-3, "kgf": 9.80665, "gf": 9.80665e-3, "kg": 9.80665, "g": 9.80665e-3,
+    "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
+}  # fmt: skip
+CLIPPED_COLUMN = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
 
 
 class Columns(NamedTuple):
-    """Which columns to take, where they are not to be found by name: sums as ``FlightLog.signal`` takes them."""
+    """Columns and times that the user chose; None: found by name.  Signals may be sums, see ``FlightLog.signal``."""
 
     command: str | None = None
     output: str | None = None
@@ -59,7 +52,7 @@ class Columns(NamedTuple):
 
 @dataclass(frozen=True)
 class BenchRecord:
-    """One log: rows of time [s], command and output; those of the output that are lost or clipped are not there."""
+    """Command and output of one bench log over time [s], without lost and clipped rows of the output."""
 
     path: Path
     command_name: str
@@ -82,7 +75,7 @@ class BenchRecord:
     @property
     def newtons(self) -> float | None:
         """Newtons in the output's unit, or None where it is no thrust."""
-        return NEWTONS.get(self.output_unit)
+        return NEWTONS_PER_UNIT.get(self.output_unit)
 
 
 def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
@@ -91,7 +84,7 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     Raises InputError: one line with file, column and what is allowed.
     """
     columns = columns or Columns()
-    records = [record for path in paths for record in _read_records(path, columns)]
+    records = [record for path in paths for record in _read_file_records(path, columns)]
     first = records[0]
     for other in records[1:]:
         if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):
@@ -103,36 +96,38 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     return records
 
 
-def _read_records(path: Path, columns: Columns) -> list[BenchRecord]:
+def _read_file_records(path: Path, columns: Columns) -> list[BenchRecord]:
     log = read_flight_log(path, columns.time, columns.time_unit)
-    command_name = columns.command or _find(log, COMMANDS, "", "command")
-    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "output")
+    command_name = columns.command or _find_column(log, COMMAND_PATTERNS, "", "command")
+    output_name = columns.output or _find_column(log, OUTPUT_PATTERNS, NO_OUTPUT_PATTERN, "output")
     notes = list(log.remarks)
-    log = _put_in_order(log, notes)
+    log = _sort_by_time(log, notes)
     if columns.command is None or columns.output is None:
         notes.append(f"taken: {command_name} to {output_name}; command and output say otherwise")
-    command, output = (_cut(log.signal(name, notes), columns) for name in (command_name, output_name))
-    _check(path, command_name, command)
-    _check(path, output_name, output)
-    _check_row(path, output.times, columns.time_unit is None, notes)
-    marked = [_cut(channel, columns) for name, channel in log.channels.items() if CLIPPED.fullmatch(name)]
+    command, output = (_select_usable(log.signal(name, notes), columns) for name in (command_name, output_name))
+    _check_row_count(path, command_name, command)
+    _check_row_count(path, output_name, output)
+    _check_row_interval(path, output.times, columns.time_unit is None, notes)
+    marked = [
+        _select_usable(channel, columns) for name, channel in log.channels.items() if CLIPPED_COLUMN.fullmatch(name)
+    ]
     flagged = np.concatenate([np.empty(0), *(channel.times[channel.values != 0.0] for channel in marked)])
     spans = find_running(log, command, output, notes)
-    moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
+    moved = [span for span in spans if np.ptp(_select_span(command, *span).values) > 0.0] or spans[:1]
     records = []
     for span in moved:
-        asked, answered = (command_name, _between(command, *span)), (output_name, _between(output, *span))
-        records.append(_clean(path, asked, answered, flagged, notes))
+        asked, answered = (command_name, _select_span(command, *span)), (output_name, _select_span(output, *span))
+        records.append(_make_record(path, asked, answered, flagged, notes))
     return records
 
 
-def _between(channel: Channel, begin: float, end: float) -> Channel:
+def _select_span(channel: Channel, begin: float, end: float) -> Channel:
     use = (channel.times >= begin) & (channel.times <= end)
     return channel._replace(times=channel.times[use], values=channel.values[use])
 
 
-def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
-    """Return the channel that is called as one of these; the first of the patterns that any fits decides."""
+def _find_column(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
+    """Return the name of the channel that matches the first pattern that any matches.  Raises InputError."""
     names = [name for name in log.channels if not (never and re.search(never, name, re.IGNORECASE))]
     for pattern in patterns:
         found = [name for name in names if re.search(pattern, name.replace("_", " "), re.IGNORECASE)]
@@ -141,14 +136,14 @@ def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> s
         if found:
             return found[0]
     have = ", ".join(list(log.channels)[:12])
-    lost = "".join(f"; {remark}" for remark in log.remarks if remark.startswith(NO_NUMBERS))
+    lost = "".join(f"; {remark}" for remark in log.remarks if remark.startswith(NOT_NUMBERS))
     raise InputError(
         f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}{lost}; command and "
         "output have to be on one clock in one file"
     )
 
 
-def _cut(channel: Channel, columns: Columns) -> Channel:
+def _select_usable(channel: Channel, columns: Columns) -> Channel:
     use = np.isfinite(channel.times) & np.isfinite(channel.values)
     if columns.begin is not None:
         use &= channel.times >= columns.begin
@@ -157,13 +152,13 @@ def _cut(channel: Channel, columns: Columns) -> Channel:
     return channel._replace(times=channel.times[use], values=channel.values[use])
 
 
-def _check(path: Path, name: str, channel: Channel) -> None:
-    if len(channel.times) < LEAST_ROWS:
-        raise InputError(f"{path}: {len(channel.times)} rows of {name} that can be used; at least {LEAST_ROWS}")
+def _check_row_count(path: Path, name: str, channel: Channel) -> None:
+    if len(channel.times) < MIN_ROWS:
+        raise InputError(f"{path}: {len(channel.times)} rows of {name} that can be used; at least {MIN_ROWS}")
 
 
-def _put_in_order(log: FlightLog, notes: list[str], restart_s: float = 1.0) -> FlightLog:
-    """Return a log whose rows are in the order of time, as stands that write them from several threads do not.
+def _sort_by_time(log: FlightLog, notes: list[str], restart_s: float = 1.0) -> FlightLog:
+    """Return a log with its rows sorted by time: stands that write from several threads do not sort them.
 
     Where the time goes back by ``restart_s`` it begins again: a few rows of the test before or behind are left out, and
     two tests in one file raise InputError.
@@ -173,7 +168,7 @@ def _put_in_order(log: FlightLog, notes: list[str], restart_s: float = 1.0) -> F
         times = channel.times
         again = np.flatnonzero(np.diff(times) < -restart_s) + 1
         rows = max(np.split(np.arange(len(times)), again), key=len)
-        if len(times) - len(rows) >= LEAST_ROWS:
+        if len(times) - len(rows) >= MIN_ROWS:
             raise InputError(
                 f"{log.path}: the time begins again after {times[again[0] - 1]:g} s: two tests in one file; a file each"
             )
@@ -189,10 +184,10 @@ def _put_in_order(log: FlightLog, notes: list[str], restart_s: float = 1.0) -> F
     return replace(log, channels=channels)
 
 
-def _check_row(
+def _check_row_interval(
     path: Path, times: Array, by_name: bool, notes: list[str], slow_s: float = 1.0, quick_s: float = 1e-5
 ) -> None:
-    """Note rows so far apart that the time may be in a smaller unit; raise InputError for such as no bench has."""
+    """Note rows over ``slow_s`` apart, perhaps of a wrong unit; raise InputError for rows under ``quick_s`` apart."""
     row = float(np.ptp(times)) / max(len(np.unique(times)) - 1, 1)
     if by_name and row >= slow_s:
         prefix, unit = ("milli", "ms") if row < 1e3 * slow_s else ("micro", "us")
@@ -204,7 +199,7 @@ def _check_row(
         )
 
 
-def _clean(
+def _make_record(
     path: Path,
     command: tuple[str, Channel],
     output: tuple[str, Channel],
@@ -212,13 +207,13 @@ def _clean(
     notes: list[str],
     max_shared_stamps: float = 0.1,
 ) -> BenchRecord:
-    """Return a record without repeated times and clipped rows.
+    """Return the record of a command and an output, without repeated times and clipped rows.
 
     A share of ``max_shared_stamps`` may have the stamp of the row before and another value.  They are left out, and
     with more of them the command would seem to move later than it does.
     """
     (command_name, given), (output_name, measured) = command, output
-    _check(path, output_name, measured)
+    _check_row_count(path, output_name, measured)
     fresh = np.diff(given.times, prepend=-np.inf) > 0.0
     commands = given.times[fresh], given.values[fresh]
     times, values = measured.times, measured.values
@@ -229,7 +224,7 @@ def _clean(
             f"{path}: {shared} of {len(times)} rows of {output_name} have the time of the row before and another "
             "value; allowed: a time for each row, as fine as the rows are"
         )
-    if _is_fine(values) and (clipped := _at_the_stop(values)).any():
+    if _has_fine_resolution(values) and (clipped := _find_clipped_rows(values)).any():
         use &= ~clipped
         where = "at the end of its range (clipped) or next to such"
         notes.append(f"{output_name}: {int(clipped.sum())} rows are {where}; left out")
@@ -238,8 +233,8 @@ def _clean(
         notes.append(f"{output_name}: {int(marked.sum())} rows are marked as clipped; left out")
         use &= ~marked
     times, values = times[use], values[use]
-    if len(times) < LEAST_ROWS:
-        raise InputError(f"{path}: {len(times)} rows of {output_name} that can be used; at least {LEAST_ROWS}")
+    if len(times) < MIN_ROWS:
+        raise InputError(f"{path}: {len(times)} rows of {output_name} that can be used; at least {MIN_ROWS}")
     step = float(np.median(np.diff(times)))
     lost = max(0.0, 1.0 - len(times) * step / (float(times[-1] - times[0]) + step))
     longest = float(np.diff(times).max())
@@ -252,8 +247,8 @@ def _clean(
     )  # fmt: skip
 
 
-def _is_fine(values: Array, fine: float = 20.0) -> bool:
-    """Return whether an output's usual change is ``fine`` of its smallest, so that no value comes twice by itself."""
+def _has_fine_resolution(values: Array, fine: float = 20.0) -> bool:
+    """Return whether an output's usual change is ``fine`` times its resolution, so that equal rows mean clipping."""
     changes = np.abs(np.diff(np.unique(values)))
     steps = np.abs(np.diff(values))
     usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
@@ -261,8 +256,8 @@ def _is_fine(values: Array, fine: float = 20.0) -> bool:
     return is_fine and len(np.unique(values)) > 0.5 * len(values)
 
 
-def _at_the_stop(values: Array, least: int = 5) -> NDArray[np.bool_]:
-    """Return which rows stand at the greatest or the least value, ``least`` in a row, or a few rows from such."""
+def _find_clipped_rows(values: Array, least: int = 5) -> NDArray[np.bool_]:
+    """Return which rows are clipped: ``least`` in a row at the greatest or least value, and the rows near them."""
     at = np.zeros(len(values), bool)
     for stop in (values.max(), values.min()):
         here = (values == stop).astype(int)
@@ -271,15 +266,15 @@ def _at_the_stop(values: Array, least: int = 5) -> NDArray[np.bool_]:
     return at
 
 
-def next_step(records: Sequence[BenchRecord], total: float) -> str:
-    """Describe the step that tells most of delay and lags, which are ``total`` s together."""
+def describe_next_step(records: Sequence[BenchRecord], total: float) -> str:
+    """Describe the command step that would best determine delay and lags of ``total`` s together."""
     low = min(float(record.command.min()) for record in records)
     high = max(float(record.command.max()) for record in records)
     return f"a step from {low:.4g} to {high:.4g} and back, each held {max(5.0 * total, 2.0):.2g} s"
 
 
 def find_levels(record: BenchRecord) -> Mapping[float, float]:
-    """Return the levels at which the command stands, with the longest time [s] for which it does."""
+    """Return the levels of the command, each with the longest time [s] for which it is held."""
     begins = np.flatnonzero(np.diff(record.command, prepend=np.inf) != 0.0)
     ends = np.append(record.command_times[begins[1:]], record.command_times[-1])
     longest: dict[float, float] = {}

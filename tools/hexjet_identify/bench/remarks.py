@@ -8,12 +8,12 @@ import numpy as np
 
 from hexjet_identify.bench.engine_table import engine_parameters
 from hexjet_identify.bench.identification import Identification
-from hexjet_identify.bench.record import BenchRecord, find_levels, next_step
-from hexjet_identify.bench.running import SPEED_UNITS
+from hexjet_identify.bench.record import BenchRecord, describe_next_step, find_levels
+from hexjet_identify.bench.running import RPM_PER_UNIT
 
 
 def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: float = 0.02) -> list[str]:
-    """Return what is to be doubted of a model of lags or limits, the weightiest first.
+    """Return doubts about a model of lags or limits, a sentence each, the weightiest first.
 
     ``apart``: deviations by which a zero is below 0; ``largest_miss``: share of the range that the power law may miss.
     """
@@ -31,7 +31,7 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
             f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
             f"output -{record.output_name}"
         )
-    if not found.is_explained and record.command_unit in SPEED_UNITS and record.output_unit in SPEED_UNITS:
+    if not found.is_explained and record.command_unit in RPM_PER_UNIT and record.output_unit in RPM_PER_UNIT:
         doubts.append(
             "a speed that follows its set-point is a turbine's under an ECU: try engine jetcat-p300 "
             "with fit fuel_integral and fuel_fall"
@@ -57,13 +57,13 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
 
 
 def describe_untold(found: Identification, wide: float = 0.3) -> Iterator[str]:
-    """Yield a line for each thing that the logs do not tell, with the next test: which step, how long, which level.
+    """Yield a sentence for each quantity that the logs do not determine, with the test that would.
 
     Bounds ``wide`` beside delay and lags together, or beside the lag, say little.
     """
     chosen, records, (total, deviation) = found.chosen, found.records, found.chosen.total
     row = max(record.step for record in records)
-    step = next_step(records, total)
+    step = describe_next_step(records, total)
     begin, end = chosen.delay_bounds
     if not found.is_told:
         yield f"delay and lag: so slow a command shows the static line alone. Next: {step}"
@@ -87,11 +87,11 @@ def describe_untold(found: Identification, wide: float = 0.3) -> Iterator[str]:
             f"whether it is one lag or several: a lag of {1e3 * lag:.3g} ms is {lag / row:.1f} rows long. "
             f"Next: the same logged every {100.0 * lag:.2g} ms"
         )
-    yield from _untold_levels(records, found.limits, total)
+    yield from _describe_levels(records, found.limits, total)
 
 
-def _untold_levels(records: Sequence[BenchRecord], limits: tuple[float, float], total: float) -> Iterator[str]:
-    """Yield what is missing of the levels; one that is held for three times ``total`` s is told."""
+def _describe_levels(records: Sequence[BenchRecord], limits: tuple[float, float], total: float) -> Iterator[str]:
+    """Yield which command levels are missing; one that is held for three times ``total`` s counts."""
     commands = np.concatenate([record.command for record in records])
     ends, hold, settled = (float(commands.min()), float(commands.max())), max(5.0 * total, 2.0), 3.0 * total
     levels = {level for record in records for level, seconds in find_levels(record).items() if seconds > settled}
@@ -116,7 +116,7 @@ def _untold_levels(records: Sequence[BenchRecord], limits: tuple[float, float], 
 def describe_small_movements(
     records: Sequence[BenchRecord], total: float, large: float = 0.15, small: float = 0.03
 ) -> list[str]:
-    """Return a line where the logs have movements above a ``large`` share of the range alone: the ``small`` ones next.
+    """Return the next test if all movements exceed a ``large`` share of the range: ``small`` ones.
 
     A movement is rows that move on the same way; of steps an engine with limits answers small ones otherwise.
     """
@@ -126,7 +126,7 @@ def describe_small_movements(
         steps = np.diff(record.command)
         moved = np.flatnonzero(steps)
         signs = np.sign(steps[moved])
-        # A single row at which it stands, as where a frame came twice, does not end a movement.
+        # A single repeated row, as of a frame that was received twice, does not end a movement.
         first = moved[(np.diff(moved, prepend=-len(steps)) > 2) | (np.diff(signs, prepend=0.0) != 0.0)]
         sizes += np.abs(np.add.reduceat(steps, first)).tolist() if first.size else []
     if not sizes or min(sizes) <= large * span:

@@ -24,8 +24,8 @@ BOUNDS = (
     "The first model is the one that is written. The delay's bounds are those of its profile likelihood with two lags, "
     "or 1.96 standard deviations like the others; they hold where the model explains the log."
 )
-# What a parameter is called on a page, and by how much its number is multiplied there.
-NAMES = {
+# Label of a parameter on the page, and the factor to its unit there.
+PARAMETER_LABELS = {
     "delay_s": ("delay, ms", 1e3),
     "lag_s": ("lag, ms", 1e3),
     "second_lag_s": ("second lag, ms", 1e3),
@@ -68,7 +68,7 @@ class BenchIdentifyResult(FolderResult):
         return self.identification.to_dict()
 
     def lines(self, most: int = 3) -> list[str]:
-        """Return the verdict, and the ``most`` weighty of what is to be said; the page has the rest."""
+        """Return the verdict and the ``most`` important notes; the page has the others."""
         found, reason = self.identification, why_no_engine(self.identification)
         said = [f"no engine: {reason}"] if reason else []
         said += [*(f"not told: {line}" for line in found.untold[:1]), *note_lines(found.notes)]
@@ -99,7 +99,7 @@ def page(found: Identification) -> Page:
         *([Card("Movements, foretold", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
         *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),
     ]
-    figures = {"signals": draw_signals(_signals(found), units)}
+    figures = {"signals": draw_signals(_make_signals(found), units)}
     if len(found.chosen.levels(found.problem)):
         figures["curve"] = _draw_levels(found)
     reason = why_no_engine(found)
@@ -122,9 +122,9 @@ def rows(found: Identification, every: bool = False) -> list[list[str]]:
     names = list(dict.fromkeys(name for each in estimates for name in each.numbers))
     table = []
     for name in names:
-        label, factor = NAMES.get(name, (name, 1.0))
+        label, factor = PARAMETER_LABELS.get(name, (name, 1.0))
         label += f", {found.unit or '1'}/s" if name in ("rise", "fall") and found.engine is None else ""
-        table.append([label, *(_number(each, name, factor) for each in estimates)])
+        table.append([label, *(_format_number(each, name, factor) for each in estimates)])
     low, high = (found.limits[0] + (found.limits[1] - found.limits[0]) * found.problem.knots[[0, -1]]).tolist()
     if len(found.chosen.levels(found.problem)):
         ends = [[f"{each.levels(found.problem)[end]:.4g}" for each in estimates] for end in (0, -1)]
@@ -135,7 +135,7 @@ def rows(found: Identification, every: bool = False) -> list[list[str]]:
     return table
 
 
-def _number(estimate: Estimate, name: str, factor: float) -> str:
+def _format_number(estimate: Estimate, name: str, factor: float) -> str:
     if name not in estimate.numbers:
         return ""
     value, deviation = estimate.numbers[name]
@@ -172,8 +172,8 @@ def readme(found: Identification) -> str:
     return engine_readme("bench log", rows(found), source, validity, residuals, found.untold, found.notes, *own)
 
 
-def _signals(found: Identification) -> Iterator[Signals]:
-    """Yield logs behind each other in time."""
+def _make_signals(found: Identification) -> Iterator[Signals]:
+    """Yield the signals of each log, one log behind the other in time."""
     shift, (low, high), residual = 0.0, found.limits, found.chosen.residual
     for log, span in zip(found.problem.logs, found.problem.spans, strict=True):
         times, values = log.command_times, low + (high - low) * log.command

@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 
-SPEEDS = r"\b(rpm|n1?|speed)\b"
-NO_SPEED = r"set.?point|demand|target|command|cmd|air.?speed|wind|pump"
-STATES = re.compile(r"(.*[_ ])?(state|status|ecu[_ ]state)", re.IGNORECASE)
-SHORTEST_S = 5.0  # of a stretch that is worth keeping
-SPEED_UNITS = {"rpm": 1.0, "krpm": 1e3}  # in rpm
+SPEED_PATTERN = r"\b(rpm|n1?|speed)\b"
+NO_SPEED_PATTERN = r"set.?point|demand|target|command|cmd|air.?speed|wind|pump"
+STATE_COLUMN = re.compile(r"(.*[_ ])?(state|status|ecu[_ ]state)", re.IGNORECASE)
+MIN_RUNNING_S = 5.0  # of a stretch that is worth keeping
+RPM_PER_UNIT = {"rpm": 1.0, "krpm": 1e3}  # in rpm
 
 
 def find_running(
     log: FlightLog, command: Channel, output: Channel, notes: list[str], off_share: float = 0.15
 ) -> list[tuple[float, float]]:
-    """Return the stretches, s, in which the engine of this log is started and runs; what is left out ``notes`` say.
+    """Return the spans [s] of a log in which the engine runs, without start and stop; note what is left out.
 
     By its speed, where the log has one: below ``off_share`` of the greatest it is off (jets idle above a fifth).  A
     start ends where it stands for 3 s for the first time, a stop begins where it stood for the last, if a start takes
@@ -37,12 +37,12 @@ def find_running(
     off = values < off_share * values.max(initial=0.0)
     if len(times) < 2 or not off.any() or off.all():
         return [(begin, end)]
-    started, is_slow = _started(times, values, off)
-    in_state = _in_state(log, times, values)
+    started, is_slow = _find_started_rows(times, values, off)
+    in_state = _find_running_rows(log, times, values)
     if not is_slow and in_state is None:
         return [(begin, end)]
     running = ~off & started & (in_state if in_state is not None else True)
-    spans = [span for span in _spans(times, running) if span[1] - span[0] > SHORTEST_S]
+    spans = [span for span in _find_spans(times, running) if span[1] - span[0] > MIN_RUNNING_S]
     if not spans:
         return [(begin, end)]
     kept = [(begin if low == times[0] else low, end if high == times[-1] else high) for low, high in spans]
@@ -58,8 +58,8 @@ def find_speed(log: FlightLog) -> Channel | None:
     found = [
         channel
         for name, channel in log.channels.items()
-        if re.search(SPEEDS, name.replace("_", " "), re.IGNORECASE) and not re.search(NO_SPEED, name, re.IGNORECASE)
-        and unit_of(name, channel.unit) in ("", *SPEED_UNITS)
+        if re.search(SPEED_PATTERN, name.replace("_", " "), re.IGNORECASE)
+        and not re.search(NO_SPEED_PATTERN, name, re.IGNORECASE) and unit_of(name, channel.unit) in ("", *RPM_PER_UNIT)
     ]  # fmt: skip
     if len(found) != 1:
         return None
@@ -67,10 +67,10 @@ def find_speed(log: FlightLog) -> Channel | None:
     return found[0]._replace(times=found[0].times[good], values=found[0].values[good])
 
 
-def _started(
+def _find_started_rows(
     times: Array, values: Array, off: NDArray[np.bool_], standing_s: float = 3.0, slowest_fan_s: float = 8.0
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Return which rows lie neither in a start, until the speed first stands, nor in a stop, since it last stood.
+    """Return which rows lie behind the start, once the speed settled, and before the stop, until it was last settled.
 
     And whether a start is as slow as a jet's is: an electric fan that is switched on is no start.  A speed stands that
     changes by less than 1.5 % of the greatest in ``standing_s``.
@@ -90,9 +90,9 @@ def _started(
     return kept, bool(is_slow)
 
 
-def _in_state(log: FlightLog, times: Array, values: Array, most_states: int = 40) -> NDArray[np.bool_] | None:
-    """Return which rows are in the state in which the engine turned most; None where no column says a state."""
-    states = [channel for name, channel in log.channels.items() if STATES.fullmatch(name)]
+def _find_running_rows(log: FlightLog, times: Array, values: Array, most_states: int = 40) -> NDArray[np.bool_] | None:
+    """Return which rows have the ECU state in which the engine turned most; None without a column of states."""
+    states = [channel for name, channel in log.channels.items() if STATE_COLUMN.fullmatch(name)]
     if len(states) != 1:
         return None
     good = np.isfinite(states[0].times) & np.isfinite(states[0].values)
@@ -105,6 +105,6 @@ def _in_state(log: FlightLog, times: Array, values: Array, most_states: int = 40
     return np.asarray(state == known[int(np.argmax(turned))])
 
 
-def _spans(times: Array, use: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def _find_spans(times: Array, use: NDArray[np.bool_]) -> list[tuple[float, float]]:
     edges = np.flatnonzero(np.diff(use.astype(np.int8), prepend=0, append=0))
     return [(float(times[a]), float(times[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]

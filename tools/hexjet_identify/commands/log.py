@@ -36,7 +36,7 @@ def read_or_identify(log: str, *, channels: bool = False, **choices: Any) -> Fli
 
 
 def show(found: FlightLog | LogIdentifyResult, verbose: bool) -> None:
-    """Print what was identified; or what a log holds: its remarks, and each channel with its rate and span."""
+    """Print an identification, or the contents of a log: its notes, and each channel with rate and span."""
     if isinstance(found, Result):
         show_result(found, verbose)
         return
@@ -49,7 +49,7 @@ def show(found: FlightLog | LogIdentifyResult, verbose: bool) -> None:
         echo(text.format(**channel).rstrip())
 
 
-def _folder(arguments: Any) -> str | None:
+def _name_folder(arguments: Any) -> str | None:
     what = arguments["axis"] or f"engine-{arguments['engine']}"
     return None if arguments["channels"] else f"identify-log-{what}"
 
@@ -62,7 +62,7 @@ identify_from_log = Command(
     options={"axis": "--axis", "family": "--filed-under", **LOG_OPTIONS},
     metavars={"log": "FILE|RUN", "engine": "N", "command": "SUM", "output": "SUM", "setpoint": "SUM",
               "hold": "NAME=VALUE", "family": "NAME", **LOG_METAVARS},
-    folder=_folder,
+    folder=_name_folder,
     before=lambda arguments: one_thread(),
     show=show,
     ends="Status 1: the log does not tell.",

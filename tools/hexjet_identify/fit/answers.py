@@ -14,8 +14,8 @@ from hexjet_identify.fit.logs import Log
 Rows = NDArray[np.int64]
 
 
-def hats(command: Array, knots: Array) -> Array:
-    """Return the shares of the levels at ``knots`` in the static output of each command, a column a level."""
+def interpolation_weights(command: Array, knots: Array) -> Array:
+    """Return weights that interpolate linearly between levels at ``knots``, a row a command, a column a level."""
     inside = np.clip(command, knots[0], knots[-1])
     below = np.clip(np.searchsorted(knots, inside, "right") - 1, 0, len(knots) - 2)
     share = (inside - knots[below]) / (knots[below + 1] - knots[below])
@@ -27,9 +27,9 @@ def hats(command: Array, knots: Array) -> Array:
 
 
 def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, float]) -> Array:
-    """Return answers to columns of ``inputs`` at the command's rows, at the output's rows: ``lags`` with their weights.
+    """Return the delayed response of a weighted sum of lags to each column of ``inputs``, at the output's rows.
 
-    Each is lag x' = u(t - delay) - x, exactly; before the first row x rests at its input.
+    ``lags``: weight by lag [s]; each is lag x' = u(t - delay) - x, exactly, at rest before the first row.
     """
     times = log.command_times
     gap = np.diff(times)[:, None]
@@ -58,7 +58,7 @@ def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, f
 
 
 def answer_of_poles(log: Log, delay: float, poles: Mapping[float, float]) -> Array:
-    """Return the answer of the sum of weight / (s + pole) to a held command at the output's rows, from rest at 0."""
+    """Return the delayed response of the sum of weight / (s + pole) to the held command, at the output's rows."""
     times, gap = log.command_times, np.diff(log.command_times)
     states = [
         _recur(np.exp(-pole * gap), np.concatenate([[0.0], hold_response(pole, gap) * log.command[:-1]])[:, None])[:, 0]
@@ -76,12 +76,12 @@ def answer_of_poles(log: Log, delay: float, poles: Mapping[float, float]) -> Arr
 
 
 def hold_response(pole: float, seconds: Array) -> Array:
-    """Return the answer of ``1 / (s + pole)`` to a command of 1 after so many seconds."""
+    """Return the response of ``1 / (s + pole)`` to a unit step after these ``seconds``."""
     return np.asarray(-np.expm1(-pole * seconds) / pole if pole > 1e-6 else seconds)
 
 
 def _recur(kept: Array, added: Array) -> Array:
-    """Return what comes of each row as ``kept`` of the row before and what is ``added``."""
+    """Return x with x[k] = kept[k - 1] x[k - 1] + added[k]."""
     from scipy.linalg.lapack import dtbtrs
 
     bands = np.ones((2, len(added)))
@@ -92,7 +92,7 @@ def _recur(kept: Array, added: Array) -> Array:
 def answer_of_limits(
     log: Log, shares: Array, levels: Array, delay: float, lag: float, rise: float, fall: float
 ) -> Array:
-    """Return the answer of a lag with limits, and behind it its slopes by delay, lag, rise, fall and each level.
+    """Return the response of a lag with limits, and its derivatives by delay, lag, rise, fall and each level.
 
     x' = (target(t - delay) - x) / lag within -fall and rise, exactly for a held command, whose static output is
     ``shares @ levels``; one that goes straight is taken for held from half a row before on.
@@ -102,11 +102,11 @@ def answer_of_limits(
         times = 0.5 * (np.concatenate([times[:1], times[:-1]]) + times)
     gap, states = np.diff(times), [float(target[0])]
     for goal, seconds in zip(target.tolist(), gap.tolist(), strict=False):
-        states.append(_approach(states[-1], goal, seconds, lag, rise, fall))
+        states.append(_advance_limited_lag(states[-1], goal, seconds, lag, rise, fall))
     state = np.array(states)
 
     def advance(row: Rows, since: Array) -> tuple[Array, Array, Array, Array]:
-        """Return output and rate so long after a row; what is kept of the state there; its own slopes."""
+        """Return output and rate ``since`` s after a row, and derivatives by the state there and by parameters."""
         error = target[row] - state[row]
         limit = np.where(error > 0.0, rise, -fall)
         until = np.clip(error / limit - lag, 0.0, since)
@@ -131,8 +131,8 @@ def answer_of_limits(
     return average_over_rows(log, answer)
 
 
-def _approach(state: float, goal: float, seconds: float, lag: float, rise: float, fall: float) -> float:
-    """Return where a lag with limits is after ``seconds`` towards a goal that stands still."""
+def _advance_limited_lag(state: float, goal: float, seconds: float, lag: float, rise: float, fall: float) -> float:
+    """Return the state of a lag with limits after ``seconds`` towards a constant goal."""
     error = goal - state
     limit = rise if error > 0.0 else -fall
     until = error / limit - lag
@@ -144,7 +144,7 @@ def _approach(state: float, goal: float, seconds: float, lag: float, rise: float
 
 
 def average_over_rows(log: Log, answer: Callable[[Array], Array]) -> Array:
-    """Return the mean of ``answer`` over the width of each row of a log, by four of its parts."""
+    """Return ``answer`` averaged over the width of each row of a log, by four samples."""
     if log.width <= 0.0:
         return answer(log.times)
     shifts = log.width * np.array([-0.375, -0.125, 0.125, 0.375])

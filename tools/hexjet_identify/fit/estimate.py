@@ -18,12 +18,12 @@ import numpy as np
 from cosim.base.arrays import Array
 from hexjet_identify.fit.forms import Form, Lags, Limits
 from hexjet_identify.fit.logs import Log
-from hexjet_identify.fit.problem import Problem, spread
+from hexjet_identify.fit.problem import Problem, noise_basis
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A form as fitted: parameters ``x``, what is linear, and what is left over of the output.
+    """A fitted form: parameters ``x``, linear parameters, their covariance, and the residual of the output.
 
     ``noise``: what each row keeps of the noise of those before; ``covariance``: of ``x``, what is linear, and terms of
     the noise; ``held``: numbers of parameters that were not fitted; ``loss``: sum of squares of ``rows``, made white.
@@ -68,7 +68,7 @@ class Estimate:
         return float(np.sqrt(max(self.covariance[number, number], 0.0)))
 
     def derive(self, quantity: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """Return a quantity of ``x``, and its covariance."""
+        """Return a function of ``x`` and its covariance, linearised."""
         count, at = len(self.x), quantity(self.x)
         steps = 1e-6 * np.maximum(1.0, np.abs(self.x))
         slopes = [(quantity(self.x + row) - at) / step for row, step in zip(np.diag(steps), steps, strict=True)]
@@ -82,7 +82,7 @@ class Estimate:
 
     @property
     def numbers(self) -> dict[str, tuple[float, float]]:
-        """The form's parameters as they are called and counted, with standard deviations."""
+        """The form's physical parameters by name, each with its standard deviation."""
         names = list(self.form.natural(self.x))
         values, covariance = self.derive(lambda x: np.array(list(self.form.natural(x).values())))
         deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -117,7 +117,7 @@ class Estimate:
 
 
 def project(problem: Problem, form: Form, x: Array, noise: Array) -> tuple[Array, Array]:
-    """Return the linear parameters that suit ``x`` best, and what is left over, made white, with what binds levels."""
+    """Return the least-squares linear parameters at ``x``, and the whitened residual with the rows that bind levels."""
     columns = form.columns(problem, x)
     if not form.is_linear:
         levels = form.levels(problem, x, x)
@@ -137,8 +137,8 @@ def project(problem: Problem, form: Form, x: Array, noise: Array) -> tuple[Array
     return linear, np.concatenate([output - matrix @ linear, -(problem.binding @ linear[:count])])
 
 
-def leave(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
-    """Return what is left over of the output."""
+def compute_residual(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
+    """Return the residual: the measured output less the form's answer."""
     columns = form.columns(problem, x)
     return np.asarray(problem.output - (columns @ linear if len(linear) else columns[:, 0]))
 
@@ -146,7 +146,7 @@ def leave(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
 def solve(
     problem: Problem, form: Form, start: Array, noise: Array, held: Sequence[int] = ()
 ) -> tuple[Array, Array, float]:
-    """Return the parameters nearest ``start`` that leave least, their noise, and what they leave.
+    """Fit parameters from ``start``; return them, the noise and the sum of squares of the whitened residual.
 
     Parameters numbered ``held`` are kept; noise of order 1 too, that of a higher one is fitted with the rest.
     """
@@ -156,7 +156,7 @@ def solve(
     inside = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
     x = np.where(np.isin(np.arange(len(low)), held), start, np.clip(start, low + inside, high - inside))
     free = np.setdiff1d(np.arange(len(x)), held)
-    size, terms, begin = 1e-6 * problem.swing, spread(len(noise)), noise
+    size, terms, begin = 1e-6 * problem.swing, noise_basis(len(noise)), noise
     many = terms.shape[1]
 
     at, last, linear = np.empty(0), np.empty(0), np.empty(0)
@@ -178,7 +178,7 @@ def solve(
         widths = np.where(values[: len(free)] + widths <= high[free], widths, -widths)
         of_noise = np.zeros((len(base), 0))
         if many:
-            # What the noise's terms change of it, less what the linear parameters make good (Kaufman, 1975).
+            # Derivatives by the noise's terms, projected off the linear parameters (Kaufman, 1975).
             answers = form.columns(problem, x)
             late = problem.earlier(problem.output - answers @ linear, len(noise)) @ terms
             frame = np.linalg.qr(problem.whiten(answers, noise))[0]
@@ -225,7 +225,7 @@ def fit_static(problem: Problem) -> Estimate:
     return replace(best, covariance=covariance, count=best.count - 2, delay_bounds=(0.0, problem.max_delay))
 
 
-def thin(problem: Problem, rows: int = 400) -> Problem:
+def thin_rows(problem: Problem, rows: int = 400) -> Problem:
     """Return the problem with about so many ``rows``, those of each log alike, and commands: enough to search."""
     every = max(1, len(problem.output) // rows)
     coarse = problem.at(np.concatenate([np.arange(len(log.times)) % every == 0 for log in problem.logs]))
@@ -234,8 +234,8 @@ def thin(problem: Problem, rows: int = 400) -> Problem:
 
 
 def find_start(problem: Problem) -> Array:
-    """Return delay [s] and ln lag with which rows, thinned, are best explained."""
-    coarse, form = thin(problem), Lags(1)
+    """Return delay [s] and ln lag to start a fit from, by a search over a grid with thinned rows."""
+    coarse, form = thin_rows(problem), Lags(1)
     low, high = form.limits(coarse)
     delays = np.concatenate([[0.0], np.geomspace(0.02 * high[0], 0.95 * high[0], 14)])
     found = []
@@ -248,15 +248,15 @@ def find_start(problem: Problem) -> Array:
 
 
 def fit_limits(problem: Problem, lags: Estimate, share: float = 0.9) -> Estimate | None:
-    """Fit limits of rise and fall, from several starts: where they rule, the lag is far shorter than one alone.
+    """Fit limits of rise and fall from several starts, with lags far shorter than that of a lag alone.
 
     None where they leave more than a ``share`` of what lags leave of thinned rows: they are not clearly better.
     """
-    rates = np.concatenate([_rates(log) for log in problem.logs])
+    rates = np.concatenate([_compute_rates(log) for log in problem.logs])
     rise = max(float(np.percentile(rates, 97.0)), 1e-3 * problem.swing)
     fall = max(float(-np.percentile(rates, 3.0)), 1e-3 * problem.swing)
     total, levels = lags.form.total(lags.x), lags.levels(problem)
-    coarse, form, white = thin(problem), Limits(), np.zeros(0)
+    coarse, form, white = thin_rows(problem), Limits(), np.zeros(0)
     starts = [
         np.array([delay * total, np.log(lag * total), np.log(rise), np.log(fall), *levels])
         for delay, lag in ((0.3, 0.5), (0.3, 0.15), (0.1, 0.3))
@@ -267,7 +267,7 @@ def fit_limits(problem: Problem, lags: Estimate, share: float = 0.9) -> Estimate
     return fit(problem, form, near)
 
 
-def _rates(log: Log) -> Array:
+def _compute_rates(log: Log) -> Array:
     """Return the output's rates over a tenth of a second, 1/s."""
     rows = max(1, round(0.1 / log.step))
     return np.asarray((log.output[rows:] - log.output[:-rows]) / (log.times[rows:] - log.times[:-rows]))
@@ -276,20 +276,20 @@ def _rates(log: Log) -> Array:
 def estimate_at(
     problem: Problem, form: Form, x: Array, noise: Array, held: Sequence[int] = (), width: int = 0
 ) -> Estimate:
-    """Return the estimate with these parameters and noise; those numbered ``held`` have no deviation.
+    """Return the estimate at given parameters and noise with its covariance; those numbered ``held`` are exact.
 
     ``width``: rows over which what is left over may be correlated at least.
     """
     linear = project(problem, form, x, noise)[0]
-    residual = leave(problem, form, x, linear)
+    residual = compute_residual(problem, form, x, linear)
     white = problem.whiten(residual, noise)
     count = len(white)
     loss = max(float(white @ white), count * (1e-7 * problem.swing) ** 2)
-    slopes = _slopes(problem, form, x, linear)
+    slopes = _differentiate(problem, form, x, linear)
     linear_slopes = [form.columns(problem, x)[:, : len(linear)]] if len(linear) else []
     jacobian = problem.whiten(np.column_stack([slopes, *linear_slopes]), noise)
     if len(noise) > 1:
-        jacobian = np.column_stack([jacobian, problem.earlier(residual, len(noise)) @ spread(len(noise))])
+        jacobian = np.column_stack([jacobian, problem.earlier(residual, len(noise)) @ noise_basis(len(noise))])
     fitted = np.setdiff1d(np.arange(jacobian.shape[1]), held)
     jacobian = jacobian[:, fitted]
     inverse = invert(jacobian.T @ jacobian)
@@ -299,12 +299,12 @@ def estimate_at(
     wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
     deviance = count * float(np.log(loss / count)) + problem.whitening_deviance(noise)
     parameters = jacobian.shape[1] + 1 + (len(noise) == 1 and noise[0] > 0.0)
-    covariance = np.zeros((len(x) + len(linear) + spread(len(noise)).shape[1],) * 2)
+    covariance = np.zeros((len(x) + len(linear) + noise_basis(len(noise)).shape[1],) * 2)
     covariance[np.ix_(fitted, fitted)] = plain * np.outer(wider, wider)
-    # What changes nothing is not told.
+    # A parameter that changes nothing has an infinite variance.
     silent = np.setdiff1d(np.flatnonzero(~np.any(slopes != 0.0, axis=0)), held)
     covariance[silent, silent] = np.inf
-    # Noise that is fitted with the rest already says how what is left over is correlated.
+    # Noise terms that are fitted already describe the correlation of the residual.
     widening = float(wider[0]) if len(noise) < 2 and 0 not in held else 1.0
     return Estimate(
         form, x, linear, covariance, residual, noise, loss, count, deviance, parameters, widening, tuple(held)
@@ -317,8 +317,8 @@ def invert(matrix: Array) -> Array:
     return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
 
 
-def _slopes(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
-    """Return by how much the answer changes with each of ``x``, a column each."""
+def _differentiate(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
+    """Return the derivative of the answer by each of ``x``, a column each."""
     if (known := form.slopes(problem, x)) is not None:
         return known
     low, high = form.limits(problem)
@@ -333,7 +333,7 @@ def _slopes(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
 
 
 def _newey_west(jacobian: Array, white: Array, inverse: Array, width: int = 0) -> Array:
-    """Return the covariance where what is left over may be correlated over a few rows, at least ``width``.
+    """Return the covariance for a residual that is correlated over a few rows, at least ``width``.
 
     The width is that of Newey and West (1994), 4 (n / 100)^(2/9) rows.
     """
@@ -346,10 +346,10 @@ def _newey_west(jacobian: Array, white: Array, inverse: Array, width: int = 0) -
     return np.asarray(inverse @ middle @ inverse)
 
 
-def find_end(
+def find_profile_end(
     value: float, limit: float, width: float, wanted: float, risen: Callable[[float], float], near: float = 0.08
 ) -> float:
-    """Return where a profile has risen by ``wanted`` deviations, about ``width`` from ``value`` towards a ``limit``.
+    """Return where a profile likelihood has fallen by ``wanted`` deviations between ``value`` and ``limit``.
 
     ``risen``: the root of twice by how much the logarithm of the likelihood has fallen there; ``near`` is near enough.
     """
@@ -388,5 +388,5 @@ def bound_delay(
             x, noise, loss = solve(problem, estimate.form, np.array([at, *x[1:]]), noise, (0, *estimate.held))
             return float(np.sqrt(max(estimate.rows * np.log(loss / estimate.loss) + above, 0.0)))
 
-        ends.append(find_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen, near))
+        ends.append(find_profile_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen, near))
     return ends[0], ends[1]

@@ -13,12 +13,12 @@ from hexjet_identify.fit.estimate import Estimate, project, solve
 from hexjet_identify.fit.logs import Log, smooth
 from hexjet_identify.fit.problem import Problem
 
-# Shares of a movement's way whose times are compared.
-SHARES = (0.1, 0.5, 0.9)
+# Shares of a movement's change whose times are compared.
+CROSSING_SHARES = (0.1, 0.5, 0.9)
 
 
-class Foretold(NamedTuple):
-    """One movement of a command, foretold by the form as fitted to every second other one.
+class PredictedMovement(NamedTuple):
+    """One movement of the command, predicted by the form as fitted to every second other one.
 
     ``log`` counts from 0; times in s, outputs in their unit; no times where a movement goes nowhere, or is passed.
     ``slack``: by how much a row and noise may move each time, s.
@@ -35,11 +35,11 @@ class Foretold(NamedTuple):
 
     @property
     def off(self) -> tuple[float, ...]:
-        """By how much each time is off, as a share of the measured one; infinite where the model never gets there."""
+        """Relative error of each time; infinite if the model never reaches the level."""
         return tuple(inf if isnan(b) else b / a - 1.0 for a, b in zip(self.measured, self.model, strict=True))
 
     def count_near(self, share: float = 0.1) -> int:
-        """Return how many times are within this share of the measured one, and what a row and noise do."""
+        """Return how many times are within ``share`` of the measured one, allowing for ``slack``."""
         each = zip(self.measured, self.model, self.slack, strict=True)
         return sum(abs(b - a) <= share * a + slack for a, b, slack in each)
 
@@ -49,7 +49,7 @@ class Foretold(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What decides whether a form explains its logs, and nothing else does.
+    """Residual and predicted times, which alone decide whether a form explains its logs.
 
     ``off``: what is left over of movements (rms), averaged over a quarter of delay and lags together, as a share of the
     range; ``near`` of ``times`` that were foretold are within 10 %, but for a row and noise.
@@ -61,7 +61,7 @@ class Verdict(NamedTuple):
 
     @property
     def is_explained(self) -> bool:
-        """Whether little is left over, and most of the times that were held back are near.
+        """Whether the residual is small and most of the held-back times are near.
 
         3 % of the range are allowed; 1.5 % where fewer than six times could be held back.
         """
@@ -77,14 +77,14 @@ class Verdict(NamedTuple):
         return f"not explained: {off}{times}"
 
 
-def judge(problem: Problem, estimate: Estimate, total: float, held_back: tuple[Foretold, ...]) -> Verdict:
+def judge(problem: Problem, estimate: Estimate, total: float, held_back: tuple[PredictedMovement, ...]) -> Verdict:
     """Return the verdict on a form; ``total``: delay and lags together, s.
 
     A movement lasts until three times that after the command last moved, so that long holds hide nothing.  The range is
     that of the model's answer, which noise does not widen.
     """
     quarter = 0.25 * total
-    residual = np.concatenate([smooth(log.times, estimate.residual[rows], quarter) for log, rows in _logs(problem)])
+    residual = np.concatenate([smooth(log.times, estimate.residual[rows], quarter) for log, rows in problem.parts])
     moving = np.concatenate([log.moves_within(3.0 * total if total > 0.0 else np.inf) for log in problem.logs])
     reach = min(float(np.ptp(problem.output - estimate.residual)), problem.swing)
     off = float(np.sqrt(np.mean(residual[moving if moving.any() else ~moving] ** 2))) / max(reach, 1e-300)
@@ -92,8 +92,8 @@ def judge(problem: Problem, estimate: Estimate, total: float, held_back: tuple[F
     return Verdict(off, sum(one.count_near() for one in held_back), times)
 
 
-def hold_back(problem: Problem, estimate: Estimate, total: float) -> tuple[Foretold, ...]:
-    """Fit the form to every second movement and foretell the others, then the other way round.
+def predict_held_back(problem: Problem, estimate: Estimate, total: float) -> tuple[PredictedMovement, ...]:
+    """Fit the form to every second movement and predict the others, then the other way round.
 
     It takes four movements, before each of which the command stands for two times ``total`` s.
     """
@@ -102,23 +102,19 @@ def hold_back(problem: Problem, estimate: Estimate, total: float) -> tuple[Foret
         return ()
     foretold = []
     for parity in (0, 1):
-        others = _all_but(problem, spans[parity::2])
+        others = _exclude_movements(problem, spans[parity::2])
         part = problem.at(others)
         x = solve(part, estimate.form, estimate.x, estimate.noise)[0]
         fitted = replace(estimate, x=x, linear=project(part, estimate.form, x, estimate.noise)[0])
         answer = fitted.answer(problem)
         for number, span in spans[parity::2]:
             log, rows = problem.logs[number], problem.spans[number]
-            foretold.append(_compare(number, log, answer[rows], span, 0.1 * total, 0.1 * problem.swing))
+            foretold.append(_compare_movement(number, log, answer[rows], span, 0.1 * total, 0.1 * problem.swing))
     return tuple(sorted(foretold, key=lambda one: one[:2]))
 
 
-def _logs(problem: Problem) -> list[tuple[Log, slice]]:
-    return list(zip(problem.logs, problem.spans, strict=True))
-
-
-def _all_but(problem: Problem, spans: list[tuple[int, tuple[float, float]]], least: int = 20) -> Flags:
-    """Return the rows outside of movements; a log of which hardly any is left stays whole."""
+def _exclude_movements(problem: Problem, spans: list[tuple[int, tuple[float, float]]], least: int = 20) -> Flags:
+    """Return the rows outside of these movements; a log with fewer than ``least`` such rows stays whole."""
     kept = np.ones(len(problem.output), bool)
     for number, (begin, end) in spans:
         times = problem.logs[number].times
@@ -129,8 +125,10 @@ def _all_but(problem: Problem, spans: list[tuple[int, tuple[float, float]]], lea
     return kept
 
 
-def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], seconds: float, least: float) -> Foretold:
-    """Return how one movement is foretold, by rows averaged over ``seconds``; none of ``least`` way has times."""
+def _compare_movement(
+    number: int, log: Log, answer: Array, span: tuple[float, float], seconds: float, least: float
+) -> PredictedMovement:
+    """Compare a predicted with the measured movement, averaged over ``seconds``; times need ``least`` change."""
     use = (log.times >= span[0]) & (log.times < span[1])
     courses = [smooth(log.times, values, seconds) for values in (log.output, answer)]
     last = max(2, round(0.1 * np.count_nonzero(use)))
@@ -138,12 +136,13 @@ def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], se
     firsts = [float(course[before].mean() if len(before) else course[use][0]) for course in courses]
     ends = [float(course[use][-last:].mean()) for course in courses]
     rms = float(np.sqrt(np.mean((log.output - answer)[use] ** 2)))
-    found = Foretold(number, span[0], firsts[0], ends[0], rms)
+    found = PredictedMovement(number, span[0], firsts[0], ends[0], rms)
     if np.count_nonzero(use) < 5 or abs(ends[0] - firsts[0]) < least:
         return found
     times = log.times[use] - span[0]
     measured, model = (
-        _crossings(times, course[use], first, end) for course, first, end in zip(courses, firsts, ends, strict=True)
+        _find_crossing_times(times, course[use], first, end)
+        for course, first, end in zip(courses, firsts, ends, strict=True)
     )
     if any(isnan(time) or not time > 0.0 for time in measured):
         return found
@@ -155,11 +154,11 @@ def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], se
     return found._replace(measured=measured, model=model, slack=tuple(slack.tolist()))
 
 
-def _crossings(times: Array, values: Array, first: float, end: float) -> tuple[float, ...]:
-    """Return when each share of the way is passed for the first time, s; nan where it never is."""
+def _find_crossing_times(times: Array, values: Array, first: float, end: float) -> tuple[float, ...]:
+    """Return the first times [s] at which CROSSING_SHARES of the change are passed; nan for one that never is."""
     way = (values - first) / (end - first if end != first else np.nan)
     found = []
-    for share in SHARES:
+    for share in CROSSING_SHARES:
         above = np.flatnonzero(way >= share)
         k = int(above[0]) if len(above) else 0
         found.append(float(np.interp(share, way[k - 1 : k + 1], times[k - 1 : k + 1])) if k else float("nan"))
@@ -167,7 +166,7 @@ def _crossings(times: Array, values: Array, first: float, end: float) -> tuple[f
 
 
 def spread_of_delay(problem: Problem, estimate: Estimate, total: float, row: float) -> float:
-    """Return by how much the delay's bounds are wider because movements are answered earlier and later, s.
+    """Return by how much to widen the delay's bounds [s] because movements are answered at varying delays.
 
     The spread beyond noise is DerSimonian and Laird's (1986), taken where it is significant (p < 0.01); one within a
     ``row`` [s] of the command, as of an ECU that reads at intervals, averages out over the movements.
@@ -180,7 +179,7 @@ def spread_of_delay(problem: Problem, estimate: Estimate, total: float, row: flo
     memory = problem.memory_of(left)
     variance = float(np.mean(left**2)) * (1.0 + memory) / (1.0 - memory)
     found = []
-    for log, rows in _logs(problem):
+    for log, rows in problem.parts:
         for begin, end in log.find_movements(2.0 * total):
             use = (log.times >= begin) & (log.times < end)
             found.append((float(np.sum(slope[rows][use] ** 2)), float(np.sum((slope * left)[rows][use]))))
@@ -197,7 +196,7 @@ def spread_of_delay(problem: Problem, estimate: Estimate, total: float, row: flo
     return 1.96 * spread / (float(np.sqrt(len(shift))) if spread < row else 1.0)
 
 
-def describe_movements(held_back: tuple[Foretold, ...], unit: str, reach: float) -> list[list[str]]:
+def describe_movements(held_back: tuple[PredictedMovement, ...], unit: str, reach: float) -> list[list[str]]:
     """Return a row of a table for each movement; :data:`MOVEMENT_COLUMNS` has its head."""
     several = any(one.log for one in held_back)
     return [
@@ -209,7 +208,7 @@ def describe_movements(held_back: tuple[Foretold, ...], unit: str, reach: float)
                 f"{time:.3g} s ({'never' if off == inf else f'{100.0 * off:+.0f} %'})"
                 for time, off in zip(one.measured, one.off, strict=True)
             ),
-            *([""] * (len(SHARES) - len(one.measured))),
+            *([""] * (len(CROSSING_SHARES) - len(one.measured))),
         ]
         for one in held_back
     ]

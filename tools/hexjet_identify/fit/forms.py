@@ -24,19 +24,19 @@ class Form(Protocol):
 
     @property
     def label(self) -> str:
-        """What the form is called."""
+        """Name of the form in tables."""
 
     def limits(self, problem: Problem) -> tuple[Array, Array]:
         """Return the least and the greatest of each of ``x``."""
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return by how much each of ``x`` is changed to see what it does."""
+        """Return the finite-difference step of each of ``x``."""
 
     def columns(self, problem: Problem, x: Array) -> Array:
-        """Return what the linear parameters multiply; without any, one column: the answer."""
+        """Return the columns that the linear parameters multiply; without any, the answer as one column."""
 
     def slopes(self, problem: Problem, x: Array) -> Array | None:
-        """Return by how much the answer changes with each of ``x``, where that is known in closed form."""
+        """Return the derivative of the answer by each of ``x``, or None where it has no closed form."""
         return None
 
     @property
@@ -66,7 +66,7 @@ class Lags(Form):
 
     @property
     def label(self) -> str:
-        """What the form is called."""
+        """Name of the form in tables."""
         return ("static line alone", "delay and one lag", "delay and two lags")[self.count]
 
     def limits(self, problem: Problem) -> tuple[Array, Array]:
@@ -76,16 +76,16 @@ class Lags(Form):
         return np.array(low[: max(2, 1 + self.count)]), np.array(high[: max(2, 1 + self.count)])
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return by how much each of ``x`` is changed to see what it does."""
+        """Return the finite-difference step of each of ``x``."""
         return np.array([max(0.02 * problem.step, 1e-4 * float(np.exp(x[1]))), 1e-4, 1e-4][: max(2, 1 + self.count)])
 
     def columns(self, problem: Problem, x: Array) -> Array:
-        """Return the answers of the levels, the zero of each log but the first, each log's start, and the drift."""
+        """Return answers of the levels, offsets of further logs, decays of initial states, and the drift."""
         lag, count = float(np.exp(x[1])), len(problem.logs)
         ratio = float(x[2]) if self.count == 2 and x[2] > 1e-3 else 0.0
         weights = {lag: 1.0 / (1.0 - ratio)} | ({ratio * lag: -ratio / (1.0 - ratio)} if ratio else {})
         answers, extra = [], np.zeros((len(problem.output), 2 * count - 1))
-        for n, (log, span, own) in enumerate(zip(problem.logs, problem.spans, problem.hats, strict=True)):
+        for n, (log, span, own) in enumerate(zip(problem.logs, problem.spans, problem.level_weights, strict=True)):
             answers.append(answer_of_lags(log, own, float(x[0]), weights))
             if n > 0:
                 extra[span, n - 1] = 1.0
@@ -126,26 +126,26 @@ class Limits:
         return np.concatenate([low, slow, -unbounded]), np.concatenate([high, quick, unbounded])
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return by how much each of ``x`` is changed to see what it does."""
+        """Return the finite-difference step of each of ``x``."""
         return np.concatenate(
             [Lags(1).widths(problem, x), [1e-4, 1e-4], np.full(len(problem.knots), 1e-4 * problem.swing)]
         )
 
     def columns(self, problem: Problem, x: Array) -> Array:
         """Return one column: the answer."""
-        return self._answers(problem, x)[:, :1]
+        return self._compute_answers_and_slopes(problem, x)[:, :1]
 
     def slopes(self, problem: Problem, x: Array) -> Array | None:
-        """Return by how much the answer changes with each of ``x``."""
-        slopes = self._answers(problem, x)[:, 1:]
+        """Return the derivative of the answer by each of ``x``."""
+        slopes = self._compute_answers_and_slopes(problem, x)[:, 1:]
         slopes[:, 1:4] *= np.exp(x[1:4])
         return slopes
 
-    def _answers(self, problem: Problem, x: Array) -> Array:
+    def _compute_answers_and_slopes(self, problem: Problem, x: Array) -> Array:
         return np.concatenate(
             [
                 answer_of_limits(log, own, x[4:], float(x[0]), *np.exp(x[1:4]).tolist())
-                for log, own in zip(problem.logs, problem.hats, strict=True)
+                for log, own in zip(problem.logs, problem.level_weights, strict=True)
             ]
         )
 
@@ -180,7 +180,7 @@ class Poles(Form):
 
     @property
     def label(self) -> str:
-        """What the form is called."""
+        """Name of the form in tables."""
         count = self.lags + 1 if self.is_engine else self.lags
         return f"{count} lag" if count == 1 else f"{count} lags"
 
@@ -193,7 +193,7 @@ class Poles(Form):
         return low, high
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return by how much each of ``x`` is changed to see what it does."""
+        """Return the finite-difference step of each of ``x``."""
         return 1e-3 * np.concatenate([[50.0 * problem.step, max(x[1], 0.1)], np.maximum(x[2:], 1e-3)])
 
     def columns(self, problem: Problem, x: Array) -> Array:

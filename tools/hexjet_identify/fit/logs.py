@@ -51,7 +51,7 @@ class Log:
         return replace(log, width=log.step).with_fewer_commands(seconds)
 
     def with_fewer_commands(self, seconds: float) -> Log:
-        """Return the log with a command that moves on averaged over half of ``seconds``, which moves no delay."""
+        """Return the log with a moving command averaged over half of ``seconds``, which does not shift it in time."""
         many = int(0.5 * seconds / self.command_row)
         rows = len(self.command)
         if many < 2 or rows < 2 * many or np.count_nonzero(np.diff(self.command)) < 0.5 * rows:
@@ -62,7 +62,7 @@ class Log:
         return replace(self, command_times=begins, command=command.mean(axis=1))
 
     def with_more_commands(self, seconds: float, most: int = 8) -> Log:
-        """Return the log with a command that goes straight on a spline, a row each ``seconds``, ``most`` a row."""
+        """Return the log with a straight command resampled on a spline every ``seconds``, ``most`` points a row."""
         from scipy.interpolate import CubicSpline
 
         parts = min(int(np.ceil(self.command_row / seconds)), most)
@@ -80,7 +80,7 @@ class Log:
         return replace(self, command_times=self.command_times[changed], command=self.command[changed])
 
     def moves_within(self, seconds: float) -> Flags:
-        """Return which rows of the output come at most so long behind a row in which the command moved."""
+        """Return which rows of the output lie within ``seconds`` after the command last moved."""
         moved = self.command_times[1:][np.diff(self.command) != 0.0]
         last = np.concatenate([[-np.inf], moved])[np.searchsorted(moved, self.times, "right")]
         return np.asarray(self.times - last <= seconds)
@@ -99,7 +99,7 @@ class Log:
 
 
 def smooth(times: Array, values: Array, seconds: float) -> Array:
-    """Return values averaged over the rows within ``seconds``, as many before a row as behind it."""
+    """Return the moving average of values over ``seconds``, symmetric about each row."""
     count = len(values)
     rows: NDArray[np.int64] = np.arange(count)
     half = np.minimum.reduce(

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Flags
-from hexjet_identify.fit.answers import hats
+from hexjet_identify.fit.answers import interpolation_weights
 from hexjet_identify.fit.logs import Log
 
-# The correlation of noise from row to row is looked for up to this.
+# Upper limit of the correlation of noise from row to row.
 MAX_MEMORY = 0.999
-# Orders of the noise that are tried of logs of a closed loop.
+# Orders of the noise model that are tried for logs of a closed loop.
 ORDERS = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 52, 64, 80, 100, 128, 160)
 
 
@@ -42,6 +42,11 @@ class Problem:
         ends = np.cumsum([0, *(len(log.times) for log in self.logs)])
         return [slice(int(begin), int(end)) for begin, end in pairwise(ends)]
 
+    @property
+    def parts(self) -> list[tuple[Log, slice]]:
+        """Each log with its rows in those of all."""
+        return list(zip(self.logs, self.spans, strict=True))
+
     @cached_property
     def output(self) -> Array:
         """All logs' output, one behind the other."""
@@ -58,13 +63,13 @@ class Problem:
         return min(log.step for log in self.logs)
 
     @cached_property
-    def hats(self) -> list[Array]:
-        """Shares of the static levels in each log's commands."""
-        return [hats(log.command, self.knots) for log in self.logs]
+    def level_weights(self) -> list[Array]:
+        """Weights of the static levels in each log's commands."""
+        return [interpolation_weights(log.command, self.knots) for log in self.logs]
 
     @cached_property
     def binding(self) -> Array:
-        """Rows that bind, very weakly, a level to those beside it: one that no row tells lies between them."""
+        """Weak regularisation of each level towards its neighbours, for levels that no row determines."""
         rows = np.zeros((max(len(self.knots) - 2, 0), len(self.knots)))
         for row, (low, mid, high) in enumerate(zip(self.knots, self.knots[1:], self.knots[2:], strict=False)):
             rows[row, row : row + 3] = (high - mid) / (high - low), -1.0, (mid - low) / (high - low)
@@ -72,12 +77,11 @@ class Problem:
 
     def at(self, rows: Flags) -> Problem:
         """Return the problem with these rows alone, and the logs that have any of them."""
-        parts = zip(self.logs, self.spans, strict=True)
-        logs = [log.at(rows[span]) for log, span in parts if rows[span].any()]
+        logs = [log.at(rows[span]) for log, span in self.parts if rows[span].any()]
         return Problem(logs, self.knots, self.max_delay, self.drift[rows])
 
     def whiten(self, values: Array, noise: Array) -> Array:
-        """Return rows less what the rows before say of them: ``noise`` is kept of each, the nearest first.
+        """Return whitened rows: each less what ``noise``, the nearest first, predicts of it from the rows before.
 
         Of one row it may be farther before, of which less is kept, and all rows come out; of more those alone that have
         all their predecessors.
@@ -91,19 +95,19 @@ class Problem:
             return np.asarray(white[self.grid[self.equations(len(noise))]])
         white = np.array(values, dtype=float)
         shape, memory = (-1,) + (1,) * (white.ndim - 1), float(noise[0])
-        for log, span in zip(self.logs, self.spans, strict=True):
-            kept, scale = _kept(log, memory)
+        for log, span in self.parts:
+            kept, scale = _noise_decay(log, memory)
             own = values[span]
             new = (own[1:] - kept.reshape(shape) * own[:-1]) / scale.reshape(shape)
             white[span] = np.concatenate([own[:1] * np.sqrt(1.0 - memory**2), new])
         return white
 
     def whitening_deviance(self, noise: Array) -> float:
-        """Return what the whitening adds to the deviance."""
+        """Return the log-determinant of the whitening, its part of the deviance."""
         if len(noise) != 1:
             return 0.0
         memory = float(noise[0])
-        own = (2.0 * float(np.log(_kept(log, memory)[1]).sum()) for log in self.logs)
+        own = (2.0 * float(np.log(_noise_decay(log, memory)[1]).sum()) for log in self.logs)
         return sum(own) - len(self.logs) * float(np.log(1.0 - memory**2))
 
     @cached_property
@@ -124,7 +128,7 @@ class Problem:
 
     @cached_property
     def _counts(self) -> Array:
-        """Rows before each place of the even clock."""
+        """Number of rows before each place of the even clock."""
         return np.concatenate([[0.0], np.cumsum(self.on_grid(np.ones(len(self.grid))))])
 
     def equations(self, order: int) -> Flags:
@@ -138,12 +142,12 @@ class Problem:
 
     def fit_noise(self, residual: Array, order: int) -> Array:
         """Return noise of an order, from what is left over."""
-        terms = spread(order)
+        terms = noise_basis(order)
         late = self.earlier(residual, order) @ terms
         return np.asarray(terms @ np.linalg.lstsq(late, residual[self.equations(order)])[0])
 
     def best_order(self, residual: Array, seconds: float, valid: float = 0.4) -> int:
-        """Return the order for what is left over: by Akaike's criterion on equal equations, and at least ``seconds``.
+        """Return the noise order of a residual by Akaike's criterion on equal equations, at least ``seconds`` long.
 
         As long as delay and lags it has to be in a loop: the command of that long before carries the noise of that time
         and earlier, and what a shorter one leaves of it would be taken for an answer to the command.  A share of
@@ -155,7 +159,7 @@ class Problem:
         late, own = self.earlier(residual, orders[-1]), residual[self.equations(orders[-1])]
         gram, right, power, best = late.T @ late, late.T @ own, float(own @ own), (np.inf, orders[0])
         for order in orders:
-            terms = spread(order)
+            terms = noise_basis(order)
             projected = terms.T @ right[:order]
             part = np.linalg.lstsq(terms.T @ gram[:order, :order] @ terms, projected)[0]
             loss = max(power - float(projected @ part), 1e-12 * power)
@@ -163,24 +167,24 @@ class Problem:
         return best[1]
 
     def memory_of(self, residual: Array) -> float:
-        """Return the correlation of a residual with the row before, of rows that follow each other, not below 0."""
+        """Return the correlation of a residual with the row before it, between 0 and MAX_MEMORY."""
         above = below = 0.0
-        for log, span in zip(self.logs, self.spans, strict=True):
+        for log, span in self.parts:
             own, near = residual[span], np.diff(log.times) < 1.5 * log.step
             above += float((own[1:] * own[:-1])[near].sum())
             below += float((0.5 * (own[1:] ** 2 + own[:-1] ** 2))[near].sum())
         return float(np.clip(above / below, 0.0, MAX_MEMORY)) if below > 0.0 else 0.0
 
 
-def _kept(log: Log, memory: float) -> tuple[Array, Array]:
-    """Return what each row keeps of the noise of the one before, and the size of what is new in it, relative."""
+def _noise_decay(log: Log, memory: float) -> tuple[Array, Array]:
+    """Return the share of noise that each row keeps of the one before, and the relative size of its new noise."""
     kept = memory ** (np.diff(log.times) / log.step)
     return kept, np.sqrt((1.0 - kept**2) / (1.0 - memory**2))
 
 
 @cache
-def spread(order: int, separate: int = 20) -> Array:
-    """Return the matrix from estimated terms to noise of an order, (order, terms); below order 2 none is estimated.
+def noise_basis(order: int, separate: int = 20) -> Array:
+    """Return the matrix (order, terms) from fitted terms to a noise model; below order 2 none is fitted.
 
     So many ``separate`` terms stand alone.  Those beyond are linear between the orders, because noise that goes through
     an airframe fades slowly and smoothly.

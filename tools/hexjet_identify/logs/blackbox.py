@@ -22,19 +22,20 @@ from hexjet_identify.logs.blackbox_encodings import EVEN, MASK, UNEVEN, extended
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 
 MARKER = b"H Product:Blackbox flight data recorder"
-KINDS = b"IPGHSE"
+FRAME_KINDS = b"IPGHSE"
 SIGNED, UNSIGNED, NEGATIVE, TAG8, TAG2_3, TAG8_4, NULL, TAG2_3V = 0, 1, 3, 6, 7, 8, 9, 10  # encodings
 PREVIOUS, LINE, AVERAGE, LEAST_THROTTLE, FIRST_MOTOR, COUNT, HOME, CENTRE, BATTERY, LAST_TIME, LEAST_MOTOR = range(
     1, 12
 )
-# These predict from main frames before, and P frames alone use them.
-DIFFERENCES = {PREVIOUS, LINE, AVERAGE, COUNT}
-WIDTH = {SIGNED: 1, UNSIGNED: 1, NEGATIVE: 1, TAG2_3: 3, TAG8_4: 4, NULL: 1, TAG2_3V: 3}  # fields that one code holds
-MOST_TAGGED = 8
-LONGEST_FRAME = 256  # bytes
-# A frame may follow the last by so many iterations and microseconds, as the format's own decoders allow.
+# Predictors by earlier main frames, which P frames alone use.
+DIFFERENCE_PREDICTORS = {PREVIOUS, LINE, AVERAGE, COUNT}
+# Number of fields that one code holds.
+FIELDS_PER_CODE = {SIGNED: 1, UNSIGNED: 1, NEGATIVE: 1, TAG2_3: 3, TAG8_4: 4, NULL: 1, TAG2_3V: 3}
+MAX_TAGGED = 8
+MAX_FRAME_BYTES = 256
+# Largest step of iteration and time [us] from frame to frame, as the format's own decoders allow.
 MOST_COUNTS, MOST_US = 5000, 10_000_000
-AUTOTUNE = {10: 5, 11: 3, 12: 3}  # bytes of events of firmware that is gone
+AUTOTUNE_EVENT_BYTES = {10: 5, 11: 3, 12: 3}  # bytes of events of firmware that is gone
 ENDEVENT, END = 255, b"End of log"
 _NAME = re.compile(r"(.*)\[(\d+)\]$")
 
@@ -56,8 +57,8 @@ def read(path: Path, number: int | None = None) -> FlightLog:
         raise InputError(f"{path}: it holds {len(begins)} logs; {number} is none of them")
     ends = [*begins[1:], len(data)]
     chosen = int(np.argmax(np.subtract(ends, begins))) if number is None else number - 1
-    head, at = _head(path, data, begins[chosen], ends[chosen])
-    frames = _Frames(data, ends[chosen], head)
+    head, at = _read_head(path, data, begins[chosen], ends[chosen])
+    frames = _FrameReader(data, ends[chosen], head)
     frames.read(at)
     if len(frames.rows) == 0:
         raise InputError(f"{path}: the blackbox log holds no frame that can be read: it was cut short, or is damaged")
@@ -70,7 +71,7 @@ def read(path: Path, number: int | None = None) -> FlightLog:
         remarks.append(f"{damage}, with {frames.unusable} that build on them" if frames.unusable else damage)
     if not frames.ended:
         remarks.append("the log has no end: it was cut short, or the power went")
-    return FlightLog(path, "Betaflight blackbox", _channels(head, frames), tuple(remarks), frames.events)
+    return FlightLog(path, "Betaflight blackbox", _make_channels(head, frames), tuple(remarks), frames.events)
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,8 @@ class Layout:
 
 @dataclass(frozen=True)
 class Head:
+    """Layouts of the frames, and all lines of the head by name."""
+
     layouts: dict[str, Layout]
     headers: dict[str, str]
 
@@ -105,14 +108,14 @@ class Head:
 
     @property
     def frame_ratio(self) -> tuple[int, int]:
-        """How many of how many main frames are logged: ``P interval``, as 1/2, or as 2 alone."""
+        """Share of the main frames that is logged, as numerator and denominator, from ``P interval``."""
         numerator, _, of = self.headers.get("P interval", "1").partition("/")
         ratio = (numerator, of) if of else ("1", numerator)
         numbers = [int(text) if text.strip().isdecimal() and len(text) < 9 else 1 for text in ratio]
         return max(numbers[0], 1), max(numbers[1], 1)
 
 
-def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
+def _read_head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
     headers: dict[str, str] = {}
     while data.startswith(b"H ", at) and at < end:
         after = data.find(b"\n", at, end)
@@ -125,7 +128,7 @@ def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
     for kind in "IPGHS":
         names = headers.get(f"Field {'I' if kind == 'P' else kind} name")
         if names is not None and f"Field {kind} encoding" in headers:
-            layouts[kind] = _layout(path, headers, kind, names.split(","))
+            layouts[kind] = _read_layout(path, headers, kind, names.split(","))
     if "I" not in layouts:
         raise InputError(f"{path}: the head of the blackbox log is damaged or cut short: it names no fields")
     if Head({}, headers).integer("Data version", 1) < 2:
@@ -133,7 +136,7 @@ def _head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
     return Head(layouts, headers), at
 
 
-def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
+def _read_layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
     def numbers(key: str, of: str = kind) -> list[int]:
         try:
             codes = [int(text) for text in headers.get(f"Field {of} {key}", "").split(",")]
@@ -144,9 +147,9 @@ def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]
         return codes
 
     encodings = numbers("encoding")
-    unknown = sorted({code for code in encodings if code != TAG8 and code not in WIDTH})
+    unknown = sorted({code for code in encodings if code != TAG8 and code not in FIELDS_PER_CODE})
     predictors = numbers("predictor")
-    known_predictors = set(range(LEAST_MOTOR + 1)) - (set() if kind == "P" else DIFFERENCES)
+    known_predictors = set(range(LEAST_MOTOR + 1)) - (set() if kind == "P" else DIFFERENCE_PREDICTORS)
     unknown_predictors = sorted(set(predictors) - known_predictors)
     if unknown or unknown_predictors:
         problem = f"encoding {unknown[0]}" if unknown else f"predictor {unknown_predictors[0]}"
@@ -154,10 +157,10 @@ def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]
     groups, n = [], 0
     while n < len(encodings):
         code = encodings[n]
-        size = WIDTH.get(code, 0)
+        size = FIELDS_PER_CODE.get(code, 0)
         if code == TAG8:
             size = 1
-            while size < MOST_TAGGED and n + size < len(encodings) and encodings[n + size] == TAG8:
+            while size < MAX_TAGGED and n + size < len(encodings) and encodings[n + size] == TAG8:
                 size += 1
         if n + size > len(encodings):
             raise InputError(f"{path}: the head of the blackbox log is damaged: the last {kind} fields are too few")
@@ -169,8 +172,8 @@ def _layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]
 
 
 @dataclass
-class _Frames:
-    """The frames of a log, and the state that their differences build on."""
+class _FrameReader:
+    """Reads the frames of a log, with the state that predicted values build on."""
 
     data: bytes
     end: int
@@ -181,11 +184,11 @@ class _Frames:
     refused: int = 0  # frames that are damaged
     unusable: int = 0  # differences against a frame that is
     ended: bool = False
-    # The main frame before, and the one before that.
+    # The last two main frames.
     last: list[int] | None = None
     before: list[int] | None = None
     time: int = 0  # of the last main frame, us
-    # Iteration and time of the last main frame that was believed.
+    # Iteration and time of the last accepted main frame.
     accepted: tuple[int, int] | None = None
     doubted: tuple[int, int] | None = None  # of an I frame that does not follow it
     home: list[int] | None = None
@@ -213,7 +216,7 @@ class _Frames:
         while at < len(self.data) and not self.ended:
             kind = chr(self.data[at])
             try:
-                after, taken = self._frame(kind, at)
+                after, taken = self._read_frame(kind, at)
             except IndexError:
                 after, taken = 0, None
             if taken is None:
@@ -226,26 +229,26 @@ class _Frames:
                 taken()
                 at = after
 
-    def _frame(self, kind: str, at: int) -> tuple[int, Callable[[], None] | None]:
-        """Return where a frame ends and what applies it; None for no frame, which the next one must follow at once."""
+    def _read_frame(self, kind: str, at: int) -> tuple[int, Callable[[], None] | None]:
+        """Return where a frame ends and the function that applies it; None for no frame."""
         if kind == "E":
-            after, done = self._event(at + 1)
+            after, done = self._read_event(at + 1)
         else:
             layout = self.head.layouts.get(kind)
             if layout is None:
                 return at, None
-            values, after = self._values(layout, at + 1)
-            if after - at > LONGEST_FRAME:
+            values, after = self._decode_values(layout, at + 1)
+            if after - at > MAX_FRAME_BYTES:
                 return at, None
 
             def done() -> None:
-                self._take(kind, layout, values)
+                self._store_frame(kind, layout, values)
 
         ended = kind == "E" and self.data[at + 1] == ENDEVENT
-        is_whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in KINDS)
+        is_whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in FRAME_KINDS)
         return after, done if is_whole else None
 
-    def _values(self, layout: Layout, at: int) -> tuple[list[int], int]:
+    def _decode_values(self, layout: Layout, at: int) -> tuple[list[int], int]:
         data = self.data
         values: list[int] = []
         for code, count in layout.groups:
@@ -270,7 +273,7 @@ class _Frames:
                 values += several
         return values, at
 
-    def _take(self, kind: str, layout: Layout, values: list[int]) -> None:
+    def _store_frame(self, kind: str, layout: Layout, values: list[int]) -> None:
         if kind == "P" and self.last is None:
             self.unusable += 1
             return
@@ -281,7 +284,7 @@ class _Frames:
             time = values[layout.names.index("time")] if "time" in layout.names else self.time
             self.others.setdefault(kind, []).append((time, values))
             return
-        if not self._follows(kind, values):
+        if not self._follows_last_frame(kind, values):
             self.refused += 1
             self.last = self.before = None
             return
@@ -291,7 +294,7 @@ class _Frames:
         self.rows.extend(values)
 
     def _add_predicted(self, layout: Layout, values: list[int]) -> None:
-        """Add to each value what its predictor says, in 32 bits."""
+        """Add its prediction to each value, in 32 bits."""
         last, before, homes = self.last or (), self.before or (), 0
         for n, code in enumerate(layout.predictors):
             value = values[n]
@@ -303,7 +306,7 @@ class _Frames:
             elif code == LINE:
                 value += 2 * last[n] - before[n]
             elif code == COUNT:
-                value = self._next(last[n] + 1)
+                value = self._next_logged_count(last[n] + 1)
             elif code == FIRST_MOTOR:
                 value += values[self.motor]
             elif code == HOME:
@@ -315,13 +318,13 @@ class _Frames:
                 value += self.added[code]
             values[n] = ((value + 0x80000000) & MASK) - 0x80000000 if layout.signed[n] else value & MASK
 
-    def _next(self, count: int) -> int:
-        """Return the first count from this one on of which a main frame is logged, an I frame at the latest."""
+    def _next_logged_count(self, count: int) -> int:
+        """Return the first iteration from ``count`` on whose main frame is logged, an I frame at the latest."""
         phase = count % self.every
         late = (phase + self.numerator - 1) % self.of
         return count + min(self.of - late, self.every - phase) if late >= self.numerator else count
 
-    def _follows(self, kind: str, values: list[int]) -> bool:
+    def _follows_last_frame(self, kind: str, values: list[int]) -> bool:
         """Return whether count and time go on from the last main frame.
 
         Two I frames that go on from each other are believed: the clock jumped, or the last main frame was noise.
@@ -329,17 +332,17 @@ class _Frames:
         count = values[self.counted] if self.counted is not None else 0
         time = values[self.timed] if self.timed is not None else 0
         here = count, time
-        if self.accepted is None or _goes_on(self.accepted, here):
+        if self.accepted is None or _is_successor(self.accepted, here):
             self.accepted, self.doubted = here, None
             return True
-        if kind == "I" and self.doubted is not None and _goes_on(self.doubted, here):
+        if kind == "I" and self.doubted is not None and _is_successor(self.doubted, here):
             self.accepted, self.doubted = here, None
             return True
         self.doubted = here if kind == "I" else self.doubted
         return False
 
-    def _event(self, at: int) -> tuple[int, Callable[[], None] | None]:
-        """Return where an event ends and what applies it; None for an unknown one, whose length is unknown too."""
+    def _read_event(self, at: int) -> tuple[int, Callable[[], None] | None]:
+        """Return where an event ends and the function that applies it; None for an unknown event."""
         data = self.data
         kind = data[at]
         at += 1
@@ -347,8 +350,8 @@ class _Frames:
         if kind == 0:
             _, at = unsigned(data, at)
             text = "sync beep"
-        elif kind in AUTOTUNE:
-            at += AUTOTUNE[kind]
+        elif kind in AUTOTUNE_EVENT_BYTES:
+            at += AUTOTUNE_EVENT_BYTES[kind]
         elif kind == 13:
             function = data[at]
             if function & 0x80:
@@ -380,12 +383,12 @@ class _Frames:
         return at, done
 
 
-def _goes_on(before: tuple[int, int], here: tuple[int, int]) -> bool:
-    """Return whether neither count nor time goes back, nor far ahead; both are of 32 bits and may roll over."""
+def _is_successor(before: tuple[int, int], here: tuple[int, int]) -> bool:
+    """Return whether iteration and time go forward, and not far; both have 32 bits and may roll over."""
     return (here[0] - before[0]) & MASK < MOST_COUNTS and (here[1] - before[1]) & MASK < MOST_US
 
 
-def _channels(head: Head, frames: _Frames) -> dict[str, Channel]:
+def _make_channels(head: Head, frames: _FrameReader) -> dict[str, Channel]:
     layout = head.layouts["I"]
     table = np.frombuffer(frames.rows, np.int64).reshape(-1, len(layout.names))
     time = table[:, layout.names.index("time")] if "time" in layout.names else np.arange(len(table))

@@ -34,7 +34,7 @@ def extended(value: int, bits: int) -> int:
     return value - (1 << bits) if value >> (bits - 1) else value
 
 
-def _bytes(data: bytes, at: int, count: int) -> tuple[int, int]:
+def _signed_bytes(data: bytes, at: int, count: int) -> tuple[int, int]:
     """Read a signed integer of so many bytes, the lowest first; return it and where it ends."""
     if at + count > len(data):
         raise IndexError
@@ -66,13 +66,13 @@ def tag2_3(data: bytes, at: int, packed: Sequence[tuple[int, Sequence[tuple[int,
     at += 1
     values = []
     for _ in range(3):
-        value, at = _bytes(data, at, (lead & 3) + 1)
+        value, at = _signed_bytes(data, at, (lead & 3) + 1)
         values.append(value)
         lead >>= 2
     return values, at
 
 
-# bytes, and of each value how far from the right it stands and its bits
+# Packings by their tag: number of bytes, and shift and width [bits] of each value.
 _TWO = (1, ((4, 2), (2, 2), (0, 2)))
 EVEN = (_TWO, (2, ((8, 4), (4, 4), (0, 4))), (3, ((16, 6), (8, 6), (0, 6))))
 UNEVEN = (_TWO, (2, ((9, 5), (4, 5), (0, 4))), (3, ((14, 8), (7, 7), (0, 7))))

@@ -33,19 +33,19 @@ def read(path: Path) -> FlightLog:
     try:
         for _ in range(count):
             (number,) = struct.unpack_from("<H", data, at)
-            name, at = _text(data, at + 2)
+            name, at = _read_text(data, at + 2)
             (fields,) = struct.unpack_from("<H", data, at)
             at += 2
             layout = [("event", "<u2"), ("time", clock)]
             for _ in range(fields):
-                text, at = _text(data, at)
+                text, at = _read_text(data, at)
                 layout.append((text[:-3], NUMBERS[text[-2]]))
             kinds[number] = name, np.dtype(layout)
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path}: the head of the Crazyflie log is damaged or cut short") from error
     is_intact = len(data) >= 4 and crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
     end = len(data) - 4 if is_intact else len(data)
-    rows, remainder = _rows(data, at, end, kinds)
+    rows, remainder = _split_events(data, at, end, kinds)
     remarks = []
     if not is_intact:
         remarks.append("the file's checksum is wrong: it was cut short, or is damaged")
@@ -64,12 +64,12 @@ def read(path: Path) -> FlightLog:
     return FlightLog(path, "Crazyflie", channels, tuple(remarks))
 
 
-def _rows(
+def _split_events(
     data: bytes, at: int, end: int, kinds: dict[int, tuple[str, np.dtype[np.void]]]
 ) -> tuple[dict[int, list[np.ndarray]], int]:
     """Return the events by kind, each run of one kind in one piece, and how many bytes at the end are none."""
     events: dict[int, list[np.ndarray]] = {}
-    # So many events are looked at together, and more after a long run of one kind.
+    # Events are compared in blocks, which grow in a long run of one kind.
     reach = 64
     while at + 2 <= end:
         (number,) = struct.unpack_from("<H", data, at)
@@ -88,6 +88,6 @@ def _rows(
     return events, end - at
 
 
-def _text(data: bytes, at: int) -> tuple[str, int]:
+def _read_text(data: bytes, at: int) -> tuple[str, int]:
     after = data.index(b"\0", at)
     return data[at:after].decode("ascii", "replace"), after + 1

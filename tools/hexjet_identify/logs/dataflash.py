@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.errors import InputError
-from hexjet_identify.logs.flight_log import SEARCHED, Channel, FlightLog, name_instances, numbers
+from hexjet_identify.logs.flight_log import SEARCHED_BYTES, Channel, FlightLog, name_instances, numbers
 
 HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
 MARK = HEAD + bytes([FMT, FMT, FMT_LENGTH]) + b"FMT\0"  # the format of formats, which comes first
-# format character: numpy's type, and what a count of it is worth
+# By format character: numpy's type, and the value of a count.
 TYPES = {
     "b": ("i1", 1.0), "B": ("u1", 1.0), "M": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0),
     "I": ("<u4", 1.0), "q": ("<i8", 1.0), "Q": ("<u8", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0), "g": ("<f2", 1.0),
@@ -28,10 +28,10 @@ TYPES = {
     "n": ("S4", 0.0), "N": ("S16", 0.0), "Z": ("S64", 0.0), "a": ("S64", 0.0),
 }  # fmt: skip
 _Format = tuple[str, int, str, list[str]]  # name, length, format characters, labels
-# Before 2018, a field of whole numbers with one of these names tells instances apart.
-INSTANCES = ("I", "Instance")
+# Names of whole-number fields that tell instances apart in logs before 2018.
+INSTANCE_LABELS = ("I", "Instance")
 INSTANCE_UNIT = "#"  # and its unit since, in FMTU
-DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")  # messages about messages
+FORMAT_MESSAGES = ("FMT", "FMTU", "UNIT", "MULT")  # messages about messages
 _INTEGER_FORMATS = "bBhHiIqQM"  # format characters of whole numbers
 
 
@@ -46,27 +46,27 @@ def read(path: Path) -> FlightLog:
     Raises InputError where nothing can be read.
     """
     data = path.read_bytes()
-    data = data[max(data.find(MARK, 0, SEARCHED), 0) :]
+    data = data[max(data.find(MARK, 0, SEARCHED_BYTES), 0) :]
     formats, offsets, passed, cut = _index_messages(data)
     raw = np.frombuffer(data, np.uint8)
     tables = {
         kind: rows
         for kind, (name, length, columns, labels) in formats.items()
-        if name != "FMT" and (rows := _rows(raw, offsets.get(kind, ()), length, columns, labels)) is not None
+        if name != "FMT" and (rows := _decode_rows(raw, offsets.get(kind, ()), length, columns, labels)) is not None
     }
-    units = _units(formats, tables)
+    units = _read_units(formats, tables)
     channels: dict[str, Channel] = {}
     events: list[tuple[float, str]] = []
     for kind, rows in tables.items():
         name, _, columns, labels = formats[kind]
         stamp = next((label for label in ("TimeUS", "TimeMS") if label in labels), None)
-        if stamp is None or name in DESCRIPTIONS:
+        if stamp is None or name in FORMAT_MESSAGES:
             continue
         times = (1e-6 if stamp == "TimeUS" else 1e-3) * rows[stamp].astype(np.float64)
         if name == "MSG" and "Message" in labels:
             texts = [bytes(text).split(b"\0")[0].decode("utf-8", "replace") for text in rows["Message"]]
             events = list(zip(times.tolist(), texts, strict=True))
-        for full, part in name_instances(name, rows, _instance(columns, labels, units.get(kind))):
+        for full, part in name_instances(name, rows, _find_instance_field(columns, labels, units.get(kind))):
             for label, c in zip(labels, columns, strict=True):
                 if TYPES[c][1] and label != stamp:
                     channels[f"{full}.{label}"] = Channel(times[part], TYPES[c][1] * numbers(rows[label][part]))
@@ -79,7 +79,7 @@ def read(path: Path) -> FlightLog:
 
 
 class DataFlashNotes(NamedTuple):
-    """What a DataFlash log says in words and of its program, beside its measurements."""
+    """Version, parameters and messages of a DataFlash log."""
 
     # The version is as the program calls itself, and empty where the log does not say.
     version: str
@@ -102,29 +102,29 @@ def read_notes(path: Path) -> DataFlashNotes:
         kind = kinds.get(name, -1)
         if kind < 0 or not set(labels) <= set(formats[kind][3]):
             return None
-        return _rows(raw, offsets.get(kind, ()), *formats[kind][1:])
+        return _decode_rows(raw, offsets.get(kind, ()), *formats[kind][1:])
 
     listed, version = (offsets.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
     parameters: dict[str, float] | None = None
     if listed and version and version[0] > listed[0] and (rows := table("PARM", "Name", "Value")) is not None:
         first = int(np.searchsorted(listed, version[0]))  # what comes behind was changed in flight
         pairs = zip(rows["Name"][:first].tolist(), rows["Value"][:first].tolist(), strict=True)
-        parameters = {_text(name): float(value) for name, value in pairs}
+        parameters = {_as_text(name): float(value) for name, value in pairs}
     said = table("MSG", "TimeUS", "Message")
     named = table("VER", "FWS")
     return DataFlashNotes(
-        "" if named is None else _text(named["FWS"][0]),
+        "" if named is None else _as_text(named["FWS"][0]),
         parameters,
         []
         if said is None
         else [
-            (1e-6 * stamp, _text(text))
+            (1e-6 * stamp, _as_text(text))
             for stamp, text in zip(said["TimeUS"].tolist(), said["Message"].tolist(), strict=True)
         ],
     )
 
 
-def _rows(
+def _decode_rows(
     raw: NDArray[np.uint8], offsets: Sequence[int], length: int, columns: str, labels: Sequence[str]
 ) -> np.ndarray | None:
     """Return the messages of one kind as a table; None where there are none, or the format cannot be read."""
@@ -137,17 +137,17 @@ def _rows(
     return np.asarray(raw[at[:, None] + np.arange(3, length)].copy().view(layout)[:, 0])
 
 
-def _units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> dict[int, str]:
+def _read_units(formats: Mapping[int, _Format], tables: Mapping[int, np.ndarray]) -> dict[int, str]:
     """Return the units that FMTU gives each kind of message, a character a field."""
     names: dict[int, str] = {}
     for kind, rows in tables.items():
         if formats[kind][0] == "FMTU" and {"FmtType", "UnitIds"} <= set(formats[kind][3]):
             numbered = zip(rows["FmtType"].tolist(), rows["UnitIds"].tolist(), strict=True)
-            names |= {number: _text(bytes(ids)) for number, ids in numbered if isinstance(ids, bytes)}
+            names |= {number: _as_text(bytes(ids)) for number, ids in numbered if isinstance(ids, bytes)}
     return names
 
 
-def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
+def _find_instance_field(columns: str, labels: Sequence[str], units: str | None) -> str:
     """Return the field that numbers instances, by FMTU or else by the name of a whole number; "" for none.
 
     The integrator of a PID message is called I too.
@@ -155,7 +155,7 @@ def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
     integers = [label for label, c in zip(labels, columns, strict=True) if c in _INTEGER_FORMATS]
     if units is not None and len(units) == len(labels):
         return next((x for x, unit in zip(labels, units, strict=True) if unit == INSTANCE_UNIT and x in integers), "")
-    return next((label for label in INSTANCES if label in integers), "")
+    return next((label for label in INSTANCE_LABELS if label in integers), "")
 
 
 def _index_messages(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int, int]:
@@ -182,7 +182,12 @@ def _index_messages(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int
         if kind == FMT:
             number, size, name, columns, labels = struct.unpack("<BB4s16s64s", data[at + 3 : at + FMT_LENGTH])
             if size >= 3:
-                formats[number] = (_text(name), size, _text(columns), [x for x in _text(labels).split(",") if x])
+                formats[number] = (
+                    _as_text(name),
+                    size,
+                    _as_text(columns),
+                    [x for x in _as_text(labels).split(",") if x],
+                )
                 lengths[number] = size
         offsets.setdefault(kind, []).append(at)
         at += length
@@ -198,5 +203,5 @@ def _complete_formats(formats: Mapping[int, _Format]) -> dict[int, _Format]:
     }
 
 
-def _text(field: bytes) -> str:
+def _as_text(field: bytes) -> str:
     return field.split(b"\0")[0].decode("ascii", "replace")

@@ -22,16 +22,16 @@ SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
     ("rpm", "1/min", "u/min", "r/min", "rev/min", "min-1", "min^-1"), "rpm"
 )  # in small letters
 SAME_UNITS |= {"krpm": "krpm", "µs": "us", "μs": "us"}
-# A unit has at most so many letters: what is longer and no known unit, as (actual), says which column it is.
-LONGEST_WORDLESS = 3
+# Longest unknown unit [letters]; longer words in brackets, such as (actual), are no units.
+MAX_UNIT_LETTERS = 3
 DEGREE = np.pi / 180.0
 MAX_LOG_MB = 4096.0  # of a file that is read as a log
-# The head of a log is looked for in so many bytes of a file, behind what does not belong to it.
-SEARCHED = 2**16
-# One message has at most so many instances: more values are none.
-MOST_INSTANCES = 256
-# Channels of one clock share at least this fraction of the stamps of the shorter one.
-LEAST_SHARED = 0.5
+# The head of a log may stand behind other data, within so many bytes.
+SEARCHED_BYTES = 2**16
+# More instances of one message are damaged data.
+MAX_INSTANCES = 256
+# Minimum share of common stamps of two channels of one clock.
+MIN_SHARED_STAMPS = 0.5
 # Types of numpy for numbers in a log's bytes, by the letters of struct.
 NUMBERS = {
     "b": "i1",
@@ -74,7 +74,7 @@ class LogSignals(NamedTuple):
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A log: ``kind`` is what wrote it, ``remarks`` what is to be said of the file, ``events`` what it says itself."""
+    """A log: channels by name, its ``kind``, ``remarks`` on the file, and ``events`` that it reports."""
 
     path: Path
     kind: str
@@ -94,18 +94,18 @@ class FlightLog:
         """
         total: Channel | None = None
         longest = 0
-        for factor, name in self._terms(text):
-            taken, inner = _inner(name)
+        for factor, name in self._parse_terms(text):
+            taken, inner = _split_function(name)
             if inner not in self.channels:
                 raise InputError(f"{self.path}: no channel {inner!r}; {nearest(inner, self.channels)}"[:600])
             channel = self.channels[inner]
-            term = channel._replace(values=factor * _TAKEN[taken](channel.values))
+            term = channel._replace(values=factor * _FUNCTIONS[taken](channel.values))
             longest = max(longest, len(channel.times))
             if total is None:
                 total = term._replace(unit=f"({channel.unit})^2" if taken == "square" else channel.unit)
                 continue
             if not np.array_equal(total.times, term.times):
-                least = LEAST_SHARED * min(len(total.times), len(term.times))
+                least = MIN_SHARED_STAMPS * min(len(total.times), len(term.times))
                 total, term = _share_times(total, term)
                 if not len(term.times) > least:
                     raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
@@ -117,7 +117,7 @@ class FlightLog:
         return total
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the log holds, for JSON: each channel's unit, count of values, span in s and rate in Hz."""
+        """Return the contents of the log for JSON: each channel's unit, count of values, span [s] and rate [Hz]."""
         return {
             "log": str(self.path),
             "kind": self.kind,
@@ -128,18 +128,18 @@ class FlightLog:
     def has(self, text: str) -> bool:
         """Return whether the log has all channels of a sum."""
         try:
-            return bool(text) and all(_inner(name)[1] in self.channels for _, name in self._terms(text))
+            return bool(text) and all(_split_function(name)[1] in self.channels for _, name in self._parse_terms(text))
         except InputError:  # neither a name that it has nor a sum
             return False
 
-    def _terms(self, text: str) -> list[tuple[float, str]]:
+    def _parse_terms(self, text: str) -> list[tuple[float, str]]:
         """Return the factors and names of a sum, or the one channel of that name."""
         name = text.strip()
-        return [(1.0, repr(name))] if name in self.channels and not {"'", '"'} & set(name) else terms(text)
+        return [(1.0, repr(name))] if name in self.channels and not {"'", '"'} & set(name) else parse_sum(text)
 
 
 def _share_times(first: Channel, second: Channel) -> tuple[Channel, Channel]:
-    """Return the rows of two channels at common times, in the order of the first; of equal times the first row."""
+    """Return the rows of two channels at common times; of equal times the first row."""
     times, rows = np.unique(second.times, return_index=True)
     alone = np.zeros(len(first.times), bool)
     alone[np.unique(first.times, return_index=True)[1]] = True
@@ -152,17 +152,17 @@ def _share_times(first: Channel, second: Channel) -> tuple[Channel, Channel]:
     )
 
 
-_TAKEN: dict[str, Callable[[Array], Array]] = {
+_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "": lambda values: values,
     "deg": lambda values: DEGREE * values,
     "square": np.square,
 }
 
 
-def _inner(name: str) -> tuple[str, str]:
+def _split_function(name: str) -> tuple[str, str]:
     """Split a term such as ``deg(NAME)`` into the function, "" for none, and the channel's name without quotes."""
     taken, bracket, tail = name.partition("(")
-    if bracket and taken in _TAKEN and tail.endswith(")"):
+    if bracket and taken in _FUNCTIONS and tail.endswith(")"):
         return taken, _unquote(tail[:-1].strip())
     return "", _unquote(name)
 
@@ -185,12 +185,12 @@ def name_instances(name: str, rows: np.ndarray, column: str, fewest: int = 1) ->
     """
     if column:
         found, which = np.unique(rows[column], return_inverse=True)
-        if fewest <= len(found) <= MOST_INSTANCES:
+        if fewest <= len(found) <= MAX_INSTANCES:
             return [(f"{name}[{number}]", np.flatnonzero(which == n)) for n, number in enumerate(found.tolist())]
     return [(name, slice(None))]
 
 
-def terms(text: str) -> list[tuple[float, str]]:
+def parse_sum(text: str) -> list[tuple[float, str]]:
     """Return the factors and names of a sum of channels.  Raises InputError for a text that is no sum."""
     summands, at = [], 0
     while at < len(text.rstrip()):
@@ -214,7 +214,7 @@ def unit_of(name: str, unit: str) -> str:
     A word in brackets that is no unit, as of ``RPM (actual)``, leaves the unit to what stands before it.
     """
     unit = "percent" if unit.endswith("%") else SAME_UNITS.get(unit.lower(), unit)
-    if unit and not (len(unit) > LONGEST_WORDLESS and unit.isalpha() and unit not in SAME_UNITS.values()):
+    if unit and not (len(unit) > MAX_UNIT_LETTERS and unit.isalpha() and unit not in SAME_UNITS.values()):
         return unit
     bare = name.partition("(")[0].partition("[")[0].strip() or name
     match = UNIT_AT_END.fullmatch(bare) or SPEED_AT_END.fullmatch(bare)

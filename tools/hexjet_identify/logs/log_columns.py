@@ -16,17 +16,16 @@ from cosim.results.log.tables import TIME
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.read import is_flight_log as is_flight_log
 from hexjet_identify.logs.read import read_columns, read_flight_log, signals_of
-from hexjet_identify.logs.table import NO_NUMBERS, columns_with_time
+from hexjet_identify.logs.table import NOT_NUMBERS, columns_with_time
 
-# The topics of a simulation, PX4's or ours, end with this.
+# Suffix of the topics that a simulation, PX4's or ours, logs as the truth.
 _TRUTH = "_groundtruth"
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
-_ASKED = "vehicle_attitude_setpoint.q_d[{}]"
+_SETPOINT = "vehicle_attitude_setpoint.q_d[{}]"
 _LOCAL = "vehicle_local_position{}.{}"
 _NED = "LOCAL_POSITION_NED."  # of MAVLink
 _AXES = tuple(zip(RATES, AXES, strict=True))
-# Columns of a flight of ours: sums of other logs' channels that stand for them, the nearest first.  Signs and units are
-# those of a flight of ours.
+# Our columns as sums of channels of other logs, the nearest first, in our signs and units.
 _SUMS = {
     "roll_rad": ("deg(ATT.Roll)", "deg(stateEstimate.roll)", "ATTITUDE.roll"),
     # of the Crazyflie: nose up, other than its gyro
@@ -43,13 +42,13 @@ _SUMS = {
     **{f"rate_{rate}_setpoint_rad_s": (f"ATTITUDE_TARGET.body_{axis}_rate",) for rate, axis in _AXES},
 }  # fmt: skip
 ANGLES = tuple(f"{axis}_rad" for axis in AXES)
-# The axes of their gyros are forward, left and up; ours are forward, right and down.
-LEFT_AND_UP = ("Betaflight blackbox", "Crazyflie")
-ESTIMATED = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
+# Kinds of logs with axes forward, left and up; ours are forward, right and down.
+FORWARD_LEFT_UP_KINDS = ("Betaflight blackbox", "Crazyflie")
+ESTIMATES_NOTE = "attitude, position and velocity are its estimates, and not the truth as in a flight of ours"
 
 
 def read_flight_columns(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-    """Return a log or a table under our column names, and remarks on it: what ``hexjet compare`` reads.
+    """Return a log or a table under our column names, with remarks, for ``hexjet compare``.
 
     Raises InputError.
     """
@@ -72,7 +71,7 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
     rows = [clock - clock[0], *(_resample(channel, clock) for channel in columns.values())]
     remarks = [f"{log.kind}: {len(columns)} columns of a flight of ours are in it", *log.remarks]
     if columns.keys() & _SUMS.keys() and not any(_TRUTH in name for name in log.channels):
-        remarks.append(ESTIMATED)
+        remarks.append(ESTIMATES_NOTE)
     if clock[0] != 0.0:
         remarks.append(f"times count from its first row, {clock[0]:.3f} s of its clock")
     names = (TIME, *columns)
@@ -97,7 +96,7 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     remarks = [f"{time} is taken for the time in seconds"] if time != TIME and not table.remarks else []
     remarks += table.remarks
     if table.left_out:
-        remarks.append(f"{NO_NUMBERS}: {', '.join(table.left_out)}")
+        remarks.append(f"{NOT_NUMBERS}: {', '.join(table.left_out)}")
     named = {column.name: column for column in COLUMNS}
     strange = [name for name in columns if name not in named]
     if len(strange) == len(columns):
@@ -108,13 +107,13 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
 
 
 def match_columns(log: FlightLog) -> dict[str, Channel]:
-    """Return what a log of another flight controller has, by our column names and in their units."""
-    columns = _rates(log)
+    """Return the channels of another flight controller's log by our column names, in our units."""
+    columns = _match_rates(log)
     true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
     for there, pattern, name in (
         (true, _ATTITUDE.replace("{}", _TRUTH, 1), "{}_rad"),
         (estimated, _ATTITUDE.replace("{}", "", 1), "{}_measured_rad" if true else "{}_rad"),
-        (log.has(_ASKED.format(3)), _ASKED, "{}_setpoint_rad"),
+        (log.has(_SETPOINT.format(3)), _SETPOINT, "{}_setpoint_rad"),
     ):
         if there:
             components = [log.channels[pattern.format(n)] for n in range(4)]
@@ -123,11 +122,11 @@ def match_columns(log: FlightLog) -> dict[str, Channel]:
     for name, choices in _SUMS.items():
         text = next((choice for choice in choices if log.has(choice)), None)
         if text is not None and name not in columns:
-            columns[name] = _wrap(log.signal(text)) if name in ANGLES else log.signal(text)
-    return columns | _engines(log)
+            columns[name] = _wrap_angle(log.signal(text)) if name in ANGLES else log.signal(text)
+    return columns | _match_engines(log)
 
 
-def _rates(log: FlightLog) -> dict[str, Channel]:
+def _match_rates(log: FlightLog) -> dict[str, Channel]:
     """Return measured rates and rate set-points, rad/s, of the axes that the log's kind has."""
     columns: dict[str, Channel] = {}
     for axis, rate in zip(AXES, RATES, strict=True):
@@ -135,7 +134,7 @@ def _rates(log: FlightLog) -> dict[str, Channel]:
             signals = signals_of(log, axis)
         except InputError:
             continue
-        sign = -1.0 if log.kind in LEFT_AND_UP and axis != "roll" else 1.0
+        sign = -1.0 if log.kind in FORWARD_LEFT_UP_KINDS and axis != "roll" else 1.0
         for kind, signal in (("measured", signals.output), ("setpoint", signals.setpoint)):
             if signal:
                 channel = log.signal(signal)
@@ -143,7 +142,7 @@ def _rates(log: FlightLog) -> dict[str, Channel]:
     return columns
 
 
-def _engines(log: FlightLog) -> dict[str, Channel]:
+def _match_engines(log: FlightLog) -> dict[str, Channel]:
     """Return the engines' throttles, 0 to 1, and thrusts, N, by our column names."""
     columns: dict[str, Channel] = {}
     for jet in range(1, MAX_JETS + 1):
@@ -152,12 +151,12 @@ def _engines(log: FlightLog) -> dict[str, Channel]:
             columns[f"throttle_{jet}"] = log.channels[throttle]
         if log.has(thrust) and log.has(throttle) and np.isfinite(log.channels[thrust].values).any():
             # of ours, which has it in the row of the step at whose end the engine has it, as our columns do
-            columns[f"thrust_{jet}_N"] = _a_step_earlier(log.channels[thrust], log.channels[throttle].times)
+            columns[f"thrust_{jet}_N"] = _shift_to_command(log.channels[thrust], log.channels[throttle].times)
     return columns
 
 
-def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
-    """Return a thrust at the times of the commands that it answers, of which a damaged log may lack some."""
+def _shift_to_command(thrust: Channel, throttle: Array) -> Channel:
+    """Return a thrust at the times of the commands that it answers; a damaged log may lack some."""
     before = np.searchsorted(throttle, thrust.times, side="left") - 1
     step = (
         float(np.median((thrust.times - throttle[np.maximum(before, 0)])[before >= 0])) if (before >= 0).any() else 0.0
@@ -168,7 +167,7 @@ def _a_step_earlier(thrust: Channel, throttle: Array) -> Channel:
 
 
 def _resample(channel: Channel, clock: Array) -> Array:
-    """Return the values held from each row to the next, at these times, with half the clock's step of slack."""
+    """Return a channel held from row to row at the times ``clock``, with half a step of tolerance."""
     slack = 0.5 * float(np.median(np.diff(clock)))
     row = np.searchsorted(channel.times, clock + slack, side="right") - 1
     return np.where(row >= 0, channel.values[np.maximum(row, 0)], np.nan)
@@ -184,6 +183,6 @@ def _euler(w: Array, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]
     )
 
 
-def _wrap(channel: Channel) -> Channel:
-    """Return an angle, which a log may give from 0 to 2 pi, between -pi and pi as our columns have it."""
+def _wrap_angle(channel: Channel) -> Channel:
+    """Return an angle wrapped to -pi to pi; a log may have it from 0 to 2 pi."""
     return channel._replace(values=np.angle(np.exp(1j * channel.values)))

@@ -10,7 +10,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.files import read_file
 from cosim.results.log.columns import RATES
 from hexjet_identify.logs import blackbox, crazyflie, dataflash, tlog, ulog
-from hexjet_identify.logs.flight_log import MAX_LOG_MB, SEARCHED, FlightLog, LogSignals
+from hexjet_identify.logs.flight_log import MAX_LOG_MB, SEARCHED_BYTES, FlightLog, LogSignals
 from hexjet_identify.logs.reader import read_apart
 from hexjet_identify.logs.table import make_log, read_run
 from hexjet_identify.logs.table_columns import TableColumns
@@ -30,7 +30,7 @@ _READERS = (
     (blackbox.recognises, "blackbox.read"),
     (tlog.recognises, "tlog.read"),
 )
-_MARKS = ((ulog.MAGIC, "ulog.read"), (dataflash.MARK, "dataflash.read"), (blackbox.MARKER, "blackbox.read"))
+_BURIED_MARKS = ((ulog.MAGIC, "ulog.read"), (dataflash.MARK, "dataflash.read"), (blackbox.MARKER, "blackbox.read"))
 # Tables by others, exports of a run as MCAP and MAT, and LabVIEW's files.
 _TABLES = (
     (b"PAR1", "table_columns.read_parquet"),
@@ -38,8 +38,8 @@ _TABLES = (
     (b"MATLAB 5", "table_columns.read_mat"),
     (b"TDSm", "tdms.read"),
 )
-# What files that are no logs begin with, and what they are.
-_OTHERS = (
+# First bytes of files that are no logs, and what these are.
+_NO_LOGS = (
     (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
     (b"PK\x03\x04", "a zip archive: unpack it"),
     (b"7z\xbc\xaf", "a 7z archive: unpack it"),
@@ -64,13 +64,13 @@ _OTHERS = (
 def is_flight_log(path: Path) -> bool:
     """Return whether a file, or that of ``FILE:N``, is the log of a flight controller that can be read."""
     try:
-        return _controller_reader(_head(_file_and_number(path)[0])) is not None
+        return _controller_reader(_read_head(_file_and_number(path)[0])) is not None
     except InputError:
         return False
 
 
-def _head(path: Path) -> bytes:
-    return read_file(path, MAX_LOG_MB, SEARCHED)
+def _read_head(path: Path) -> bytes:
+    return read_file(path, MAX_LOG_MB, SEARCHED_BYTES)
 
 
 def _controller_reader(head: bytes) -> tuple[str, int] | None:
@@ -78,7 +78,7 @@ def _controller_reader(head: bytes) -> tuple[str, int] | None:
     for recognises, reader in _READERS:
         if recognises(head[:HEAD]):
             return reader, 0
-    for mark, reader in _MARKS:
+    for mark, reader in _BURIED_MARKS:
         if (before := head.find(mark)) > 0:
             return reader, before
     return None
@@ -101,21 +101,21 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
     path, number = _file_and_number(path)
     if path.is_dir():
         return read_run(path)
-    content = _read(path, number)
+    content = _read_content(path, number)
     return content if isinstance(content, FlightLog) else make_log(path, content, time, time_unit)
 
 
 def read_columns(path: Path) -> TableColumns:
     """Read the columns of a table of another tool.  Raises InputError for another file."""
-    content = _read(path, None)
+    content = _read_content(path, None)
     if isinstance(content, FlightLog):
         raise InputError(f"{path}: is a log ({content.kind}), and no table")
     return content
 
 
-def _read(path: Path, number: int | None) -> FlightLog | TableColumns:
-    """Return what is in a file, which a process of its own reads, by its first bytes."""
-    head = _head(path)
+def _read_content(path: Path, number: int | None) -> FlightLog | TableColumns:
+    """Read a file in a process of its own, with the reader for its first bytes."""
+    head = _read_head(path)
     if not head:
         raise InputError(f"{path}: the file is empty")
     if path.suffix.lower() == ".toml":
@@ -139,9 +139,9 @@ def _table_reader(path: Path, head: bytes) -> str:
         if head.startswith(mark):
             return reader
     begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
-    other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
+    other = next((words for mark, words in _NO_LOGS if begins.startswith(mark)), "")
     if not other and b"\nFMT, " in head:
-        other = dict(_OTHERS)[b"FMT, "]
+        other = dict(_NO_LOGS)[b"FMT, "]
     if other:
         raise InputError(f"{path}: is {other}; allowed: {KINDS}")
     if decode(head) is None:
@@ -159,7 +159,7 @@ def signals_of(log: FlightLog, key: str) -> LogSignals:
     number = key.removeprefix("engine:") if key.startswith("engine:") else ""
     if axis is None and not number.isdigit():
         raise InputError(f"{key!r}: allowed: {', '.join(AXES)}, engine:N")
-    choices = _axis(axis) if axis is not None else _engine(int(number))
+    choices = _axis_signals(axis) if axis is not None else _engine_signals(int(number))
     for choice in choices:
         if log.has(choice.command) and log.has(choice.output):
             return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
@@ -168,7 +168,7 @@ def signals_of(log: FlightLog, key: str) -> LogSignals:
     raise InputError(f"{log.path}: it has no {key}; say command and output, or log one of: {needed}")
 
 
-def _axis(n: int) -> list[LogSignals]:
+def _axis_signals(n: int) -> list[LogSignals]:
     axis, rate = AXES[n], RATES[n]
     letter = "RPY"[n]
     gyro = "XYZ"[n]
@@ -207,7 +207,7 @@ def _axis(n: int) -> list[LogSignals]:
     ]
 
 
-def _engine(n: int) -> list[LogSignals]:
+def _engine_signals(n: int) -> list[LogSignals]:
     motors = " + ".join(f"square(motor.m{n})" for n in (1, 2, 3, 4))  # thrust goes with the square of the speed
     return [
         LogSignals(f"throttle_{n}", f"thrust_{n}_N", "", "throttle", "N"),

@@ -24,12 +24,12 @@ from cosim.base.storage.files import one_line
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.table_columns import TableColumns
 
-# Some ten times the processor time of the slowest reader, which is pyulog.
+# Limits of processor time [s], ten times that of the slowest reader, pyulog.
 MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0
-# Of address space.  The libraries take 300; what is read is ten times the file, of a text twenty times.
+# Limits of address space [MB]: libraries take 300, the content ten times the file, of text twenty times.
 MAX_MB, MAX_MB_PER_MB = 1024.0, 40.0
 _RUN = "from hexjet_identify.logs.reader import main; main()"
-# Threads and pools of memory of libraries ask for address space that they do not use.
+# Threads and memory pools of libraries reserve address space that they do not use.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _ARRAY = "array"  # key of an array's number
 
@@ -42,18 +42,11 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
     size = path.stat().st_size / 2**20
     seconds, megabytes = MAX_CPU_S + MAX_CPU_S_PER_MB * size, MAX_MB + MAX_MB_PER_MB * size
     try:
-        answer = run_code(
-            _RUN,
-            reader,
-            str(path),
-            *map(str, numbers),
-            seconds=seconds,
-            megabytes=megabytes,
-            environ=dict(os.environ) | _ONE_THREAD,
-        )
+        arguments, environ = (reader, str(path), *map(str, numbers)), dict(os.environ) | _ONE_THREAD
+        answer = run_code(_RUN, *arguments, seconds=seconds, megabytes=megabytes, environ=environ)
     except HostError as error:
         raise InputError(f"{path}: cannot be read: it is damaged; {error}") from error
-    return _unpack(path, bytearray(answer), megabytes)
+    return _unpack_answer(path, bytearray(answer), megabytes)
 
 
 def main() -> None:
@@ -63,9 +56,9 @@ def main() -> None:
     reader, path, *numbers = sys.argv[1:]
     try:
         with out:
-            _pack(read_here(reader, Path(path), *map(int, numbers)), out)
+            _pack_answer(read_here(reader, Path(path), *map(int, numbers)), out)
     except MemoryError:
-        # Nothing is said: there may be no memory for it.
+        # There may be no memory for a message.
         os._exit(0)
 
 
@@ -75,19 +68,19 @@ def read_here(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumn
     try:
         read = getattr(import_module(f"hexjet_identify.logs.{module}"), name)
         content: FlightLog | TableColumns = read(path, *numbers)
-        _check(path, content)
+        _check_content(path, content)
         return content
     except InputError as error:
         return str(error)
     except MemoryError:
         raise
     except Exception as error:
-        # Over a file that is wrong a reader raises whatever its own calls raise.
+        # A reader of a damaged file may raise any exception.
         return f"{path}: cannot be read: it is damaged ({type(error).__name__}: {one_line(error)})"
 
 
-def _check(path: Path, content: FlightLog | TableColumns) -> None:
-    """Raise InputError where something is no column of numbers, or has not a time for each of them."""
+def _check_content(path: Path, content: FlightLog | TableColumns) -> None:
+    """Raise InputError for a column that is not of numbers, or has not a time for each value."""
     if isinstance(content, TableColumns):
         columns = {name: (values, values) for name, values in content.numbers.items()}
     else:
@@ -99,11 +92,11 @@ def _check(path: Path, content: FlightLog | TableColumns) -> None:
             raise InputError(f"{path}: {name}: has {len(pair[1])} values and {len(pair[0])} times")
 
 
-def _pack(content: FlightLog | TableColumns | str, out: BinaryIO) -> None:
+def _pack_answer(content: FlightLog | TableColumns | str, out: BinaryIO) -> None:
     arrays: list[Array] = []
     numbered: dict[int, int] = {}
 
-    def stand_in(value: Any) -> Any:
+    def replace_array(value: Any) -> Any:
         if not isinstance(value, np.ndarray):
             return value.item() if isinstance(value, np.generic) else str(value)
         if id(value) not in numbered:
@@ -112,14 +105,14 @@ def _pack(content: FlightLog | TableColumns | str, out: BinaryIO) -> None:
         return {_ARRAY: numbered[id(value)]}
 
     fields = {"refused": content} if isinstance(content, str) else dict(vars(content))
-    text = json.dumps(fields, default=stand_in)
+    text = json.dumps(fields, default=replace_array)
     out.write(json.dumps([len(array) for array in arrays]).encode() + b"\n" + text.encode() + b"\n")
     for array in arrays:
         out.write(np.ascontiguousarray(array, "<f8").data)
 
 
-def _unpack(path: Path, answer: bytearray, megabytes: float) -> FlightLog | TableColumns:
-    """Return what an answer holds.  Raises InputError with what it says, or says nothing of for want of memory."""
+def _unpack_answer(path: Path, answer: bytearray, megabytes: float) -> FlightLog | TableColumns:
+    """Return the content of an answer.  Raises InputError for a refusal, or an empty answer for want of memory."""
     first, second = answer.find(b"\n"), answer.find(b"\n", answer.find(b"\n") + 1)
     if first < 0:
         raise InputError(f"{path}: cannot be read: its content asks for more than {megabytes:.0f} MB of memory")
@@ -129,10 +122,10 @@ def _unpack(path: Path, answer: bytearray, megabytes: float) -> FlightLog | Tabl
         arrays.append(np.frombuffer(answer, "<f8", length, at))
         at += 8 * length
 
-    def put_back(table: dict[str, Any]) -> Any:
+    def restore_array(table: dict[str, Any]) -> Any:
         return arrays[table[_ARRAY]] if table.keys() == {_ARRAY} and type(table[_ARRAY]) is int else table
 
-    fields: Mapping[str, Any] = json.loads(answer[first + 1 : second], object_hook=put_back)
+    fields: Mapping[str, Any] = json.loads(answer[first + 1 : second], object_hook=restore_array)
     if "refused" in fields:
         raise InputError(fields["refused"])
     if "channels" not in fields:

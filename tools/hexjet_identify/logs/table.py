@@ -18,38 +18,29 @@ from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.table_columns import TableColumns
 
 # Names of a time in seconds, in logs of other tools.
-TIMES = (TIME, "time", "t")
+TIME_NAMES = (TIME, "time", "t")
 # Other names of a time, in any case and with its unit behind it; the likeliest first.
-OTHER_TIMES = (
+OTHER_TIME_NAMES = (
     "time", "t", "timestamp", "timestamp_sample", "timeus", "timems", "elapsed", "elapsed time", "datetime",
     "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
 )  # fmt: skip
-# These columns are logged with the step at whose end the engine has the thrust.
-AT_THE_END = re.compile(r"thrust_\d+_N")
+# Columns of thrust at the end of the step in whose row they stand.
+STEP_END_COLUMN = re.compile(r"thrust_\d+_N")
 DAY_S = 86400.0
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY_S}
+SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY_S}
 _SAME_UNITS = {
-    "sec": "s",
-    "secs": "s",
-    "second": "s",
-    "seconds": "s",
-    "minutes": "min",
-    "hours": "h",
-    "days": "d",
-    "msec": "ms",
-    "usec": "us",
-    "µs": "us",
-    "μs": "us",
-}
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "minutes": "min", "hours": "h", "days": "d", "msec": "ms",
+    "usec": "us", "µs": "us", "μs": "us",
+}  # fmt: skip
 _UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
-# A time grows in at least this share of the steps from row to row.
-LEAST_RUNNING = 0.9
-NO_NUMBERS = "left out, being no numbers"  # a remark begins so
+# Minimum share of rows from which a column of time grows to the next.
+MIN_INCREASING_SHARE = 0.9
+NOT_NUMBERS = "left out, being no numbers"  # a remark begins so
 
 
 @dataclass
 class Table:
-    """The columns that are numbers, but for the time [s], which is called ``name``; and what is to be said of them."""
+    """Columns of numbers of a table, and its time [s], whose column is called ``name``."""
 
     columns: dict[str, Array]
     times: Array
@@ -65,21 +56,21 @@ def columns_with_time(path: Path, columns: TableColumns, name: str | None = None
 
     Without a name the time is the first of those that are called so and run.  Raises InputError where there is none.
     """
-    if unit is not None and unit not in SECONDS:
-        raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
-    time, numbers = _time(path, columns, name), dict(columns.numbers)
+    if unit is not None and unit not in SECONDS_PER_UNIT:
+        raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS_PER_UNIT)}")
+    time, numbers = _find_time(path, columns, name), dict(columns.numbers)
     taken = unit or ("s" if time in columns.dates else time_unit(time, columns.units.get(time, "")))
-    times = SECONDS[taken] * numbers.pop(time)
+    times = SECONDS_PER_UNIT[taken] * numbers.pop(time)
     remarks = list(columns.remarks)
     if time in columns.dates and len(times):
-        times, remark = _since_first(times)
+        times, remark = _seconds_since_first(times)
         remarks.append(f"{time}: {remark}")
     elif taken != "s" and unit is None:
         remarks.append(f"{time} is taken for the time, in {taken}")
     return Table(numbers, times, time, taken, columns.units, columns.left_out, remarks)
 
 
-def _time(path: Path, held: TableColumns, name: str | None) -> str:
+def _find_time(path: Path, held: TableColumns, name: str | None) -> str:
     columns = held.numbers
     if name is not None:
         stripped = next((column for column in (name, name.strip()) if column in columns), None)
@@ -87,15 +78,15 @@ def _time(path: Path, held: TableColumns, name: str | None) -> str:
             raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}"[:600])
         return stripped
     plain = {column: plain_name(column) for column in columns}
-    called = [column for column in TIMES if column in columns]
-    called += [column for other in OTHER_TIMES for column in columns if plain[column] == other]
+    called = [column for column in TIME_NAMES if column in columns]
+    called += [column for other in OTHER_TIME_NAMES for column in columns if plain[column] == other]
     called += [column for column in columns if column in held.dates]
-    running = [column for column in dict.fromkeys(called) if _runs(columns[column])]
+    running = [column for column in dict.fromkeys(called) if _is_increasing(columns[column])]
     if running or called:
         return (running or called)[0]
-    growing = [repr(column) for column in columns if _runs(columns[column])][:5]
+    growing = [repr(column) for column in columns if _is_increasing(columns[column])][:5]
     grow = f"; {', '.join(growing)} grow from row to row: time_column says which" if growing else ""
-    raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds{grow}")
+    raise InputError(f"{path}: no column of time; allowed: {', '.join(TIME_NAMES)}, in seconds{grow}")
 
 
 def plain_name(name: str) -> str:
@@ -121,18 +112,18 @@ def time_unit(name: str, unit_given: str) -> str:
     for text in texts:
         unit = (text or "").strip().lower()
         unit = _SAME_UNITS.get(unit, unit)
-        if unit in SECONDS:
+        if unit in SECONDS_PER_UNIT:
             return unit
     return "s"
 
 
-def _runs(values: Array) -> bool:
+def _is_increasing(values: Array) -> bool:
     """Return whether values grow from nearly every row to the next."""
     values = values[np.isfinite(values)]
-    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= LEAST_RUNNING
+    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= MIN_INCREASING_SHARE
 
 
-def _since_first(times: Array) -> tuple[Array, str]:
+def _seconds_since_first(times: Array) -> tuple[Array, str]:
     """Return dates, or times of day that may pass midnight, as seconds from the first one, with a remark."""
     good = np.flatnonzero(np.isfinite(times))
     if not good.size:
@@ -153,12 +144,12 @@ def make_log(path: Path, columns: TableColumns, time: str | None = None, unit: s
     """
     table, has_our_stamps = columns_with_time(path, columns, time, unit), time is None
     times, name = table.times, table.name
-    remarks = [f"{NO_NUMBERS}: {', '.join(table.left_out)}"] if table.left_out else []
+    remarks = [f"{NOT_NUMBERS}: {', '.join(table.left_out)}"] if table.left_out else []
     remarks += table.remarks
     step = float(np.median(np.diff(times))) if has_our_stamps and name == TIME and times.size > 1 else 0.0
     named = {key: unit_in_name(key) for key in table.columns}
     units = named | {column.name: column.unit for column in COLUMNS} | table.units
-    late = [key for key in table.columns if step and AT_THE_END.fullmatch(key)]
+    late = [key for key in table.columns if step and STEP_END_COLUMN.fullmatch(key)]
     if late:
         remarks.append(
             f"{late[0]}{' and the like' if late[1:] else ''}: taken for the end of its step, {1e3 * step:g} ms after "
@@ -183,7 +174,9 @@ def read_run(folder: Path) -> FlightLog:
     names = [name for name in run.log.columns if name != TIME]
     after = times + run.summary.step_s
     channels = {
-        name: Channel(after if AT_THE_END.fullmatch(name) else times, np.asarray(run.log[name]), units.get(name, ""))
+        name: Channel(
+            after if STEP_END_COLUMN.fullmatch(name) else times, np.asarray(run.log[name]), units.get(name, "")
+        )
         for name in names
     }
     return FlightLog(folder, "run", channels, engine=Path(run.summary.engine).name.removesuffix("-fmi2"))

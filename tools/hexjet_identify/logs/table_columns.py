@@ -14,16 +14,16 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line
 from cosim.results.log.arrow import read_csv_numbers, read_numbers
 from cosim.results.log.tables import TIME
-from hexjet_identify.logs.text_table import is_number, read_text, seconds
+from hexjet_identify.logs.text_table import is_number, parse_dates, read_text
 
-# The share of a column's texts that have to be numbers; the others are damaged, or say that there is none.
-MIN_NUMBERS = 0.5
+# Minimum share of numbers in a column of numbers; other cells are damaged or mark missing values.
+MIN_NUMBER_SHARE = 0.5
 _KINDS = {"c": "complex numbers", "U": "text", "O": "objects", "b": "truth values"}  # by numpy's letter
 
 
 @dataclass
 class TableColumns:
-    """The columns of a table: those that are numbers, and what is to be said of the others."""
+    """The columns of a table: those of numbers, and remarks on the others."""
 
     names: Sequence[str]  # of all, in the file's order
     numbers: dict[str, Array]
@@ -58,13 +58,13 @@ def read_text_table(path: Path) -> TableColumns:
 
 
 def _add_texts(columns: TableColumns, texts: dict[str, list[str | None]]) -> None:
-    """Add the columns of texts that are numbers but for some cells, or dates."""
+    """Add columns of texts that are dates, or mostly numbers."""
     left_out = []
     for name, values in texts.items():
-        if (numeric := _numbers(values)) is not None:
+        if (numeric := _parse_numbers(values)) is not None:
             columns.numbers[name], missing = numeric
             columns.remarks += [f"{name}: {missing} of {len(values)} cells are no numbers; left out"] if missing else []
-        elif (dates := seconds(values)) is not None:
+        elif (dates := parse_dates(values)) is not None:
             columns.numbers[name] = np.array(dates)
             columns.dates.append(name)
         else:
@@ -72,17 +72,17 @@ def _add_texts(columns: TableColumns, texts: dict[str, list[str | None]]) -> Non
     columns.left_out = tuple(left_out)
 
 
-def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
-    """Return texts as numbers, NaN for what is none, and how many are none; None where most are none."""
+def _parse_numbers(values: list[str | None]) -> tuple[Array, int] | None:
+    """Return texts as numbers, NaN for others, and the count of others; None if most are no numbers."""
     texts = [(text or "").strip() for text in values]
     good = [text for text in texts if text and is_number(text)]
-    if len(good) < max(MIN_NUMBERS * sum(map(bool, texts)), 1):
+    if len(good) < max(MIN_NUMBER_SHARE * sum(map(bool, texts)), 1):
         return None
-    numeric = np.array([_number(text) for text in texts])
+    numeric = np.array([_parse_number(text) for text in texts])
     return numeric, sum(bool(text) and not is_number(text) for text in texts)
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     try:
         return float(text.replace(",", "."))
     except ValueError:
@@ -128,7 +128,7 @@ def read_mcap(path: Path) -> TableColumns:
             raise InputError(f"{path}: its messages are not as hexjet export writes them")
         table = np.frombuffer(b"".join(messages), kind)
         columns |= {name: table[f"value{n}"] for n, name in enumerate(names[topic])}
-    return _of_export(path, {TIME: columns[TIME]} | columns)
+    return _check_export(path, {TIME: columns[TIME]} | columns)
 
 
 def read_mat(path: Path) -> TableColumns:
@@ -143,11 +143,11 @@ def read_mat(path: Path) -> TableColumns:
         raise InputError(f"{path}: is a file of MATLAB without a flight of ours; export it as CSV")
     names = flight["names"] if isinstance(flight.get("names"), dict) else {}
     columns = {str(names.get(name, name)): values for name, values in flight["columns"].items()}
-    return _of_export(path, {TIME: flight["time"]} | columns)
+    return _check_export(path, {TIME: flight["time"]} | columns)
 
 
-def _of_export(path: Path, columns: dict[str, Any]) -> TableColumns:
-    """Return the columns of an export.  Raises InputError where they are not what one has."""
+def _check_export(path: Path, columns: dict[str, Any]) -> TableColumns:
+    """Return the columns of an export of ours.  Raises InputError for columns that it cannot have."""
     numbers = {}
     for name, values in columns.items():
         column = np.atleast_1d(np.asarray(values))

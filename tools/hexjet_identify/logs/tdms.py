@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import Channel, FlightLog, numbers
-from hexjet_identify.logs.table import SECONDS, TIMES, plain_name, time_unit, unit_in_name
+from hexjet_identify.logs.table import SECONDS_PER_UNIT, TIME_NAMES, plain_name, time_unit, unit_in_name
 
 # Properties in which a channel's unit may be.
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "units")
@@ -36,12 +36,12 @@ def read(path: Path) -> FlightLog:
     channels: dict[str, Channel] = {}
     left_out = []
     for group in file.groups():
-        stamps = next((each for each in group.channels() if _is_time(each)), None)
+        stamps = next((each for each in group.channels() if _is_time_channel(each)), None)
         for each in group.channels():
             name = each.name if names.count(each.name) == 1 else f"{group.name}/{each.name}"
             if each is stamps or not np.issubdtype(each.dtype, np.number) or not len(each):
                 continue
-            times = _times(each, stamps)
+            times = _read_times(each, stamps)
             if times is None:
                 left_out.append(name)
                 continue
@@ -50,16 +50,16 @@ def read(path: Path) -> FlightLog:
             )
             channels[name] = Channel(times, numbers(each[:]), unit)
     if not channels:
-        raise InputError(f"{path}: no channel has a time: neither {STEP} nor one of its group called {TIMES[1]}")
+        raise InputError(f"{path}: no channel has a time: neither {STEP} nor one of its group called {TIME_NAMES[1]}")
     remarks = (f"left out, having no time: {', '.join(left_out)}",) if left_out else ()
     return FlightLog(path, "TDMS", channels, remarks)
 
 
-def _is_time(channel: Any) -> bool:
-    return plain_name(channel.name) in TIMES and not channel.properties.get(STEP)
+def _is_time_channel(channel: Any) -> bool:
+    return plain_name(channel.name) in TIME_NAMES and not channel.properties.get(STEP)
 
 
-def _times(channel: Any, stamps: Any | None) -> Array | None:
+def _read_times(channel: Any, stamps: Any | None) -> Array | None:
     """Return a channel's times [s], or None where neither a waveform nor a channel of as many rows has them."""
     if channel.properties.get(STEP):
         first = float(channel.properties.get(OFFSET, 0.0))
@@ -69,4 +69,4 @@ def _times(channel: Any, stamps: Any | None) -> Array | None:
     if np.issubdtype(stamps.dtype, np.datetime64):
         return np.asarray((stamps[:] - stamps[0]) / np.timedelta64(1, "ns") * 1e-9)
     unit = next((str(stamps.properties[key]) for key in UNITS if stamps.properties.get(key)), "")
-    return np.asarray(SECONDS[time_unit(stamps.name, unit)] * numbers(stamps[:]))
+    return np.asarray(SECONDS_PER_UNIT[time_unit(stamps.name, unit)] * numbers(stamps[:]))

@@ -24,31 +24,31 @@ DIALECTS = (
     "cosim.groundstation.mavlink.wire._messages",
     "pymavlink.dialects.v20.all",
 )
-STAMP = 8  # bytes
-# The years 1980, for a station without a clock, and 2100.
+STAMP_BYTES = 8
+# Times of the years 1980, for a station without a clock, and 2100 [us].
 EARLIEST_US, LATEST_US = 315_532_800_000_000, 4_102_444_800_000_000
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 SIGNED, SIGNATURE, CHECKSUM = 0x01, 13, 2
 OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
-# A slow link may deliver a frame so long after its own time; more is another clock.
-MOST_LATE_S = 5.0
-MOST_NAMED = 10
-SHORTEST = 8  # bytes of a frame without a payload
-# A field with more numbers is a piece of a file.
-LONGEST_ARRAY = 32
+# Largest delay of a frame on a slow link [s]; a larger one is another clock.
+MAX_LATE_S = 5.0
+MAX_NAMED = 10
+MIN_FRAME_BYTES = 8  # bytes of a frame without a payload
+# Longest array [numbers] that becomes channels; longer ones are pieces of files.
+MAX_ARRAY = 32
 
 Sender = tuple[int, int]  # system and component
 Key = tuple[int, int, Sender]
 
 
 class Kind(NamedTuple):
-    """One kind of message: how its payload lies, and what its checksum has beside it."""
+    """A kind of message: layout of its payload, and the extra byte of its checksum."""
 
     name: str
     layout: np.dtype[np.void]
     extra: bytes
     units: dict[str, str]
-    # The field that tells instances apart, or an empty string.
+    # Field that tells instances apart; empty if there is none.
     instance: str
 
 
@@ -64,10 +64,10 @@ class Frame(NamedTuple):
 
 def recognises(head: bytes) -> bool:
     """Return whether a file begins with a time and a frame, and goes on with the next, as far as ``head`` goes."""
-    frame = _frame(head, 0)
+    frame = _read_frame_head(head, 0)
     if frame is None or not EARLIEST_US < frame.stamp < LATEST_US:
         return False
-    after = frame.after + STAMP
+    after = frame.after + STAMP_BYTES
     return after >= len(head) or head[after] in (MAGIC_1, MAGIC_2)
 
 
@@ -83,20 +83,22 @@ def read(path: Path) -> FlightLog:
     if not index.messages:
         raise InputError(f"{path}: the telemetry log holds no frame of a message that is known")
     begin = min(frames[0].stamp for frames in index.messages.values())
-    tables = {key: _table(data, _kinds()[key[0]][key[1]], frames) for key, frames in index.messages.items()}
+    tables = {
+        key: _decode_payloads(data, _load_kinds()[key[0]][key[1]], frames) for key, frames in index.messages.items()
+    }
     taken = {key: 1e-6 * np.array([f.stamp - begin for f in frames]) for key, frames in index.messages.items()}
-    clocks = _clocks(tables, taken)
+    clocks = _find_clock_zeros(tables, taken)
     senders: dict[str, set[Sender]] = {}
     for number, which, sender in tables:
-        senders.setdefault(_kinds()[number][which].name, set()).add(sender)
+        senders.setdefault(_load_kinds()[number][which].name, set()).add(sender)
     channels: dict[str, Channel] = {}
     events: list[tuple[float, str]] = []
     for key, table in tables.items():
-        kind, sender = _kinds()[key[0]][key[1]], key[2]
-        times = _times(table, taken[key], clocks.get(sender))
+        kind, sender = _load_kinds()[key[0]][key[1]], key[2]
+        times = _choose_times(table, taken[key], clocks.get(sender))
         full = kind.name + (f"[{sender[0]}/{sender[1]}]" if len(senders[kind.name]) > 1 else "")
         for name, rows in name_instances(full, table, kind.instance, 2):
-            channels |= _fields(name, kind, table[rows], times[rows])
+            channels |= _make_channels(name, kind, table[rows], times[rows])
         if kind.name == "STATUSTEXT":
             events += [
                 (float(t), text.decode("utf-8", "replace")) for t, text in zip(times, table["text"], strict=True)
@@ -105,8 +107,8 @@ def read(path: Path) -> FlightLog:
 
 
 @cache
-def _kinds() -> dict[int, list[Kind]]:
-    """Return what a message of each number may be: of several dialects the checksum tells which."""
+def _load_kinds() -> dict[int, list[Kind]]:
+    """Return the kinds of message of each number; the checksum tells those of several dialects apart."""
     kinds: dict[int, list[Kind]] = {}
     for name in DIALECTS:
         try:
@@ -116,11 +118,11 @@ def _kinds() -> dict[int, list[Kind]]:
         for number, message in message_table.items():
             extra = bytes([message.crc_extra])
             if all(kind.extra != extra for kind in kinds.get(number, ())):
-                kinds.setdefault(number, []).append(_kind(message, extra))
+                kinds.setdefault(number, []).append(_make_kind(message, extra))
     return kinds
 
 
-def _kind(message: Any, extra: bytes) -> Kind:
+def _make_kind(message: Any, extra: bytes) -> Kind:
     fields: list[tuple[Any, ...]] = []
     codes = bytes(message.native_format).decode().lstrip("<")
     for name, code, length in zip(message.ordered_fieldnames, codes, message.array_lengths, strict=True):
@@ -132,10 +134,10 @@ def _kind(message: Any, extra: bytes) -> Kind:
     return Kind(message.msgname, np.dtype(fields), extra, dict(message.fieldunits_by_name), instance)
 
 
-def _frame(data: bytes, at: int) -> Frame | None:
+def _read_frame_head(data: bytes, at: int) -> Frame | None:
     """Read the head of the frame whose time is at ``at``; None for what is no frame's head."""
-    start = at + STAMP
-    if len(data) < start + SHORTEST or data[start] not in (MAGIC_1, MAGIC_2):
+    start = at + STAMP_BYTES
+    if len(data) < start + MIN_FRAME_BYTES or data[start] not in (MAGIC_1, MAGIC_2):
         return None
     size, signature = data[start + 1], 0
     if data[start] == MAGIC_1:
@@ -158,16 +160,16 @@ def _read_frame(data: bytes, at: int) -> tuple[Frame, int | None] | None:
     """
     from fastcrc.crc16 import mcrf4xx
 
-    frame = _frame(data, at)
+    frame = _read_frame_head(data, at)
     if frame is None or frame.after > len(data):
         return None
-    kinds = _kinds().get(frame.message)
+    kinds = _load_kinds().get(frame.message)
     if kinds is None:
-        # No checksum can be tried: another frame behind it has to do.
-        behind = data[frame.after + STAMP : frame.after + STAMP + 1]
+        # Without a checksum to try, a following frame has to confirm it.
+        behind = data[frame.after + STAMP_BYTES : frame.after + STAMP_BYTES + 1]
         follows = frame.after == len(data) or behind in (b"\xfe", b"\xfd")
         return (frame, None) if follows and EARLIEST_US < frame.stamp < LATEST_US else None
-    crc = mcrf4xx(data[at + STAMP + 1 : frame.payload.stop])
+    crc = mcrf4xx(data[at + STAMP_BYTES + 1 : frame.payload.stop])
     checksum = data[frame.payload.stop] | data[frame.payload.stop + 1] << 8
     which = next((n for n, kind in enumerate(kinds) if mcrf4xx(kind.extra, crc) == checksum), None)
     return None if which is None else (frame, which)
@@ -180,7 +182,7 @@ class _MessageIndex:
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
     unknown: set[int] = field(default_factory=set)
     passed: int = 0  # bytes of no frame
-    # Bytes at the end that are the beginning of a frame.
+    # Bytes at the end that begin a frame.
     cut: int = 0
 
     def remarks(self, begin: int) -> tuple[str, ...]:
@@ -192,8 +194,8 @@ class _MessageIndex:
         if self.cut:
             remarks.append(f"the log was cut short: it ends {self.cut} bytes into a frame")
         if self.unknown:
-            more = ", ..." if len(self.unknown) > MOST_NAMED else ""
-            named = ", ".join(map(str, sorted(self.unknown)[:MOST_NAMED]))
+            more = ", ..." if len(self.unknown) > MAX_NAMED else ""
+            named = ", ".join(map(str, sorted(self.unknown)[:MAX_NAMED]))
             remarks.append(f"messages of unknown numbers were left out: {named}{more}")
         return tuple(remarks)
 
@@ -204,8 +206,8 @@ def _index_messages(data: bytes) -> _MessageIndex:
     while at < end:
         frame_read = _read_frame(data, at)
         if frame_read is None:
-            after = _next(data, at + 1)
-            if after == end and (_frame(data, at) or end - at < STAMP + SHORTEST):
+            after = _find_next_frame(data, at + 1)
+            if after == end and (_read_frame_head(data, at) or end - at < STAMP_BYTES + MIN_FRAME_BYTES):
                 index.cut = end - at
             else:
                 index.passed += after - at
@@ -220,19 +222,19 @@ def _index_messages(data: bytes) -> _MessageIndex:
     return index
 
 
-def _next(data: bytes, at: int) -> int:
+def _find_next_frame(data: bytes, at: int) -> int:
     """Return where the time of the next frame may be, from ``at`` on: eight bytes before a magic byte."""
-    candidates = [candidate for magic in (MAGIC_1, MAGIC_2) if (candidate := data.find(magic, at + STAMP)) >= 0]
-    return min(candidates) - STAMP if candidates else len(data)
+    candidates = [candidate for magic in (MAGIC_1, MAGIC_2) if (candidate := data.find(magic, at + STAMP_BYTES)) >= 0]
+    return min(candidates) - STAMP_BYTES if candidates else len(data)
 
 
-def _table(data: bytes, kind: Kind, frames: list[Frame]) -> np.ndarray:
+def _decode_payloads(data: bytes, kind: Kind, frames: list[Frame]) -> np.ndarray:
     """Return the payloads as rows, with the zeros at the end that the wire leaves out."""
     size = kind.layout.itemsize
     return np.frombuffer(b"".join(data[f.payload][:size].ljust(size, b"\0") for f in frames), kind.layout)
 
 
-def _clocks(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) -> dict[Sender, float]:
+def _find_clock_zeros(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) -> dict[Sender, float]:
     """Return when each sender's own clock was at 0, s, by the frame that was received the soonest."""
     clocks: dict[Sender, float] = {}
     for key, table in tables.items():
@@ -242,17 +244,17 @@ def _clocks(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) -> dict[Send
     return clocks
 
 
-def _times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
+def _choose_times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
     """Return the sender's own times, s, where they agree with those at which its frames were received, or these."""
     for name, unit in OWN_CLOCKS.items():
         if zero is not None and name in (table.dtype.names or ()):
             boot_times = zero + unit * table[name].astype(np.float64)
-            if np.all(np.abs(taken - boot_times) < MOST_LATE_S):
+            if np.all(np.abs(taken - boot_times) < MAX_LATE_S):
                 return boot_times
     return taken
 
 
-def _fields(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str, Channel]:
+def _make_channels(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str, Channel]:
     columns = {}
     for label in kind.layout.names or ():
         column, unit = table[label], kind.units.get(label, "")
@@ -260,6 +262,6 @@ def _fields(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str,
             continue
         if column.ndim == 1:
             columns[f"{name}.{label}"] = Channel(times, numbers(column), unit)
-        elif column.shape[1] <= LONGEST_ARRAY:
+        elif column.shape[1] <= MAX_ARRAY:
             columns |= {f"{name}.{label}[{n}]": Channel(times, numbers(part), unit) for n, part in enumerate(column.T)}
     return columns

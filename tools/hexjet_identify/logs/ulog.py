@@ -15,11 +15,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, read_file
-from hexjet_identify.logs.flight_log import MAX_LOG_MB, SEARCHED, Channel, FlightLog, numbers
+from hexjet_identify.logs.flight_log import MAX_LOG_MB, SEARCHED_BYTES, Channel, FlightLog, numbers
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
-_NUMBERS = {"float": "<f", "int32_t": "<i"}  # types of a parameter's value
+_PARAMETER_TYPES = {"float": "<f", "int32_t": "<i"}  # types of a parameter's value
 _LOGGED, _TAGGED = ord("L"), ord("C")
 
 
@@ -37,18 +37,18 @@ def read(path: Path) -> FlightLog:
     if find_spec("pyulog") is None:
         raise InputError("a ULog needs pyulog, which is not installed: pip install pyulog")
     data = path.read_bytes()
-    begin = max(data[:SEARCHED].find(MAGIC), 0)
+    begin = max(data[:SEARCHED_BYTES].find(MAGIC), 0)
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        log = _load(path, data, begin)
+        log = _load_with_pyulog(path, data, begin)
     step = log.initial_parameters.get("step_s")
-    channels, untimed = _channels(log, None if step is None else float(step))
+    channels, untimed = _make_channels(log, None if step is None else float(step))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
     remarks = [f"left out, having no time: {', '.join(untimed)}"] if untimed else []
     if log.file_corruption or printed.getvalue().strip():
         remarks.append("parts of the file are damaged and were passed over")
-    elif not _ends(data, begin):
+    elif not _is_complete(data, begin):
         remarks.append("the log was cut short, or the power went: it ends within a message")
     if missing := [int(dropout.duration) for dropout in log.dropouts]:
         remarks.append(f"{len(missing)} times the logger lost data, {1e-3 * sum(missing):.1f} s together")
@@ -68,7 +68,7 @@ class _Remainder(io.BytesIO):
         return super().seek(offset, whence)
 
 
-def _load(path: Path, data: bytes, begin: int) -> Any:
+def _load_with_pyulog(path: Path, data: bytes, begin: int) -> Any:
     """Load the log with pyulog.  Raises InputError with the byte of the file by which it stopped."""
     from pyulog import ULog
     from pyulog.core import ULogException
@@ -79,12 +79,12 @@ def _load(path: Path, data: bytes, begin: int) -> Any:
     except ULogException as error:
         raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
     except Exception as error:
-        # Over a file that is wrong it raises whatever its own calls raise, in their words.
+        # pyulog may raise any exception over a damaged file.
         at = begin + source.tell()
         raise InputError(f"{path}: cannot be read as ULog: it is damaged at byte {at} or before that") from error
 
 
-def _channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[str]]:
+def _make_channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[str]]:
     """Return the channels of a log, and the topics that have no time."""
     channels, untimed = {}, []
     for topic in log.data_list:
@@ -94,8 +94,8 @@ def _channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[st
             continue
         times = 1e-6 * numbers(stamp)
         if topic.name == "hexjet_thrust":
-            # A log of ours has the thrust that the engine has at the end of the message's step.
-            times = times + _step(step, times)
+            # Our logs have the thrust at the end of the message's step.
+            times = times + _find_step(step, times)
         name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
         for field, values in topic.data.items():
             if not field.startswith("timestamp"):
@@ -103,14 +103,14 @@ def _channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[st
     return channels, untimed
 
 
-def _step(nominal: float | None, times: Array) -> float:
+def _find_step(nominal: float | None, times: Array) -> float:
     """Return the control step of a log of ours, s: as stated in the log, or else that of its rows, the default."""
     if nominal is not None or times.size < 2:
         return nominal or 0.0
     return float(np.median(np.diff(times)))
 
 
-def _ends(data: bytes, begin: int) -> bool:
+def _is_complete(data: bytes, begin: int) -> bool:
     """Return whether the log's last message ends where the file does; each says its size first."""
     at, end = begin + HEAD_BYTES, len(data)
     while at + 3 <= end:
@@ -119,7 +119,7 @@ def _ends(data: bytes, begin: int) -> bool:
 
 
 class UlogNotes(NamedTuple):
-    """What a ULog says in words and of its program, beside its topics."""
+    """Facts, parameters and messages of a ULog."""
 
     facts: dict[str, str | int]  # such as ver_sw and ver_sw_release
     parameters: dict[str, float]  # those at its beginning
@@ -136,9 +136,9 @@ def read_notes(path: Path) -> UlogNotes:
     facts: dict[str, str | int] = {}
     parameters: dict[str, float] = {}
     messages: list[tuple[float, int, str]] = []
-    # A parameter that comes behind the definitions was changed in flight.
+    # Parameters behind the definitions were changed in flight.
     begun = False
-    for kind, body in _walk(data):
+    for kind, body in _iterate_messages(data):
         if kind in (_LOGGED, _TAGGED):
             begin = 9 if kind == _LOGGED else 11
             if len(body) >= begin:
@@ -147,8 +147,8 @@ def read_notes(path: Path) -> UlogNotes:
         elif kind in b"IP" and body and len(body) > body[0]:
             typed, _, name = body[1 : 1 + body[0]].decode("ascii", "replace").partition(" ")
             value = body[1 + body[0] :]
-            if kind == ord("P") and not begun and typed in _NUMBERS and len(value) == 4:
-                parameters[name] = struct.unpack(_NUMBERS[typed], value)[0]
+            if kind == ord("P") and not begun and typed in _PARAMETER_TYPES and len(value) == 4:
+                parameters[name] = struct.unpack(_PARAMETER_TYPES[typed], value)[0]
             elif kind == ord("I") and typed.startswith("char["):
                 facts[name] = value.decode("utf-8", "replace")
             elif kind == ord("I") and typed == "uint32_t" and len(value) == 4:
@@ -157,7 +157,7 @@ def read_notes(path: Path) -> UlogNotes:
     return UlogNotes(facts, parameters, messages)
 
 
-def _walk(data: bytes) -> Iterator[tuple[int, bytes]]:
+def _iterate_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield the kind and the body of every whole message of a ULog."""
     at, end = HEAD_BYTES, len(data) if data.startswith(MAGIC) else 0
     while at + 3 <= end:

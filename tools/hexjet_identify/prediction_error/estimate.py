@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_identify.fit.estimate import Estimate, bound_delay, estimate_at, leave, project, solve
+from hexjet_identify.fit.estimate import Estimate, bound_delay, compute_residual, estimate_at, project, solve
 from hexjet_identify.fit.forms import Poles
 from hexjet_identify.fit.problem import Problem
 
@@ -18,14 +18,14 @@ from hexjet_identify.fit.problem import Problem
 def identify_poles(
     problem: Problem, is_engine: bool, hold: Mapping[str, float], lags: int | None = None
 ) -> list[Estimate]:
-    """Return the estimate with so many lags; without a number of two forms, the best by Akaike's criterion first.
+    """Fit the form with this number of lags, or two forms if it is None, the best by Akaike's criterion first.
 
     The bounds of the delay are of the best, and of the richest: which holds the others, and no data refute it.
     """
     fewest = (0 if is_engine else 1) if lags is None else lags
     simple = fit_poles(problem, Poles(is_engine, fewest), hold)
     if lags is not None:
-        return [_with_bounds(problem, simple)]
+        return [_add_delay_bounds(problem, simple)]
     rich = fit_poles(problem, Poles(is_engine, fewest + 1), hold, simple)
     low, high = bound_delay(problem, rich, near=0.01)
     # A form with a lag less that is not refuted is the richer one with a lag of nothing, which a search only nears.
@@ -35,16 +35,16 @@ def identify_poles(
     if above < 0.0:
         ends = bound_delay(problem, simple, above + 3.841, 0.01)
         low, high = min(low, ends[0]), max(high, ends[1])
-    both = [_with_bounds(problem, simple), replace(rich, delay_bounds=(low, high))]
+    both = [_add_delay_bounds(problem, simple), replace(rich, delay_bounds=(low, high))]
     return sorted(both, key=lambda estimate: estimate.aic)
 
 
-def _with_bounds(problem: Problem, estimate: Estimate) -> Estimate:
+def _add_delay_bounds(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, delay_bounds=bound_delay(problem, estimate, near=0.01))
 
 
 def fit_poles(problem: Problem, form: Poles, hold: Mapping[str, float], near: Estimate | None = None) -> Estimate:
-    """Return the best of the starts, ``near`` of one with a lag less, whose order of the noise is kept.
+    """Fit poles from several starts and return the best; from ``near``, with one lag less, if given.
 
     Raises InputError for an unknown name in ``hold``.
     """
@@ -55,35 +55,35 @@ def fit_poles(problem: Problem, form: Poles, hold: Mapping[str, float], near: Es
     # Two forms are compared on the same equations, which the order of the noise decides.
     order = None if near is None else near.noise
     tried = []
-    for x in _starts(problem, form) if near is None else _starts_with_a_lag(near):
+    for x in _list_starts(problem, form) if near is None else _list_starts_with_another_lag(near):
         x[held] = list(hold.values())
-        tried.append(_fit_in_loop(problem, form, x, held, order))
+        tried.append(_fit_with_noise(problem, form, x, held, order))
     best = min(tried, key=lambda each: each[2] / problem.equations(len(each[1])).sum())
-    # Where a command comes as rows, several delays within a row leave less than those beside them.
+    # With a command in rows the misfit has several minima over the delay within a row.
     for shift in problem.step * np.array([-1.0, -0.5, 0.5, 1.0]) if 0 not in held else ():
         beside = np.array([max(best[0][0] + shift, 0.0), *best[0][1:]])
         best = min(best, solve(problem, form, beside, best[1], held), key=lambda each: each[2])
     x, noise, _ = best
     low, high = form.limits(problem)
     at_end = np.isclose(x, low, rtol=1e-6, atol=1e-9 * problem.step) | np.isclose(x, high, rtol=1e-6)
-    # A pole that ended as slow as can be is uncertain as any other, and the gain with it.
+    # A pole at its slow limit stays uncertain, and the gain with it.
     at_end[1] &= form.is_engine and x[1] > 2.0 * low[1]
     fixed = sorted({*held, *np.flatnonzero(at_end).tolist()})
     estimate = estimate_at(problem, form, x, noise, fixed, round(form.total(x) / problem.step))
     return replace(estimate, held=tuple(held))
 
 
-def _fit_in_loop(
+def _fit_with_noise(
     problem: Problem, form: Poles, x: Array, held: Sequence[int], noise: Array | None
 ) -> tuple[Array, Array, float]:
-    """Fit poles from a start together with noise, of the order of ``noise``, or of the best one, as solve does."""
+    """Fit poles from a start together with noise: of the order of ``noise``, or of the best order if it is None."""
     if noise is not None:
-        residual = leave(problem, form, x, project(problem, form, x, noise)[0])
+        residual = compute_residual(problem, form, x, project(problem, form, x, noise)[0])
         return solve(problem, form, x, problem.fit_noise(residual, len(noise)), held)
     found = solve(problem, form, x, np.array([0.98]), held)
     for _ in range(3):
         x, noise, _ = found
-        residual = leave(problem, form, x, project(problem, form, x, noise)[0])
+        residual = compute_residual(problem, form, x, project(problem, form, x, noise)[0])
         order = problem.best_order(residual, form.without_pole(x))
         if order == len(noise):
             break
@@ -91,8 +91,8 @@ def _fit_in_loop(
     return found
 
 
-def _starts(problem: Problem, form: Poles, lags: Sequence[float] = (0.5, 2.0, 8.0, 32.0)) -> list[Array]:
-    """Return where a search begins: the two likeliest of these ``lags``, in rows, at their best delays."""
+def _list_starts(problem: Problem, form: Poles, lags: Sequence[float] = (0.5, 2.0, 8.0, 32.0)) -> list[Array]:
+    """Return two starts of a fit: the likeliest of ``lags`` [rows], each at its best delay."""
     noise, tried = np.array([0.98]), []
     for lag in lags:
         seconds = min(lag * problem.step, 2.5)
@@ -105,14 +105,14 @@ def _starts(problem: Problem, form: Poles, lags: Sequence[float] = (0.5, 2.0, 8.
     return [x for _, x in sorted(best, key=lambda each: each[0])[:2]]
 
 
-def _starts_with_a_lag(near: Estimate) -> list[Array]:
-    """Return where the search for a form with a lag more begins: that lag shorter or as long, out of the delay."""
+def _list_starts_with_another_lag(near: Estimate) -> list[Array]:
+    """Return starts of a form with one more lag, as long as the last or shorter, taken out of the delay."""
     last = float(near.x[-1]) if len(near.x) > 2 else 1.0 / float(near.x[1])
     return [np.array([max(near.delay - lag, 0.0), *near.x[1:], lag]) for lag in (0.2 * last, last)]
 
 
-def without_command(problem: Problem, estimate: Estimate) -> float:
-    """Return the deviance of a model of noise alone, of the same order on the same equations."""
+def noise_only_deviance(problem: Problem, estimate: Estimate) -> float:
+    """Return the deviance of noise alone, without the command, of the same order on the same equations."""
     columns, noise = estimate.form.columns(problem, estimate.x)[:, 1:], estimate.noise
     for _ in range(4):
         linear = np.linalg.lstsq(problem.whiten(columns, noise), problem.whiten(problem.output, noise))[0]

@@ -19,16 +19,16 @@ from hexjet_identify.fit.estimate import Estimate, estimate_at, solve
 from hexjet_identify.fit.forms import Poles
 from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import Channel, FlightLog, LogSignals
-from hexjet_identify.prediction_error.estimate import estimate_dict, identify_poles, without_command
+from hexjet_identify.prediction_error.estimate import estimate_dict, identify_poles, noise_only_deviance
 from hexjet_identify.prediction_error.stretches import Prepared, prepare
 
-# The command lowers the deviance by so much where it is told; chance alone gives 10 once in 25 (four parameters).
+# Minimum fall of the deviance by the command; chance alone gives 10 once in 25 (four parameters).
 MIN_DEVIANCE_FALL = 30.0
 NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
 
 
 class Check(NamedTuple):
-    """A test of the residuals: its p-value, and the share of their power that contradicts."""
+    """A test of the residuals: its p-value, and the share of their power that contradicts the model."""
 
     name: str
     p: float
@@ -68,18 +68,18 @@ class LogIdentification:
 
     @property
     def delay_bounds(self) -> tuple[float, float]:
-        """95 % bounds of the delay [s], by the richest form that was tried: of a short lag more no log is sure."""
+        """95 % bounds of the delay [s] by the richest form that was tried."""
         return bounds(self.estimates)
 
     @property
     def judgement(self) -> Judgement:
-        """That the model explains the log, for no other is returned, and how its residuals pass their tests."""
+        """The verdict, always explained as others are refused, with the tests of the residuals as evidence."""
         tests = (f"{check.name}: p {check.p:.2g}, {100.0 * check.share:.2g} % of their power" for check in self.checks)
         return judge_model(True, f"{self.prepared.seconds:.1f} s used, {self.chosen.rows} equations", *tests)
 
     @property
     def engine(self) -> bool:
-        """Whether it is an engine, and not an axis."""
+        """Whether the model is of an engine, and not of an axis."""
         return self.what.startswith("engine")
 
     def model(self, step: float) -> Model:
@@ -109,7 +109,7 @@ class LogIdentification:
             "stretches_s": [[float(s.command_times[0]), float(s.times[-1])] for s in self.prepared.stretches],
             "working_step_s": self.prepared.working_step,
             "longest_delay_s": self.prepared.longest_delay,
-            "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
+            "clocks": {"command": _clock_dict(self.prepared.command), "output": _clock_dict(self.prepared.output)},
             "delay_s": self.chosen.delay,
             "delay_bounds_95_s": list(self.delay_bounds),
             "estimates": [estimate_dict(estimate, self.prepared.working_step) for estimate in self.estimates],
@@ -144,42 +144,34 @@ def identify_log(
     estimates = identify_poles(problem, signal.startswith("engine"), dict(hold or {}), lags)
     chosen = estimates[0]
     where = f"{log.path}: {signals.command} to {signals.output}"
-    fall = without_command(problem, chosen) - chosen.deviance
+    fall = noise_only_deviance(problem, chosen) - chosen.deviance
     _refuse(fall, estimates, prepared, where)
-    notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
-    white, use = _on_clock(problem, chosen)
+    notes = [*log.remarks, *of_sums, *prepared.notes, *_describe_doubts(chosen, problem)]
+    white, use = _whiten_on_clock(problem, chosen)
     commanded = _held_on_clock(problem, None)
-    checks = _checks(problem, chosen, white, use, commanded, log.signal(signals.setpoint) if signals.setpoint else None)
-    if _noisy(problem, chosen):
-        # By how much the command lowers the sum of squares of what is left over, made white.
+    asked = log.signal(signals.setpoint) if signals.setpoint else None
+    checks = _test_residuals(problem, chosen, white, use, commanded, asked)
+    if _has_noise(problem, chosen):
+        # Fall of the whitened sum of squares by the command.
         explained = chosen.loss * float(np.expm1(fall / chosen.rows))
         together = _test_against("fed back", white, use, commanded, problem.step, first=0)
         if reason := _why_refused(chosen, checks, together, explained):
             raise NotIdentifiedError(f"{where}: {reason}")
-        notes += _describe_failed(checks)
+        notes += _describe_failed_checks(checks)
     else:
         notes.append(NO_NOISE)
-    band = _band(chosen, problem.step)
-    notes += _advice(chosen, bounds(estimates), prepared, band)
-    estimates = [_allow_for_late(estimate, prepared.late) for estimate in estimates]
+    band = _find_telling_band(chosen, problem.step)
+    notes += _describe_next_flight(chosen, bounds(estimates), prepared, band)
+    estimates = [_widen_for_late(estimate, prepared.late) for estimate in estimates]
+    white = np.where(use, white, np.nan)[problem.grid]
     return LogIdentification(
-        log.path,
-        log.kind,
-        signal,
-        signals,
-        prepared,
-        problem,
-        tuple(estimates),
-        tuple(checks),
-        np.where(use, white, np.nan)[problem.grid],
-        _coherence(problem, commanded),
-        band,
-        tuple(notes),
-    )
+        log.path, log.kind, signal, signals, prepared, problem, tuple(estimates), tuple(checks), white,
+        _coherence(problem, commanded), band, tuple(notes),
+    )  # fmt: skip
 
 
-def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
-    """Return an estimate whose bounds allow for a command that moved up to so many seconds before its row."""
+def _widen_for_late(estimate: Estimate, late: float) -> Estimate:
+    """Return an estimate whose bounds allow for a command that changed up to ``late`` s before its row."""
     if not late or 0 in estimate.held:
         return estimate
     covariance = estimate.covariance.copy()
@@ -189,19 +181,19 @@ def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Return bounds of the delay, s, by the richest form, which contains the others, so that no data refute it."""
+    """Return bounds of the delay [s] by the richest form, which contains the others."""
     return max(estimates, key=lambda estimate: len(estimate.x)).delay_bounds
 
 
 def _refuse(fall: float, estimates: Sequence[Estimate], prepared: Prepared, where: str, widest: float = 0.6) -> None:
-    """Raise NotIdentifiedError for what is not told, as a delay whose bounds are ``widest`` of the search apart."""
+    """Raise NotIdentifiedError if the log does not determine the model, as if bounds span ``widest`` of the search."""
     chosen = estimates[0]
     if not fall >= MIN_DEVIANCE_FALL:
         raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
             f"{MIN_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
         )
-    unknown = _not_determined(chosen)
+    unknown = _name_undetermined(chosen)
     if unknown:
         raise NotIdentifiedError(
             f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
@@ -222,14 +214,14 @@ def _refuse(fall: float, estimates: Sequence[Estimate], prepared: Prepared, wher
         )
 
 
-def _not_determined(chosen: Estimate) -> str:
-    """Name gain, or the sum of delay and lags, where its bounds exceed it; their split may be unknown."""
+def _name_undetermined(chosen: Estimate) -> str:
+    """Name gain, and delay with lags, where bounds exceed the value; their split may be unknown."""
     numbers = {"the gain": chosen.gain, "delay and lags together": chosen.total}
     return " and ".join(name for name, (value, one) in numbers.items() if not DEVIATIONS_95 * one <= abs(value))
 
 
-def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str]:
-    """Return what is to be doubted: a sign, and halves that are ``apart`` by so many deviations (p = 0.001)."""
+def _describe_doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str]:
+    """Return doubts: a negative gain, and halves of the log ``apart`` by so many deviations (p = 0.001)."""
     doubts = []
     if chosen.gain[0] < 0.0:
         doubts.append("the gain is negative: the output moves against the command")
@@ -254,14 +246,14 @@ def _doubts(chosen: Estimate, problem: Problem, apart: float = 3.29) -> list[str
     return doubts
 
 
-def _on_clock(problem: Problem, estimate: Estimate) -> tuple[Array, Flags]:
-    """Return what is left over, made white, on an even clock, and where it is told."""
+def _whiten_on_clock(problem: Problem, estimate: Estimate) -> tuple[Array, Flags]:
+    """Return the whitened residual on an even clock, and where it is known."""
     use = problem.equations(len(estimate.noise))
     white = problem.on_grid(problem.whiten(estimate.residual, estimate.noise), use)
     return white, problem.on_grid(np.ones(use.sum()), use) > 0.0
 
 
-def _checks(
+def _test_residuals(
     problem: Problem,
     estimate: Estimate,
     white: Array,
@@ -273,7 +265,7 @@ def _checks(
     from scipy.stats import chi2
 
     power, count, total = float(white @ white), int(use.sum()), 0.0
-    # Up to there each term of the noise's model made it white.
+    # Each term of the noise model made it white up to there.
     first = min(len(estimate.noise), 20) + 1
     for lag in range(first, first + lags):
         together = use[lag:] & use[:-lag]
@@ -289,9 +281,9 @@ def _checks(
 
 
 def _held_on_clock(problem: Problem, channel: Channel | None) -> Array:
-    """Return the command, or a channel, less its mean in each stretch, on the even clock, 0 between stretches."""
+    """Return the held command, or a channel, on the even clock, less its mean in each stretch, 0 between."""
     clock = np.zeros(int(problem.grid[-1]) + 1)
-    for log, span in zip(problem.logs, problem.spans, strict=True):
+    for log, span in problem.parts:
         own = problem.grid[span]
         every = np.arange(own[0], own[-1] + 1)
         times, values = log.command_times, log.command
@@ -304,8 +296,8 @@ def _held_on_clock(problem: Problem, channel: Channel | None) -> Array:
     return clock
 
 
-def _noisy(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
-    """Return whether what is left over is more than ``rounding`` beside the output: else no test says anything."""
+def _has_noise(problem: Problem, chosen: Estimate, rounding: float = 1e-6) -> bool:
+    """Return whether the residual exceeds ``rounding``, a share of the output: tests of rounding say nothing."""
     return float(np.sqrt(chosen.loss / chosen.rows)) > rounding * float(np.std(problem.output))
 
 
@@ -317,7 +309,7 @@ def _why_refused(
     fed_back: float = 0.25,
     enough: float = 0.2,
 ) -> str:
-    """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
+    """Return why the residuals follow the command: the form, or a disturbance fed back; "" if they do not.
 
     A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
     command explains less than ``enough`` of what is left over, and of that more goes with the command of that time
@@ -326,7 +318,7 @@ def _why_refused(
     """
 
     def follow(check: Check, misfit: float = 0.02, small: float = 1e-3) -> bool:
-        """Return whether more follows than ``misfit`` of what is left over, and ``small`` of what is explained."""
+        """Return whether a test failed by more than ``misfit`` of the residual, and ``small`` of what is explained."""
         return check.failed and check.share > misfit and check.share * chosen.loss > small * explained
 
     by_setpoint = any(check.failed for check in checks[2:])
@@ -385,7 +377,7 @@ def _test_against(
     return Check(name, float(fdtrc(int(rank), freedom, ratio)), explained / power)
 
 
-def _describe_failed(checks: Sequence[Check]) -> list[str]:
+def _describe_failed_checks(checks: Sequence[Check]) -> list[str]:
     words = {
         "residuals: white": "what the model leaves over is not white: the bounds are too narrow",
         "residuals: free of the command": (
@@ -405,7 +397,7 @@ def _describe_failed(checks: Sequence[Check]) -> list[str]:
 
 
 def information(estimate: Estimate, hertz: Array, step: float) -> Array:
-    """Return the information on the delay of a command of unit power at each frequency: |w G A|^2 / power of e."""
+    """Return the information on the delay in a command of unit power at each frequency: |w G A|^2 / power of e."""
     s, (_, rate, *lags) = 2j * np.pi * hertz, estimate.x.tolist()
     answer = estimate.gain[0] * (rate if isinstance(estimate.form, Poles) and estimate.form.is_engine else 1.0)
     answer = answer / (s + rate)
@@ -415,8 +407,8 @@ def information(estimate: Estimate, hertz: Array, step: float) -> Array:
     return np.asarray(np.abs(s * answer * whitening) ** 2 * estimate.rows / estimate.loss)
 
 
-def _band(estimate: Estimate, step: float, drop: float = 0.5) -> tuple[float, float]:
-    """Return between which frequencies, Hz, a command tells at least ``drop`` of the most of the delay."""
+def _find_telling_band(estimate: Estimate, step: float, drop: float = 0.5) -> tuple[float, float]:
+    """Return the band [Hz] in which the information on the delay is at least ``drop`` of its maximum."""
     hertz = np.geomspace(0.02, 0.45 / step, 400)
     density = information(estimate, hertz, step)
     peak = int(np.argmax(density))
@@ -428,10 +420,10 @@ def _band(estimate: Estimate, step: float, drop: float = 0.5) -> tuple[float, fl
     return float(hertz[low]), float(hertz[high])
 
 
-def _advice(
+def _describe_next_flight(
     estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float], samples: float = 0.5
 ) -> list[str]:
-    """Return what would tell the delay to so many ``samples``, where its bounds are wider."""
+    """Return which flight would determine the delay to ``samples`` samples, if its bounds are wider."""
     low, high = ends
     target = samples * prepared.working_step
     if 0 in estimate.held or high - low <= 2.0 * target:
@@ -453,6 +445,6 @@ def _coherence(problem: Problem, command: Array) -> tuple[Array, Array]:
     return np.asarray(hertz[1:]), np.asarray(value[1:])
 
 
-def _clock(clock: Any) -> dict[str, float | None]:
+def _clock_dict(clock: Any) -> dict[str, float | None]:
     record = {"lost" if name == "lost_fraction" else name: value for name, value in clock._asdict().items()}
     return {name: value if np.isfinite(value) else None for name, value in record.items()}

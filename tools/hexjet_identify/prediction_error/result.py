@@ -19,8 +19,8 @@ from hexjet_identify.engine_file import (
     FITTED,
     FITTED_STEP_S,
     engine_readme,
+    round_delay,
     uncertainty_table,
-    whole_delay,
     write_with_engine,
 )
 from hexjet_identify.fit.estimate import Estimate
@@ -31,15 +31,17 @@ BOUNDS = (
     "others are 1.96 standard deviations of the linearised problem, noise model included. They hold where the form "
     "fits, which the tests beside tell as far as they can."
 )
-ALONE = "The model answers the command alone, from the beginning of each stretch: what wind and noise did is not in it."
-TOLD = (
+ALONE_TEXT = (
+    "The model answers the command alone, from the beginning of each stretch: what wind and noise did is not in it."
+)
+COHERENCE_TEXT = (
     "Above, how much of the output follows the command. Below, how much a command of each frequency would tell of the "
     "delay in this noise: fly there."
 )
 
 
 class LogIdentifyResult(FolderResult):
-    """A model from the log of a flight.
+    """A model identified from the log of a flight.
 
     ``write`` leaves ``identification.json``, ``report.html`` and, of an axis, ``model.toml``, of a thrust an engine.
 
@@ -88,14 +90,14 @@ def page(result: LogIdentification) -> Page:
     tests = [(check.name, f"{check.p:.2g}", f"{100.0 * check.share:.2g} %") for check in result.checks]
     columns = [WITH_BOUNDS, *(estimate.form.label for estimate in result.estimates)]
     cards = [
-        Card("Measured and modelled", text=ALONE, figure="signals"),
+        Card("Measured and modelled", text=ALONE_TEXT, figure="signals"),
         Card("Models", columns, rows(result), BOUNDS),
         Card("Tests of what is left over", ("test", "p", "share of the power"), tests),
-        Card("What the log told", text=TOLD, figure="tells"),
+        Card("What the log told", text=COHERENCE_TEXT, figure="tells"),
     ]
     units = result.signals.command_unit, result.signals.output_unit
     figures = {
-        "signals": draw_signals(_signals(result), units, "residuals, made white"),
+        "signals": draw_signals(_make_signals(result), units, "residuals, made white"),
         "tells": _draw_information(result),
     }
     heading = f"{result.path.name}: {result.what}"
@@ -115,7 +117,7 @@ def page(result: LogIdentification) -> Page:
 
 
 def why_no_engine(result: LogIdentification, throttle: tuple[float, float] = (-0.01, 1.05)) -> str:
-    """Return why an engine's log leaves no engine, or an empty string where it leaves one.
+    """Return why no engine file is written from an engine's log, or an empty string if one is.
 
     ``throttle``: what a log's command may be, to be taken for an engine's.
     """
@@ -136,7 +138,7 @@ def _command_range(result: LogIdentification) -> tuple[float, float]:
 
 
 def engine_table(result: LogIdentification) -> dict[str, object]:
-    """Return a mapping file's table: the library's engine ``fitted`` as identified, with ``[uncertainty]``.
+    """Return ``engine.toml`` of the library's engine ``fitted`` as a table, with ``[uncertainty]``.
 
     Its internal step is 4 ms, which the delay is rounded to; lags beyond the two slowest are added to the delay, which
     is what low frequencies see of them.  The delay's deviation is that of its bounds and of whole steps.
@@ -147,7 +149,7 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     slopes = [by_parameter[1] * -(lags[0] ** 2), *by_parameter[2:count]]
     order = np.argsort(lags)[::-1]
     delay = chosen.delay + sum(lags[n] for n in order[2:])
-    # The output at no throttle is told of each stretch, which weighs as its rows do; behind each stands a free decay.
+    # The output at throttle 0 is the mean of the stretches' offsets, weighted by rows; a decay stands behind each.
     rows_of = np.array([len(log.times) for log in result.problem.logs])
     level = np.zeros(size)
     level[count + 1 : count + 1 + 2 * len(rows_of) : 2] = rows_of / rows_of.sum()
@@ -165,7 +167,7 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     low, high = result.delay_bounds
     if np.isfinite(low):
         deviation[0] = max(deviation[0], (high - low) / (2.0 * DEVIATIONS_95) / FITTED_STEP_S)
-    samples, deviation[0] = whole_delay(delay / FITTED_STEP_S, deviation[0])
+    samples, deviation[0] = round_delay(delay / FITTED_STEP_S, deviation[0])
     known = uncertainty_table(summary(result), list(values), covariance, deviation)
     return {
         "fmu": "engine.fmu",
@@ -213,15 +215,15 @@ def rows(result: LogIdentification) -> list[list[str]]:
         if result.engine
         else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
-    lines.append([gain, *(_about(*estimate.gain) for estimate in result.estimates)])
+    lines.append([gain, *(_format_value(*estimate.gain) for estimate in result.estimates)])
     titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
     if result.engine:
         titles["lag_s"] = "second lag, ms"
     richest = max(result.estimates, key=lambda each: len(each.x))
     for name in list(richest.form.natural(richest.x))[1:]:
-        cells = [_parameter(estimate, name, result.engine) for estimate in result.estimates]
+        cells = [_format_parameter(estimate, name, result.engine) for estimate in result.estimates]
         lines.append([titles.get(name, "further lag, ms"), *cells])
-    lines.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
+    lines.append(["delay, ms", *(_format_delay(estimate) for estimate in result.estimates)])
     low, high = result.delay_bounds
     if len(result.estimates) > 1:
         allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
@@ -229,7 +231,7 @@ def rows(result: LogIdentification) -> list[list[str]]:
     lines.append(
         [
             "delay and lags together, ms",
-            *(_about(1e3 * v, 1e3 * s) for v, s in (each.total for each in result.estimates)),
+            *(_format_value(1e3 * v, 1e3 * s) for v, s in (each.total for each in result.estimates)),
         ]
     )
     best = min(estimate.aic for estimate in result.estimates)
@@ -240,8 +242,8 @@ def rows(result: LogIdentification) -> list[list[str]]:
     return lines
 
 
-def _parameter(estimate: Estimate, name: str, is_engine: bool) -> str:
-    """Describe a pole or a lag with its bound; an engine's pole as its time constant, times in ms."""
+def _format_parameter(estimate: Estimate, name: str, is_engine: bool) -> str:
+    """Format a pole or a lag with its bound; an engine's pole as its time constant, times in ms."""
     names = list(estimate.form.natural(estimate.x))
     if name not in names:
         return ""
@@ -253,17 +255,19 @@ def _parameter(estimate: Estimate, name: str, is_engine: bool) -> str:
         value, deviation = 1e3 / value, 1e3 * deviation / value**2
     if index in estimate.held:
         return f"{value:.4g} held"
-    return _slow_pole(value, deviation) if name == "rate_1_s" and not is_engine else _about(value, deviation)
+    return (
+        _format_slow_pole(value, deviation) if name == "rate_1_s" and not is_engine else _format_value(value, deviation)
+    )
 
 
-def _slow_pole(value: float, deviation: float) -> str:
-    """Describe a slow pole, which may be anything near 0: then it is bounded from above alone."""
+def _format_slow_pole(value: float, deviation: float) -> str:
+    """Format a slow pole with its bound; one that may be 0 is bounded from above alone."""
     high = value + DEVIATIONS_95 * deviation
-    return _about(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
+    return _format_value(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
 
 
-def _about(value: float, deviation: float) -> str:
-    """Describe a value and its bound: "none" for a lag at its limit, no number where the bound exceeds it."""
+def _format_value(value: float, deviation: float) -> str:
+    """Format a value with its bound: "none" for a lag at its limit, no number if the bound exceeds the value."""
     half = DEVIATIONS_95 * deviation
     if not half > 0.0:
         return "none"
@@ -272,13 +276,13 @@ def _about(value: float, deviation: float) -> str:
     return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
 
 
-def _delay(estimate: Estimate) -> str:
+def _format_delay(estimate: Estimate) -> str:
     low, high = estimate.delay_bounds
     bounds = "held" if 0 in estimate.held else f"({1e3 * low:.4g} to {1e3 * high:.4g})"
     return f"{1e3 * estimate.delay:.4g} {bounds}"
 
 
-def _signals(result: LogIdentification) -> Iterator[Signals]:
+def _make_signals(result: LogIdentification) -> Iterator[Signals]:
     """Yield the stretches, with the model's output from the command alone and the residuals."""
     for log, rows in zip(result.prepared.stretches, result.problem.spans, strict=True):
         model = log.output - result.chosen.residual[rows]

@@ -15,18 +15,18 @@ from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import Channel
 
-# Samples that come faster than the shipped vehicles' control steps are averaged to about one.
+# Faster samples are averaged to about this step, that of the shipped vehicles' controllers.
 WORKING_STEP_S = 0.004
-# So many samples may be missing in a row; after more a new stretch begins.
+# A longer run of missing samples begins a new stretch.
 MAX_MISSING = 12
-# The output counts so long after the longest delay of a stretch: what was commanded before is not known.
-SETTLE_S = 0.3
-# A stretch has to last so long beyond that, and all of them together.
+# The output of a stretch is used from this long after the longest delay on: earlier commands are not known.
+SETTLING_S = 0.3
+# Minimum duration beyond that of a stretch, and of all together.
 MIN_STRETCH_S = 3.0
 
 
 class Clock(NamedTuple):
-    """Step [s], jitter and loss of a channel's times.
+    """Sampling step [s], jitter and share of lost samples of a channel.
 
     ``jitter``: standard deviation around an even clock, in samples, NaN where there is no such clock;
     ``lost_fraction``: of the samples.
@@ -39,7 +39,7 @@ class Clock(NamedTuple):
 
 @dataclass(frozen=True)
 class Prepared:
-    """The stretches of a log, and what was found of its clocks.
+    """The usable stretches of a log, with the clocks of command and output.
 
     ``late``: by how much the command may have moved before its row, s; 0 where rows come as controllers command.
     """
@@ -58,7 +58,7 @@ class Prepared:
         return sum(float(log.times[-1] - log.times[0]) + log.step for log in self.stretches)
 
     def problem(self) -> Problem:
-        """Return the stretches as they are fitted together."""
+        """Return all stretches as one problem to fit."""
         return Problem(self.stretches, np.empty(0), self.longest_delay)
 
 
@@ -75,16 +75,16 @@ def prepare(
     ``step`` is that of the working samples.  Raises InputError where nothing is usable, which says why.
     """
     notes: list[str] = []
-    command = _clean(command, "the command", notes)
-    output = _clean(output, "the output", notes)
+    command = _clean_channel(command, "the command", notes)
+    output = _clean_channel(output, "the output", notes)
     low = max(command.times[0], output.times[0], -np.inf if begin is None else begin)
     high = min(command.times[-1], output.times[-1], np.inf if end is None else end)
     if not high - low > 0.0:
         raise InputError(
-            f"command ({_span(command.times)}) and output ({_span(output.times)}) have no time in common"
+            f"command ({_format_span(command.times)}) and output ({_format_span(output.times)}) have no time in common"
             + ("" if begin is None and end is None else " with begin and end")
         )
-    output = _within(output, low, high)
+    output = _select_between(output, low, high)
     clocks = clock_of(command.times), clock_of(output.times)
     sample = clocks[1].step
     for channel, clock in zip(("command", "output"), clocks, strict=True):
@@ -98,7 +98,7 @@ def prepare(
         # An equation needs all its predecessors, so that two rows of a log with losses are averaged.
         factor = max(factor, 2)
     working = factor * sample
-    lead = longest_delay + SETTLE_S
+    lead = longest_delay + SETTLING_S
     spans = [
         span
         for span in _find_movement(command, _find_unbroken(output.times, command.times, clocks))
@@ -108,13 +108,13 @@ def prepare(
     if usable < MIN_STRETCH_S:
         raise InputError(
             "no stretch that can be used: the command must move, without gaps, for "
-            f"{lead + MIN_STRETCH_S:.3g} s or longer in flight; {_why(command, output, longest_delay)}"
+            f"{lead + MIN_STRETCH_S:.3g} s or longer in flight; {_explain_unusable(command, output, longest_delay)}"
         )
     if len(spans) > 1:
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
     filled = _interpolate_lost(command)
-    stretches = tuple(_cut(filled, output, span, lead, sample, factor) for span in spans)
-    late = _late(command.times, sample)
+    stretches = tuple(_cut_stretch(filled, output, span, lead, sample, factor) for span in spans)
+    late = _command_interval(command.times, sample)
     if late:
         notes.append(
             f"the command has a row every {1e3 * late:.3g} ms and is taken to hold between them: if what flew "
@@ -127,18 +127,18 @@ def prepare(
 def clock_of(times: Array) -> Clock:
     """Return step, jitter and loss of a channel's times."""
     step = float(np.median(np.diff(times)))
-    index, even = _index(times)
+    index, even = _index_on_clock(times)
     if even is None:
         return Clock(step, float("nan"), max(0.0, 1.0 - len(times) * step / (float(np.ptp(times)) + step)))
     fitted = float((even[-1] - even[0]) / max(index[-1] - index[0], 1))
     gaps = np.diff(index)
-    # Longer ones are breaks, and not lost samples.
+    # Longer gaps are breaks, and no lost samples.
     short = gaps[(gaps > 1) & (gaps <= MAX_MISSING)] - 1
     return Clock(fitted, float(np.std((times - even) / fitted)), float(short.sum() / (short.sum() + len(times))))
 
 
-def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
-    """Return a channel without what is no number, in the order of time; of a clock that went back, the longest part."""
+def _clean_channel(channel: Channel, signal: str, notes: list[str]) -> Channel:
+    """Return a channel with finite values in order of time; of a clock that went back, the longest part."""
     times, values = channel.times, channel.values
     good = np.isfinite(times) & np.isfinite(values)
     if good.sum() < 2:
@@ -152,7 +152,8 @@ def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
         first, last = max(pieces, key=lambda part: times[part[1] - 1] - times[part[0]])
         notes.append(
             f"{signal}: its clock goes back {back.size} times (first after {times[back[0] - 1]:.3f} s, by "
-            f"{times[back[0] - 1] - times[back[0]]:.3g} s); the longest part alone is used, {_span(times[first:last])}"
+            f"{times[back[0] - 1] - times[back[0]]:.3g} s); the longest part alone is used, "
+            f"{_format_span(times[first:last])}"
         )
         times, values = times[first:last], values[first:last]
     new = np.concatenate([[True], np.diff(times) > 0.0])
@@ -163,10 +164,10 @@ def _clean(channel: Channel, signal: str, notes: list[str]) -> Channel:
     return Channel(times[new], values[new], channel.unit)
 
 
-def _index(
+def _index_on_clock(
     times: Array, lost_steps: float = 1.75, most_jitter: float = 0.35, run: int = 4
 ) -> tuple[NDArray[np.int64], Array | None]:
-    """Return which tick of an even clock each time is nearest to, and the ticks' times, None without such a clock.
+    """Return the number of the clock tick nearest to each time, and the ticks' times, None if there is no even clock.
 
     Rows more than ``lost_steps`` apart have lost some between them; times that scatter by more than ``most_jitter`` of
     a step have no clock; jitter may bring ``run`` rows behind each other nearer to another tick.
@@ -189,7 +190,7 @@ def _index(
     return (index, even) if slope > 0.0 and np.std(times - even) < most_jitter * slope else (index, None)
 
 
-def _within(channel: Channel, low: float, high: float) -> Channel:
+def _select_between(channel: Channel, low: float, high: float) -> Channel:
     use = (channel.times >= low) & (channel.times <= high)
     if use.sum() < 2:
         raise InputError(f"the output has no two samples from {low:.3f} to {high:.3f} s")
@@ -197,12 +198,12 @@ def _within(channel: Channel, low: float, high: float) -> Channel:
 
 
 def _find_unbroken(output: Array, command: Array, clocks: tuple[Clock, Clock]) -> list[tuple[float, float]]:
-    """Return the spans, s, from where to where neither output nor command has a gap."""
+    """Return the spans [s] in which neither output nor command has a gap."""
     edges = []
     for times, clock in ((output, clocks[1]), (command, clocks[0])):
         wide = np.flatnonzero(np.diff(times) > MAX_MISSING * clock.step * 1.05)
         if clock is clocks[0] and not np.isfinite(clock.jitter):
-            # A command without a clock is written down when it changes.
+            # A command without a clock is logged when it changes.
             continue
         edges += [(times[i], times[i + 1]) for i in wide]
     spans, at = [], float(max(output[0], command[0]))
@@ -247,8 +248,8 @@ def _find_movement(
 
 
 def _interpolate_lost(command: Channel) -> Channel:
-    """Interpolate the values that an even clock has lost: to hold the last one would be late."""
-    index, even = _index(command.times)
+    """Interpolate lost samples of a command on an even clock; holding the last value would delay it."""
+    index, even = _index_on_clock(command.times)
     if even is None:
         return command
     gaps = np.diff(index)
@@ -264,15 +265,17 @@ def _interpolate_lost(command: Channel) -> Channel:
     )
 
 
-def _cut(command: Channel, output: Channel, span: tuple[float, float], lead: float, sample: float, factor: int) -> Log:
-    """Cut a stretch out; its output counts from ``lead`` s on, a row the mean of so many (``factor``) samples."""
+def _cut_stretch(
+    command: Channel, output: Channel, span: tuple[float, float], lead: float, sample: float, factor: int
+) -> Log:
+    """Return a stretch as a log: its output from ``lead`` s on, each row the mean of ``factor`` samples."""
     begin, end = span
     part = slice(
         max(int(np.searchsorted(command.times, begin, "right")) - 1, 0), np.searchsorted(command.times, end, "right")
     )
     use = (output.times >= begin + lead) & (output.times <= end)
     times = output.times[use]
-    index, even = _index(times)
+    index, even = _index_on_clock(times)
     if even is None:
         index = np.rint((times - times[0]) / sample).astype(np.int64)
     rows, row = np.unique((index - index[0]) // factor, return_inverse=True)
@@ -285,12 +288,14 @@ def _cut(command: Channel, output: Channel, span: tuple[float, float], lead: flo
     )  # fmt: skip
 
 
-def _span(times: Array) -> str:
+def _format_span(times: Array) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s"
 
 
-def _late(command: Array, sample: float, slow_s: float = 0.011, slow: float = 1.5, steady: float = 0.8) -> float:
-    """Return how far the rows of a command are apart [s] that are samples of what was commanded between them; else 0.
+def _command_interval(
+    command: Array, sample: float, slow_s: float = 0.011, slow: float = 1.5, steady: float = 0.8
+) -> float:
+    """Return the interval [s] of a command that is logged more seldom than it changes; 0 for any other.
 
     ``command``: times of its rows; ``sample``: of the output, both in s.  Controllers command oftener than each
     ``slow_s`` and each ``slow`` samples; a share of ``steady`` of the rows is as far apart as usual, or it is logged
@@ -302,10 +307,10 @@ def _late(command: Array, sample: float, slow_s: float = 0.011, slow: float = 1.
     return row if is_slow and float(np.mean(np.abs(apart / row - 1.0) < 0.5)) > steady else 0.0
 
 
-def _why(command: Channel, output: Channel, longest_delay: float) -> str:
+def _explain_unusable(command: Channel, output: Channel, longest_delay: float) -> str:
     if not np.ptp(command.values) > 0.0:
         return "the command never changes"
     seconds = min(command.times[-1], output.times[-1]) - max(command.times[0], output.times[0])
-    if seconds < longest_delay + SETTLE_S + MIN_STRETCH_S:
+    if seconds < longest_delay + SETTLING_S + MIN_STRETCH_S:
         return f"the log has {seconds:.3g} s; a smaller longest_delay_s ({longest_delay:g} s) asks for less"
     return "there are gaps, or it stands still between"

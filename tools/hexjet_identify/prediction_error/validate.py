@@ -25,25 +25,25 @@ from hexjet_identify.fit.estimate import estimate_at, solve
 from hexjet_identify.fit.forms import Poles
 from hexjet_identify.fit.problem import Problem
 from hexjet_identify.logs import FlightLog, LogSignals, signals_of
-from hexjet_identify.prediction_error.estimate import without_command
+from hexjet_identify.prediction_error.estimate import noise_only_deviance
 from hexjet_identify.prediction_error.identify_log import MIN_DEVIANCE_FALL
 from hexjet_identify.prediction_error.stretches import prepare
 
 MODELLED = "Measured and modelled"
-ERROR = (
+ERROR_TEXT = (
     "The model answers the command alone: what wind and noise did is in the error. Of an axis, which integrates, they "
     "add up over the flight, so that the fit of the change tells more than that of the whole."
 )
-# The prediction over so long is judged: the loops that a predictor serves are faster.
-AHEAD_S = 1.0
-# Where half of the 95 % interval of a gain is wider, the log says too little of it.
-WIDEST = 2.0 * MAX_MISFIT
+# Horizon of the judged prediction [s]; the loops that a predictor serves are faster.
+PREDICTION_S = 1.0
+# With a wider half of its 95 % interval the gain is not told.
+MAX_GAIN_BOUND = 2.0 * MAX_MISFIT
 OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
 @dataclass(frozen=True)
 class StatedModel:
-    """A model as read from a file; without channels where the file names none."""
+    """A model read from a file; its channels are empty if the file names none."""
 
     path: Path
     what: str
@@ -63,7 +63,7 @@ class Refit(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Both, in words."""
+        """Gain and delay with their bounds, as a sentence."""
         return (
             f"fitted to this log its gain is {self.gain:.3g} ±{self.gain_half:.2g} times as stated, and its delay "
             f"{1e3 * self.delay:+.3g} ±{1e3 * self.delay_half:.2g} ms off"
@@ -94,7 +94,7 @@ class Validation:
 
     @property
     def judgement(self) -> Judgement:
-        """Whether gain and delay, fitted anew to this log, are the model's.
+        """The verdict: whether gain and delay, fitted anew to this log, agree with the model's.
 
         The gain to a tenth, as a sweep's form has to be, the delay to a tenth of delay and lags, a sample at least: not
         explained where the 95 % interval lies beyond that, not told where the gain's is wider than twice that.
@@ -105,13 +105,13 @@ class Validation:
         evidence = (compared, again.text)
         least = max(MAX_MISFIT * self.model.form.total(self.model.x), self.step)
         off = abs(again.gain - 1.0) - again.gain_half > MAX_MISFIT or abs(again.delay) - again.delay_half > least
-        if not off and again.gain_half > WIDEST:
+        if not off and again.gain_half > MAX_GAIN_BOUND:
             return Judgement(NOT_TOLD, evidence)
         return judge_model(not off, *evidence)
 
     @property
     def refused(self) -> list[str]:
-        """Why the model may not be used for what flew this log; empty where it may, or it is not told."""
+        """Reasons not to use the model for the vehicle of this log; empty if there is none, or it is not told."""
         again, judgement = self.again, self.judgement
         return [f"not explained: {again.text}"] if again and judgement.verdict == NOT_EXPLAINED else []
 
@@ -142,7 +142,7 @@ class Validation:
             "nrmse": self.nrmse,
             "theil_u": self.theil,
             "fit_of_changes": self.ahead,
-            "changes_over_s": AHEAD_S,
+            "changes_over_s": PREDICTION_S,
         }
 
 
@@ -153,13 +153,13 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
     """
     file = path / "identification.json" if path.is_dir() else path
     if file.suffix.lower() == ".toml":
-        return _of_model_file(file, axis)
+        return _read_model_file(file, axis)
     if not file.exists():
         raise InputError(f"{path}: no model here")
     data = read_json(file)
     try:
         if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep
-            return _of_model_file(beside, axis)
+            return _read_model_file(beside, axis)
         best = data["estimates"][0]
         form = Poles(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
         wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
@@ -172,8 +172,8 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         ) from error
 
 
-def _of_model_file(file: Path, axis: str | None) -> StatedModel:
-    """Read a model file, from z back to the continuous form; it does not say which channels of a log it is of."""
+def _read_model_file(file: Path, axis: str | None) -> StatedModel:
+    """Read a model file, convert its sampled model to the continuous form; it names no channels of a log."""
     candidates = [
         (name, RateModel.model_validate(model))
         for models in read_models(file).values()
@@ -200,7 +200,7 @@ def _of_model_file(file: Path, axis: str | None) -> StatedModel:
 
 
 def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
-    """Fly the model with the log's command; each stretch may choose its offset and what was under way at its start.
+    """Simulate the model with the log's command; offset and initial state of each stretch are fitted.
 
     Raises InputError where the log has not the model's channels, or no stretch that can be used.
     """
@@ -213,7 +213,7 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
     prepared = prepare(command, output, longest, None, begin, end)
     problem, signals = prepared.problem(), []
-    simulated = _simulate(problem, model)
+    simulated = _simulate_log(problem, model)
     for stretch, span in zip(prepared.stretches, problem.spans, strict=True):
         commanded = stretch.command[np.searchsorted(stretch.command_times, stretch.times, side="right") - 1]
         signals.append((stretch.times, commanded, stretch.output, simulated[span]))
@@ -223,25 +223,20 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
     size = float(np.std(measured))
     if not size > 0.0:
         raise InputError(f"{log.path}: {chosen.output} does not move")
-    lag = max(1, round(AHEAD_S / prepared.working_step))
+    lag = max(1, round(PREDICTION_S / prepared.working_step))
     changes = [(o[lag:] - o[:-lag], m[lag:] - m[:-lag]) for o, m in fits if len(o) > 2 * lag]
     moved = np.concatenate([o for o, _ in changes]) if changes else measured
     missed = np.concatenate([o - m for o, m in changes]) if changes else error
     rms = float(np.sqrt(np.mean(error**2)))
     model_rms = np.sqrt(np.mean(np.concatenate([m - m.mean() for _, m in fits]) ** 2))
+    fit, theil = 1.0 - float(np.std(error)) / size, rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms))
+    ahead = 1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2)))
+    again = _fit_anew(problem, model, problem.output - simulated, prepared.late)
+    notes = (*log.remarks, *of_sums, *prepared.notes)
     return Validation(
-        model,
-        log.path,
-        prepared.seconds,
-        prepared.working_step,
-        1.0 - float(np.std(error)) / size,
-        rms / size,
-        rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
-        1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
-        _fit_anew(problem, model, problem.output - simulated, prepared.late),
-        tuple(signals),
-        (*log.remarks, *of_sums, *prepared.notes),
-    )
+        model, log.path, prepared.seconds, prepared.working_step, fit, rms / size, theil, ahead, again, tuple(signals),
+        notes,
+    )  # fmt: skip
 
 
 def _fit_anew(problem: Problem, model: StatedModel, left: Array, late: float) -> Refit | None:
@@ -254,7 +249,7 @@ def _fit_anew(problem: Problem, model: StatedModel, left: Array, late: float) ->
     x, noise, _ = solve(problem, model.form, model.x, noise, kept)
     found = estimate_at(problem, model.form, x, noise, kept, round(model.form.total(x) / problem.step))
     gain, deviation = found.gain
-    if not without_command(problem, found) - found.deviance >= MIN_DEVIANCE_FALL or not deviation > 0.0:
+    if not noise_only_deviance(problem, found) - found.deviance >= MIN_DEVIANCE_FALL or not deviation > 0.0:
         return None
     return Refit(
         gain / model.gain,
@@ -264,8 +259,8 @@ def _fit_anew(problem: Problem, model: StatedModel, left: Array, late: float) ->
     )
 
 
-def _simulate(problem: Problem, model: StatedModel) -> Array:
-    """Simulate with the model's own gain; offset and initial states are those that suit the output best."""
+def _simulate_log(problem: Problem, model: StatedModel) -> Array:
+    """Return the model's answer to the command, with the offsets and initial states that fit the output best."""
     columns = model.form.columns(problem, model.x)
     answer, others = model.gain * columns[:, 0], columns[:, 1:]
     offset = np.linalg.lstsq(others, problem.output - answer, rcond=1e-12)[0]
@@ -273,12 +268,12 @@ def _simulate(problem: Problem, model: StatedModel) -> Array:
 
 
 def rows(validation: Validation) -> list[tuple[str, str]]:
-    """Return the rows of the table: what was measured, and its value as text."""
+    """Return the rows of the table: each measure and its value as text."""
     lines = [
         ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
         ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),
         ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
-        (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
+        (f"fit of the change over {PREDICTION_S:g} s", f"{validation.ahead:.3f}"),
     ]
     if (again := validation.again) is not None:
         lines.append(("gain fitted to this log, times as stated", f"{again.gain:.3g} ±{again.gain_half:.2g}"))
@@ -310,7 +305,7 @@ class ValidateResult(FolderResult):
 
     @property
     def explained(self) -> bool:
-        """Whether they are."""
+        """Whether the verdict is ``explained``."""
         return self.verdict == "explained"
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -350,7 +345,10 @@ def page(validation: Validation) -> Page:
     shown = Page(
         "validation",
         f"{model.what}: the model beside {validation.log.name}",
-        [Card(MODELLED, figure="signals"), Card("How well it fits", ("measure", "value"), rows(validation), ERROR)],
+        [
+            Card(MODELLED, figure="signals"),
+            Card("How well it fits", ("measure", "value"), rows(validation), ERROR_TEXT),
+        ],
         {"signals": draw_signals(signals, units)},
         summary=[compared],
         notes=validation.notes,

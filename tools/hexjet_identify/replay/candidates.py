@@ -23,7 +23,7 @@ SENSORS: Final = ("gyro", "accelerometer", "attitude")
 
 
 class Number(NamedTuple):
-    """A number of the vehicle: its unit ("" for a factor), its stated value, where it may be, and its change.
+    """A number of the vehicle to fit: unit ("" for a factor), stated value, limits, probe step, and its Change.
 
     ``deviation`` is how far it may be off at a guess, for numbers that are fitted together; ``off`` an error that a
     log should show.  ``inverse``: the motion goes with one over it.
@@ -43,7 +43,7 @@ class Number(NamedTuple):
 
 @dataclass(frozen=True)
 class Candidate:
-    """Numbers that are fitted together, mostly one, or a case that is flown as it is."""
+    """A possible cause: numbers that are fitted together, mostly one, or a case without numbers."""
 
     name: str
     numbers: tuple[Number, ...] = ()
@@ -59,7 +59,7 @@ class Candidate:
 
 
 def list_candidates(model: Model, flight: RecordedFlight) -> Iterator[Candidate]:
-    """Yield everything that is tried, numbers first."""
+    """Yield all possible causes, numbers first."""
     yield from (Candidate(number.name, (number,)) for number in _list_numbers(model, flight))
     x, y, z = _list_centre(model)
     yield Candidate(CENTRE, (x, y))
@@ -74,7 +74,7 @@ def list_candidates(model: Model, flight: RecordedFlight) -> Iterator[Candidate]
 
 
 def _list_exchanges(jets: int, throttle: Array, most_jets: int = 10) -> Iterator[Candidate]:
-    """Yield pairs of engines with each other's command; no log tells those that have the same command all the while.
+    """Yield exchanges of two engines, but for pairs whose commands are always equal.
 
     Vehicles with more than ``most_jets`` have too many pairs.
     """
@@ -87,20 +87,20 @@ def _list_exchanges(jets: int, throttle: Array, most_jets: int = 10) -> Iterator
 
 def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
     for axis, letter in enumerate("xyz"):
-        yield _factor(f"{INERTIA} {letter}", partial(_change_inertia, axis), inverse=True)
-    yield _factor(MASS, lambda v: Change(mass=v), inverse=True)
-    yield _factor(THRUST, lambda v: Change(thrust=v))
+        yield _make_factor(f"{INERTIA} {letter}", partial(_change_inertia, axis), inverse=True)
+    yield _make_factor(MASS, lambda v: Change(mass=v), inverse=True)
+    yield _make_factor(THRUST, lambda v: Change(thrust=v))
     for jet in range(len(model.vehicle.jets)):
-        yield _factor(f"thrust of engine {jet + 1}", partial(_change_thrust, jet))
+        yield _make_factor(f"thrust of engine {jet + 1}", partial(_change_thrust, jet))
     step = model.scenario.step_s
-    yield _delay("further delay of the engines", 0.2 * step, lambda v: Change(engines_s=v))
+    yield _make_delay("further delay of the engines", 0.2 * step, lambda v: Change(engines_s=v))
     yield from _list_lags(model)
     if model.vehicle.ranges:
-        yield _delay("further delay of the servos", step, lambda v: Change(servos_s=v))
-        yield _delay("further lag of the servos", step, lambda v: Change(servo_lag_s=v))
+        yield _make_delay("further delay of the servos", step, lambda v: Change(servos_s=v))
+        yield _make_delay("further lag of the servos", step, lambda v: Change(servo_lag_s=v))
     for sensor, (name, here) in enumerate(zip(SENSORS, (True, flight.has_force, flight.has_angles), strict=True)):
         if here:
-            yield _delay(f"further delay of the {name}", step, partial(_delay_sensor, sensor))
+            yield _make_delay(f"further delay of the {name}", step, partial(_delay_sensor, sensor))
 
 
 def _list_centre(model: Model) -> list[Number]:
@@ -113,7 +113,7 @@ def _list_centre(model: Model) -> list[Number]:
 
 
 def _list_lags(model: Model) -> Iterator[Number]:
-    """Yield the lag of the engines, where they have a parameter for it."""
+    """Yield the lag of the engines, if they have a parameter for it."""
     engine = model.engine
     if engine is None:
         return
@@ -124,24 +124,24 @@ def _list_lags(model: Model) -> Iterator[Number]:
             return
 
         def with_lag(lag: float) -> Change:
-            # At rest it gives as much as before: gain over one less the pole.
+            # The static gain, gain / (1 - pole), stays as it is.
             other = exp(-step / lag)
             return Change(parameters={pole_name: other, "gain": gain * (1.0 - other) / (1.0 - pole)})
 
-        yield _lag(-step / log(pole), with_lag)
+        yield _make_lag(-step / log(pole), with_lag)
     elif engine.parameters.get("lag", 0.0) > 0.0:
-        yield _lag(engine.parameters["lag"], lambda v: Change(parameters={"lag": v}))
+        yield _make_lag(engine.parameters["lag"], lambda v: Change(parameters={"lag": v}))
 
 
-def _lag(value: float, change: Callable[[float], Change]) -> Number:
+def _make_lag(value: float, change: Callable[[float], Change]) -> Number:
     return Number("lag of the engines", "s", value, 0.1 * value, 10.0 * value, 1e-3 * value, change, off=0.02)
 
 
-def _delay(name: str, step: float, change: Callable[[float], Change]) -> Number:
+def _make_delay(name: str, step: float, change: Callable[[float], Change]) -> Number:
     return Number(name, "s", 0.0, -0.2, 0.3, step, change, off=0.02)
 
 
-def _factor(name: str, change: Callable[[float], Change], inverse: bool = False) -> Number:
+def _make_factor(name: str, change: Callable[[float], Change], inverse: bool = False) -> Number:
     return Number(name, "", 1.0, 0.2, 5.0, 1e-4, change, inverse)
 
 

@@ -26,7 +26,7 @@ from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.sensors import SensorSuite
 from hexjet_identify.replay.recorded import RecordedFlight
 
-# No window begins lower: the ground is not part of the model here.
+# Windows are flown at least this high: the ground is no part of the model.
 MIN_HEIGHT_M: Final = 5.0
 
 
@@ -39,7 +39,7 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class Change:
-    """By what a model differs from the vehicle as its files state it.
+    """Changes of a vehicle against what its files state.
 
     ``inertia`` about x, y, z, ``mass``, ``thrust`` of all engines and ``jets`` (of a jet, from 0) are factors;
     ``centre`` is added to the centre of gravity [m, body], ``parameters`` replace those of the engines.  ``engines_s``,
@@ -61,7 +61,7 @@ class Change:
 
 
 class Loads(NamedTuple):
-    """What acts on the airframe at each step: ``forces`` (n, jets, 3) N, ``moments`` (n, 3) N m, body, and more.
+    """Loads on the airframe at each step: ``forces`` (n, jets, 3) [N] and ``moments`` (n, 3) [N m], body axes.
 
     ``momentum`` (n, 3) of the rotors, kg m^2/s; ``burnt`` (n,) fuel, kg; ``tilt`` (n, servos).
     """
@@ -74,7 +74,7 @@ class Loads(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """What each window is flown with: ``rate`` and ``angles`` at its start, ``moment`` throughout; (w, 3) each.
+    """Initial ``rate`` and ``angles`` of each window, and its constant ``moment``; (w, 3) each.
 
     rad/s, rad, and N m about the body's axes: what the engines do not make of what turns the vehicle.
     """
@@ -85,7 +85,7 @@ class Starts(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What the model's sensors say, at the flight's rows: NaN outside the windows.
+    """Output of the model's sensors at the flight's rows, NaN outside the windows.
 
     ``rate`` rad/s, ``force`` m/s^2, ``angles`` rad, ``velocity`` m/s NED; (n, 3) each.
     """
@@ -107,13 +107,13 @@ class Model:
         self.vehicle, self._folder = self.scenario.resolved_vehicle()
         self._sensors = _without_resolution(self.vehicle.sensors)
         self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
-        # A number is tried at a few values in turn, beside the vehicle as stated.
+        # A fit needs the loads of the stated vehicle and of a few values of one number in turn.
         self._load = lru_cache(kept_loads)(self._run_engines)
-        # It is known when its engines have run.
+        # Set when the engines have run.
         self.engine: EngineSpec | None = None
 
     def loads(self, flight: RecordedFlight, change: Change) -> Loads:
-        """Return what the engines, servos and effects do with the commands of a flight."""
+        """Return the loads that engines, servos and effects make of the commands of a flight."""
         parameters = tuple(sorted(change.parameters.items()))
         return self._load(flight, parameters, change.engines_s, change.servos_s, change.servo_lag_s)
 
@@ -133,9 +133,9 @@ class Model:
         with build(scenario) as simulation:
             self.engine = self.engine or simulation.engine
             propulsion = simulation.propulsion
-            throttle = later(flight.throttle, engines_s / flight.step)
+            throttle = delay_rows(flight.throttle, engines_s / flight.step)
             commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
-            tilts = [tuple(row) for row in later(flight.tilt, servos_s / flight.step).tolist()]
+            tilts = [tuple(row) for row in delay_rows(flight.tilt, servos_s / flight.step).tolist()]
             states = recorded_states(flight, self.vehicle)
             propulsion.refuel()
             propulsion.reset(commands[0], states[0], ZERO3)
@@ -156,7 +156,7 @@ class Model:
     ) -> Flown:
         """Fly the windows from ``starts`` in a ``wind`` [m/s, NED].  Raises FlightError where JSBSim stops."""
         change = change or Change()
-        acting = _changed(self.loads(flight, change), change, self.vehicle)
+        acting = _apply_thrust_changes(self.loads(flight, change), change, self.vehicle)
         scenario = self.scenario
         vehicle = changed_vehicle(self._flown_vehicle, change)
         rotors = bool(np.any(acting.momentum))
@@ -175,7 +175,7 @@ class Model:
 
 
 def _without_resolution(sensors: Sensors) -> Sensors:
-    """Return sensors whose values are not rounded, so that small changes of the vehicle show."""
+    """Return sensors without rounding, which would hide small changes of the vehicle."""
     gyro = sensors.gyro.model_copy(update={"resolution_rad_s": 0.0})
     accelerometer = sensors.accelerometer.model_copy(update={"resolution_m_s2": 0.0})
     return sensors.model_copy(update={"gyro": gyro, "accelerometer": accelerometer})
@@ -190,7 +190,7 @@ def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
 
 
 def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:
-    """Return what a vehicle states otherwise whose servos and hinges have a longer lag [s]."""
+    """Return the settings of a vehicle whose servos and hinges have ``more`` lag [s]."""
     if vehicle.servo is not None:
         return {"servo": {"lag_s": max(vehicle.servo.lag_s + more, 0.0)}}
     hinges = [
@@ -200,22 +200,22 @@ def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:
 
 
 def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:
-    """Return the recorded motion as states: what engines and effects see around them."""
+    """Return the recorded motion as states, the surroundings of engines and effects."""
     signals = (flight.angles, flight.velocity, flight.rate, flight.force)
     rows = (map(tuple, np.nan_to_num(values).tolist()) for values in signals)
     return [
         State((0.0, 0.0, -up), v, from_euler(*euler), euler, omega, f, up, ZERO3, vehicle.mass_kg, False, False)
-        for up, euler, v, omega, f in zip(_height(flight.altitude).tolist(), *rows, strict=True)
+        for up, euler, v, omega, f in zip(_flying_height(flight.altitude).tolist(), *rows, strict=True)
     ]
 
 
-def _height(altitude: Array, unknown_m: float = 30.0) -> Array:
-    """Return the heights that are flown at, m."""
+def _flying_height(altitude: Array, unknown_m: float = 30.0) -> Array:
+    """Return the heights [m] to fly at, at least MIN_HEIGHT_M, or ``unknown_m``."""
     return np.where(np.isfinite(altitude), np.maximum(altitude, MIN_HEIGHT_M), unknown_m)
 
 
-def _changed(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
-    """Return loads with the changes that need no engine to run again: thrust, of all or of some, in another order."""
+def _apply_thrust_changes(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
+    """Return loads with other thrusts of all or some jets, in another order; the engines need not run again."""
     factors = np.array([change.thrust * change.jets.get(jet, 1.0) for jet in range(len(vehicle.jets))])
     if not change.order and np.all(factors == 1.0):
         return loads
@@ -227,8 +227,8 @@ def _changed(loads: Loads, change: Change, vehicle: Vehicle) -> Loads:
     return loads._replace(forces=other[:, :, None] * axes, moments=moments)
 
 
-def later(values: Array, steps: float, axis: int = 0) -> Array:
-    """Return values so many rows later, in a straight line between rows; the ends go on."""
+def delay_rows(values: Array, steps: float, axis: int = 0) -> Array:
+    """Return values delayed by ``steps`` rows, interpolated linearly, with the end values held."""
     if not steps or not values.size:
         return values
     count = values.shape[axis]
@@ -247,9 +247,9 @@ class _WindowFlight:
         self.flown = Flown(*(np.full((len(flight.times), 3), np.nan) for _ in Flown._fields))
 
     def fly(self, window: Window, rate: Array, angles: Array, disturbance: Disturbance) -> None:
-        """Fly a window that starts with ``rate`` [rad/s] and ``angles`` [rad], the rest as recorded."""
+        """Fly a window from ``rate`` [rad/s] and ``angles`` [rad]; velocity and height start as recorded."""
         airframe, sensors, flown = self._airframe, self._sensors, self.flown
-        self._start(window.first, rate, angles, disturbance.wind)
+        self._start_window(window.first, rate, angles, disturbance.wind)
         rows = slice(window.first, window.last)
         loads = zip(*(values[rows].tolist() for values in self._loads), strict=True)
         for row, (forces, moment, momentum, burnt, tilt) in enumerate(loads, start=window.first + 1):
@@ -259,11 +259,11 @@ class _WindowFlight:
             flown.rate[row], flown.force[row] = measured.rate, measured.specific_force
             flown.angles[row], flown.velocity[row] = state.euler, state.velocity
 
-    def _start(self, row: int, rate: Array, angles: Array, wind: Vector3) -> None:
+    def _start_window(self, row: int, rate: Array, angles: Array, wind: Vector3) -> None:
         flight, loads, before = self._flight, self._loads, max(row - 1, 0)
         velocity = flight.velocity[row]
         initial = Initial.model_construct(
-            altitude_m=float(_height(flight.altitude[row])),
+            altitude_m=float(_flying_height(flight.altitude[row])),
             attitude_deg=tuple(np.degrees(angles).tolist()),
             velocity_ned_m_s=tuple(velocity.tolist()) if np.isfinite(velocity).all() else ZERO3,
             rate_deg_s=tuple(np.degrees(rate).tolist()),

@@ -12,16 +12,16 @@ from hexjet_identify.replay.windows import CHANNELS, Flying
 
 # Edges of the bands, in periods a window.
 BAND_EDGES: Final = (1.0, 3.0, 8.0, 25.0)
-# The level of this channel is thrust over mass, and says something where nothing moves.
+# The level of this channel is thrust over mass, which is told without any movement.
 LEVEL: Final = "specific_force_z"
-# A channel says something from this many times its noise on, rms.
+# Minimum rms of a channel, in units of its noise, to be judged.
 MIN_EXCITATION: Final = 2.0
-# Share of the time within the envelope with which a channel is explained.
+# Minimum share of the time within the envelope of an explained channel.
 MIN_TIME_WITHIN: Final = 0.9
 
 
 class Theil(NamedTuple):
-    """Theil's inequality coefficient, 0 for equal and 1 for useless, and what the squared error consists of.
+    """Theil's inequality coefficient, 0 for equal and 1 for useless, and the parts of the squared error.
 
     ``bias``, ``variance`` and ``covariance`` add up to 1: other means, other sizes, and what goes another way
     (H. Theil, *Economic Forecasts and Policy*, 1961, chapter 2).
@@ -34,7 +34,7 @@ class Theil(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Measured over modelled by frequency, with coherence and what both, and what they differ by, have there.
+    """Measured over modelled by frequency, with the coherence and the power spectra of both and of their difference.
 
     ``excited`` is where the model moves more than the noise of the channel; powers are in squares of the unit a hertz.
     """
@@ -49,7 +49,7 @@ class Ratio(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A band of a channel: what of it moved, and how alike both are in it.
+    """A frequency band of a channel: movement, error, Theil's U, coherence, gain and phase.
 
     ``gain_db`` and ``phase_deg`` are measured over modelled, None where both are not coherent.
     """
@@ -90,7 +90,7 @@ class ChannelMeasures(NamedTuple):
 
 
 def theil(measured: Array, modelled: Array) -> Theil:
-    """Return the coefficient and the split of two signals (w, n), about the mean measured in each window."""
+    """Return Theil's coefficient of two signals (w, n), about the mean measured in each window."""
     mean = measured.mean(axis=1, keepdims=True)
     y, x = (measured - mean).ravel(), (modelled - mean).ravel()
     size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(x**2)))

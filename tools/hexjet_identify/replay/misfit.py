@@ -18,20 +18,20 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import FlightError
 from cosim.base.signals import Vector3
-from hexjet_identify.replay.flown import Change, Model, Starts, later
+from hexjet_identify.replay.flown import Change, Model, Starts, delay_rows
 from hexjet_identify.replay.windows import Flying
 
-# Numbers of a window: rate, moment, angle and drift of the angle, about each axis.
+# Columns of a window's own numbers: rate, moment, angle and drift of the angle, about each axis.
 RATE, MOMENT, ANGLE, DRIFT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-# Numbers of the flight: the accelerometer's zero, and the wind beside the estimated one.
+# Columns of the flight's numbers: the accelerometer's zero, and the change of the estimated wind.
 ZERO, WIND = slice(0, 3), slice(3, 5)
-# Three moments of the window and three zeros of the flight are channels behind the sensors'.
-COSTS: Final = 6
+# Channels behind the sensors': the costs of a window's three moments and the flight's three zeros.
+COST_CHANNELS: Final = 6
 
 
 @dataclass(frozen=True)
 class Point:
-    """The windows flown once: how, and what is left over, ``left`` (w, n, c), in units of the noise.
+    """The windows flown once: with what, and the residual ``left`` (w, n, c) in units of the noise.
 
     ``sense`` (9,): -1 for a channel that the log has the other way round.  ``own`` (w, 12) of the windows and
     ``shared`` (5,) of the flight are estimated beside, from the flight's starts on.  ``known`` (n, c): rows for which
@@ -47,7 +47,7 @@ class Point:
 
 
 class Scores(NamedTuple):
-    """What the bounds of k numbers follow from, in a fit whose inverse hessian is ``root`` times its transpose.
+    """Scores from which bounds of k numbers follow; the inverse Hessian is ``root`` times its transpose.
 
     ``slopes`` (w, n, c, k) of what is ``left`` (w, n, c), ``moved`` (w, 3, k) of the ``moments`` (w, 3), all weighted
     and without what windows' own numbers make up for; ``noise`` (c + 6,) of each; ``priors`` (k, k) by what is known
@@ -76,8 +76,8 @@ class Scores(NamedTuple):
         slopes = self.slopes @ root
         rows, windows = np.sum(slopes * self.left[..., None], axis=2), np.sum(moved * self.moments[..., None], axis=1)
         count, lags = len(rows), max(rows.shape[1] // 4, 1)
-        noisy = (self.noise[:-COSTS, None] * slopes).reshape(-1, root.shape[1])
-        noisy = np.concatenate([noisy, (self.noise[-COSTS:-3, None] * moved).reshape(-1, root.shape[1])])
+        noisy = (self.noise[:-COST_CHANNELS, None] * slopes).reshape(-1, root.shape[1])
+        noisy = np.concatenate([noisy, (self.noise[-COST_CHANNELS:-3, None] * moved).reshape(-1, root.shape[1])])
         by_rows = np.sum(rows.mT @ rows, axis=0) + windows.T @ windows
         for lag in range(1, lags):
             late = np.sum(rows[:, lag:].mT @ rows[:, :-lag], axis=0)
@@ -95,7 +95,7 @@ class Scores(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step of Gauss and Newton: of ``values``, of the windows and of the flight.
+    """A Gauss-Newton step of ``values``, of the windows' and of the flight's numbers.
 
     ``squares`` (w, c + 6) are what it leaves of each window, by channels and costs; ``loss`` is their weighted sum.
     """
@@ -115,14 +115,14 @@ class Step(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """What a unit of each number beside those of the vehicle does: ``own`` (w, n, c, 12), ``shared`` (w, n, c, 5)."""
+    """Derivatives of the residual by the windows' numbers, ``own`` (w, n, c, 12), and the flight's (w, n, c, 5)."""
 
     own: Array
     shared: Array
 
 
 class Misfit:
-    """The windows of a flight as one problem of least squares.
+    """Least-squares problem of all windows of a flight.
 
     ``moment``: standard deviation of the windows' moments [N m]; without it moments cost nothing.  ``by_axis``: what a
     window's numbers do to another axis than theirs is left out, which is enough to begin with.
@@ -137,8 +137,8 @@ class Misfit:
         windows, rows = flying.rows.shape
         self._time = flying.flight.step * np.arange(1.0, rows + 1.0)
         # The sum of squares in a window that noise leaves; of three standard deviations in a zero nothing is made.
-        self.floor = np.full(int(self.present.sum()) + COSTS, float(rows))
-        self.floor[-COSTS:] = [2.0] * 3 + [9.0 / windows] * 3
+        self.floor = np.full(int(self.present.sum()) + COST_CHANNELS, float(rows))
+        self.floor[-COST_CHANNELS:] = [2.0] * 3 + [9.0 / windows] * 3
         self.weights = np.ones(len(self.floor))
         sensor = model.vehicle.sensors.accelerometer
         along = max(float(np.hypot(sensor.bias_m_s2[2], sensor.bias_sigma_m_s2)), 1e-3)
@@ -165,7 +165,7 @@ class Misfit:
         known = np.ones(modelled.shape[1:], bool)
         for number, late_s in enumerate(change.sensors_s):
             late, part = late_s / flying.flight.step, slice(3 * number, 3 * number + 3)
-            modelled[:, :, part] = later(modelled[:, :, part], late, axis=1)
+            modelled[:, :, part] = delay_rows(modelled[:, :, part], late, axis=1)
             known[:, part] &= ((rows >= late) & (rows < len(rows) + late))[:, None]
         if not known[len(rows) // 2].all():
             raise FlightError("a sensor is later than half a window, of which too little is left to compare")
@@ -177,11 +177,11 @@ class Misfit:
         return Point(change, sense, own, shared, left, known[:, self.present])
 
     def linearise(self, point: Point) -> Slopes:
-        """Return what the numbers of the windows and of the flight do around a point."""
+        """Return derivatives by the windows' and the flight's numbers around a point."""
         return Slopes(self.slopes_of_windows(point), self._slopes_of_flight(point))
 
     def slopes_of_windows(self, base: Point) -> Array:
-        """Return what the numbers of the windows do around a point, (w, n, c, 12)."""
+        """Return derivatives by the windows' numbers around a point, (w, n, c, 12)."""
         columns = np.zeros((*base.left.shape[:2], 9, 12))
         # So small that a moment, and a number that makes the same moment, do the same down to the noise.
         sizes = 1e-4 * np.concatenate([np.ones(3), np.array(self._model.vehicle.inertia_kg_m2), np.ones(3)])
@@ -210,7 +210,7 @@ class Misfit:
         return columns
 
     def slope(self, point: Point, change: Change, by: float) -> Array:
-        """Return what a unit of a number does: ``change`` is the point's with the number ``by`` larger."""
+        """Return the derivative by a number; ``change`` is the point's with that number larger by ``by``."""
         return (self.fly(change, point.sense, point.own, point.shared).left - point.left) / by
 
     def weighted(self, weights: Array) -> Misfit:
@@ -227,7 +227,7 @@ class Misfit:
         deviation: Array | None = None,
         known: Flags | None = None,
     ) -> Step:
-        """Return the step from a point that leaves least; ``slopes`` (w, n, c, k) of the numbers that are free.
+        """Return the least-squares step from a point; ``slopes`` (w, n, c, k) are those of the free numbers.
 
         ``around`` are those of the others.  ``deviation`` (k,): how far numbers are off in a vehicle, at a guess;
         infinite where nothing is taken for known.  ``known`` (n, c): the rows that count, None for all that the point
@@ -236,7 +236,7 @@ class Misfit:
         known = point.known if known is None else known
         slopes = np.zeros((*point.left.shape, 0)) if slopes is None else slopes
         windows, count = len(point.left), slopes.shape[-1]
-        weights, costs = self.weights[:-COSTS], self.weights[-COSTS:]
+        weights, costs = self.weights[:-COST_CHANNELS], self.weights[-COST_CHANNELS:]
         # Rows of all channels of a window stand in one column.
         left = (weights * known * point.left).reshape(windows, -1, 1)
         free = (weights * known)[..., None] * np.concatenate([slopes, around.shared], axis=-1)
@@ -248,7 +248,7 @@ class Misfit:
         now = np.concatenate([np.zeros(count), point.shared])
         normal = own.mT @ own + self._held
         by_free, by_left = np.linalg.solve(normal, own.mT @ free), np.linalg.solve(normal, own.mT @ left)[..., 0]
-        # A window's moment, as it follows from the numbers, is one observation more.
+        # A window's moment counts as one more observation.
         size = costs[:3] / self._moment_deviation
         moments = point.sense[:3] * self.flying.starts.moment + point.own[:, MOMENT]
         moments = size * (moments - by_left[:, MOMENT])
@@ -273,13 +273,15 @@ class Misfit:
         return Step(step[:count], own_step, step[count:], squares, after / weights, loss, scores)
 
     def follow(self, point: Point, step: Step, change: Change | None = None, part: float = 1.0) -> Point:
-        """Fly the windows a step on, or a part of it."""
+        """Return the windows flown after a step, or a ``part`` of it."""
         own, shared = point.own + part * step.own, point.shared + part * step.shared
         return self.fly(change or point.change, point.sense, own, shared)
 
 
-def settle(model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)) -> Flying:
-    """Return the flight with the starts and moments that suit the vehicle as stated.
+def settle_starts(
+    model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)
+) -> Flying:
+    """Return the flight with starts and moments fitted for the vehicle as stated.
 
     The first of the ``shares`` of a window are looked at alone: a moment that the model lacks leads the whole of it far
     away at first.
@@ -296,7 +298,7 @@ def settle(model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] 
 
 
 def _root_of_inverse(hessian: Array) -> Array:
-    """Return what, times its transpose, is the inverse of a matrix, without directions that nothing tells."""
+    """Return R with R R^T the inverse of a matrix, without its undetermined directions."""
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     told = values > 1e-12 * values[-1]

@@ -19,27 +19,27 @@ from hexjet_identify.replay.windows import CHANNELS
 
 # Figures of three channels each, in the order of CHANNELS.
 _TITLES: Final = {"rates": "Angular rates", "forces": "Specific force", "angles": "Angles"}
-CHANNELS_SHOWN: Final = (
+CHANNEL_COLUMNS: Final = (
     "channel", "time within", "error, rms", "movement, rms", "Theil's U", "bias / variance / covariance, %", "told",
 )  # fmt: skip
-BANDS_SHOWN: Final = (
+BAND_COLUMNS: Final = (
     "channel", "Hz", "Theil's U", "coherence", "measured over modelled, dB", "deg",
 )  # fmt: skip
-OPEN_LOOP: Final = (
+OPEN_LOOP_TEXT: Final = (
     "Open loop, in windows of {:g} s: a vehicle that hovers is not stable without its controller, so the model is "
     "started anew from the recorded state at the beginning of each. The state at a window's start is fitted to it."
 )
-ENVELOPE: Final = (
+ENVELOPE_TEXT: Final = (
     "The envelope is that of {} draws and twice the noise; a channel is explained that is within it for 90 % of the "
     "time. Theil's U is 0 for equal and 1 for useless, about the mean measured in each window."
 )
-TABLE: Final = ("number", "stated", "explains best", "95 %", "removes of the misfit")
-CAUSES: Final = (
+CAUSE_COLUMNS: Final = ("number", "stated", "explains best", "95 %", "removes of the misfit")
+CAUSES_TEXT: Final = (
     "Each number alone, beside the start and the constant moment of the windows and the accelerometer's zero; cases "
     "as they are. What is named removes half of the misfit or more and leaves the rest in the envelope; what explains "
     "the flight about as well is named beside it. An inertia about an axis looks like the levers about it."
 )
-RATIO: Final = (
+RATIO_TEXT: Final = (
     "A gain that is flat and not 0 dB is an inertia, a lever or a thrust; a phase that falls with frequency is a delay."
 )
 
@@ -48,7 +48,7 @@ def write(result: Replay, folder: Path) -> dict[str, Path]:
     """Write page, JSON and CSV.  Raises FlightError if a file cannot be written."""
     paths = {name: folder / file for name, file in (("json", "replay.json"), ("csv", "replay.csv"))}
     text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
-    write_files({paths["json"]: text, paths["csv"]: _csv(result)})
+    write_files({paths["json"]: text, paths["csv"]: _make_csv(result)})
     paths["report"] = folder / "report.html"
     page(result).write(paths["report"])
     return paths
@@ -58,10 +58,10 @@ def page(result: Replay) -> Page:
     """Return the page of a replay."""
     drawn = figures(result)
     cards = [
-        Card("Channels", CHANNELS_SHOWN, channel_rows(result), _describe_comparison(result)),
-        Card("What each number would explain", TABLE, cause_rows(result), CAUSES),
-        *([Card("Bands", BANDS_SHOWN, bands)] if (bands := band_rows(result)) else []),
-        Card("Measured over modelled, by frequency", text=RATIO, figure="ratio"),
+        Card("Channels", CHANNEL_COLUMNS, channel_rows(result), _describe_comparison(result)),
+        Card("What each number would explain", CAUSE_COLUMNS, cause_rows(result), CAUSES_TEXT),
+        *([Card("Bands", BAND_COLUMNS, bands)] if (bands := band_rows(result)) else []),
+        Card("Measured over modelled, by frequency", text=RATIO_TEXT, figure="ratio"),
         *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
     ]
     shown = Page(
@@ -78,14 +78,14 @@ def page(result: Replay) -> Page:
 
 def _describe_comparison(result: Replay) -> str:
     """Return how both were compared: how the model was driven, the envelope, what was drawn, moments and wind."""
-    how = OPEN_LOOP.format(result.window_s)
+    how = OPEN_LOOP_TEXT.format(result.window_s)
     x, y, z = result.moment_rms
     wind = result.wind
     blows = wind.reason or (
         f"{wind.velocity[0]:.1f}, {wind.velocity[1]:.1f} m/s north, east, within {wind.deviation or 0.0:.1f}"
     )
     return (
-        f"{how} {ENVELOPE.format(result.choices.draws)} Drawn: {'; '.join(result.tolerances)}. Each window has a "
+        f"{how} {ENVELOPE_TEXT.format(result.choices.draws)} Drawn: {'; '.join(result.tolerances)}. Each window has a "
         f"constant moment beside what the engines make, of {x:.2g}, {y:.2g}, {z:.2g} N m (rms) about x, y, z: of the "
         f"air, or of a centre of gravity or engines that are not where they are stated. Wind: {blows}."
     )
@@ -135,7 +135,7 @@ def band_rows(result: Replay) -> list[tuple[str, ...]]:
     ]
 
 
-def _csv(result: Replay) -> str:
+def _make_csv(result: Replay) -> str:
     """Return the compared rows: time, window, and of each channel what was measured, modelled, and the envelope."""
     flying = result.flying
     rows = flying.rows
@@ -144,7 +144,7 @@ def _csv(result: Replay) -> str:
         ("window", np.repeat(np.arange(len(rows)), rows.shape[1]).astype(float)),
     ]
     measured = flying.measured()
-    for name, unit, c in _shown(result):
+    for name, unit, c in _list_shown_channels(result):
         label = f"{name}_{unit.replace('/', '_').replace('^', '')}"
         for kind, values in (("", measured), ("_model", result.modelled), ("_low", result.low), ("_high", result.high)):
             columns.append((label + kind, values[:, :, c].ravel()))
@@ -153,28 +153,32 @@ def _csv(result: Replay) -> str:
     return "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in table.tolist())]) + "\n"
 
 
-def _shown(result: Replay) -> list[tuple[str, str, int]]:
+def _list_shown_channels(result: Replay) -> list[tuple[str, str, int]]:
     present = {channel.name for channel in result.channels}
     return [(name, unit, c) for c, (name, unit) in enumerate(CHANNELS) if name in present]
 
 
 def figures(result: Replay) -> dict[str, Figure]:
     """Return the page's figures: the signals of each kind, and measured over modelled by frequency."""
-    kinds = {name: [entry for entry in _shown(result) if entry[2] // 3 == n] for n, name in enumerate(_TITLES)}
-    return {name: _signals(result, shown) for name, shown in kinds.items() if shown} | {"ratio": _ratio(result)}
+    kinds = {
+        name: [entry for entry in _list_shown_channels(result) if entry[2] // 3 == n] for n, name in enumerate(_TITLES)
+    }
+    return {name: _draw_signals(result, shown) for name, shown in kinds.items() if shown} | {
+        "ratio": _draw_ratio(result)
+    }
 
 
-def _broken(values: Array) -> Array:
-    """Return windows (w, n) as one curve that breaks where a window ends."""
+def _break_between_windows(values: Array) -> Array:
+    """Return windows (w, n) as one curve with a gap between windows."""
     return np.concatenate([values, np.full((len(values), 1), np.nan)], axis=1).ravel()
 
 
-def _signals(result: Replay, shown: Sequence[tuple[str, str, int]], max_points: int = 6000) -> Figure:
+def _draw_signals(result: Replay, shown: Sequence[tuple[str, str, int]], max_points: int = 6000) -> Figure:
     """Return what was measured and modelled, each curve with ``max_points`` or up to twice as many."""
     flying = result.flying
     rows, measured = flying.rows, flying.measured()
     every = slice(None, None, max(1, rows.size // max_points))
-    times = _broken(flying.flight.times[rows])[every]
+    times = _break_between_windows(flying.flight.times[rows])[every]
     data = []
     for panel, (_, _, c) in enumerate(shown):
         curves: tuple[tuple[str, str, Array, dict[str, Any]], ...] = (
@@ -184,14 +188,14 @@ def _signals(result: Replay, shown: Sequence[tuple[str, str, int]], max_points: 
             ("model", BLUE, result.modelled, {}),
         )
         data += [
-            trace(label, colour, times, _broken(values[:, :, c])[every], panel, **how)
+            trace(label, colour, times, _break_between_windows(values[:, :, c])[every], panel, **how)
             for label, colour, values, how in curves
         ]
     titles = [f"{name} [{unit}]" for name, unit, _ in shown]
     return {"data": data, "layout": panels(220 * len(shown) + 60, "time of the log [s]", titles, log=False) | HOVER}
 
 
-def _ratio(result: Replay) -> Figure:
+def _draw_ratio(result: Replay) -> Figure:
     """Return measured over modelled: gain, phase and coherence of the channels that move."""
     data = []
     colours = iter((ORANGE, BLUE, "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d", GREY))

@@ -16,21 +16,21 @@ from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, NOT_TOLD, Judgement
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
-from hexjet_identify.replay.causes import Causes, Part, find_causes
+from hexjet_identify.replay.causes import Causes, FittedNumber, find_causes
 from hexjet_identify.replay.flown import Change, Flown, Model
 from hexjet_identify.replay.measures import LEVEL, MIN_TIME_WITHIN, Band, ChannelMeasures, measure_channels
-from hexjet_identify.replay.misfit import settle
+from hexjet_identify.replay.misfit import settle_starts
 from hexjet_identify.replay.recorded import RecordedFlight
 from hexjet_identify.replay.wind import Wind, estimate_wind
-from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, without_gyro_offset
+from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut_windows, without_gyro_offset
 
-# Gain of measured over modelled up to which the one may be an answer to the other.
+# Largest gain of measured over modelled that still counts as an answer to the command.
 MAX_GAIN_DB: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Choices:
-    """How a flight is replayed; ``inertia``, ``mass`` and ``thrust`` are standard deviations, as shares of the value.
+    """Options of a replay; ``inertia``, ``mass`` and ``thrust`` are relative standard deviations.
 
     ``window_s`` None: by the vehicle's size.  ``thrust`` is of engines that state no uncertainty.
     """
@@ -45,7 +45,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay says.
+    """Result of a replay.
 
     ``modelled``, ``low`` and ``high``, the envelope, are (w, n, 9), by CHANNELS.  ``draws_engine``: by an
     [uncertainty] of the engine.  ``simulated``: the log is of this program, so that no flight was recorded.
@@ -70,12 +70,12 @@ class Replay:
 
     @property
     def window_s(self) -> float:
-        """The length of a window, s."""
+        """Duration of a window, s."""
         return float(self.flying.rows.shape[1] * self.flying.flight.step)
 
     @property
     def moment_rms(self) -> tuple[float, float, float]:
-        """The constant moments of the windows, which no engine makes: N m, rms about x, y, z."""
+        """Rms of the windows' constant moments beside the engines', about x, y, z [N m]."""
         x, y, z = np.sqrt(np.mean(self.flying.starts.moment**2, axis=0)).tolist()
         return (x, y, z)
 
@@ -86,39 +86,41 @@ class Replay:
 
     @property
     def verdict(self) -> str:
-        """Whether the model explains what the log excites: every such channel is inside the envelope.
+        """Whether the model explains the log: every channel that moves is inside the envelope.
 
         Not, where a cause is named that is beyond the tolerances.  Where no moment of inertia would show it is not
         told, unless thrust over mass is off; nor where all that is off was moved by something else than the commands.
         """
         moved = [channel for channel in self.channels if channel.excited]
-        if are_beyond(self.causes, self.choices, self.draws_engine, self.vehicle.aero.span_m):
+        if are_beyond_tolerances(self.causes, self.choices, self.draws_engine, self.vehicle.aero.span_m):
             return NOT_EXPLAINED
         if not are_explained(moved, self.causes):
-            return NOT_TOLD if all(is_foreign(c) for c in self._off) else NOT_EXPLAINED
+            return NOT_TOLD if all(is_uncommanded(c) for c in self._off_channels) else NOT_EXPLAINED
         told = any(channel.name != LEVEL for channel in moved) and self.causes.tells_inertia
         return EXPLAINED if told else NOT_TOLD
 
     @property
-    def _off(self) -> list[ChannelMeasures]:
-        """The channels that move and are outside the envelope, but for an attitude's own error."""
+    def _off_channels(self) -> list[ChannelMeasures]:
+        """Channels that move and are outside the envelope, but for errors of the attitude itself."""
         return [
-            c for c in self.channels if c.excited and c.within < MIN_TIME_WITHIN and not is_estimate(c, self.causes)
+            c
+            for c in self.channels
+            if c.excited and c.within < MIN_TIME_WITHIN and not is_attitude_error(c, self.causes)
         ]
 
     @property
     def evidence(self) -> tuple[str, ...]:
-        """What the verdict rests on, and what the log does not tell, one line each."""
+        """Evidence of the verdict, and what the log does not tell, one line each."""
         flying = self.flying
         count, window = len(flying.windows), self.window_s
         lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, each started from the recorded state"]
         outside = [c for c in self.channels if c.excited and c.within < MIN_TIME_WITHIN]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
         moved = [c for c in self.channels if c.excited]
-        estimates = ", ".join(c.name for c in outside if is_estimate(c, self.causes))
+        estimates = ", ".join(c.name for c in outside if is_attitude_error(c, self.causes))
         if estimates:
             lines.append(f"{estimates}: no rate is off, so the attitude of the log is late or drifts, not the vehicle")
-        if foreign := ", ".join(c.name for c in self._off if is_foreign(c)):
+        if foreign := ", ".join(c.name for c in self._off_channels if is_uncommanded(c)):
             lines.append(f"{foreign}: moved by what no command makes, the air or another cause, so not told")
         coherent = [
             f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz" for c in moved for b in c.bands if b.gain_db is not None
@@ -139,12 +141,12 @@ class Replay:
 
     @property
     def judgement(self) -> Judgement:
-        """The verdict with what it rests on."""
+        """The verdict with its evidence."""
         return Judgement(self.verdict, self.evidence)
 
     @property
     def fault(self) -> str:
-        """What is at fault, in a line."""
+        """The named cause, or why none is named, in a line; empty if the flight is explained."""
         if self.verdict != NOT_EXPLAINED:
             return ""
         causes = self.causes
@@ -186,7 +188,7 @@ class Replay:
 
 
 def _describe_band(name: str, band: Band, min_db: float = 1.0, min_deg: float = 10.0) -> str:
-    """Return how measured differs from modelled in a band where both are coherent; empty where they are alike."""
+    """Return gain and phase between measured and modelled in a coherent band; empty if they agree."""
     gain, phase = band.gain_db, band.phase_deg
     if gain is None or phase is None or (abs(gain) < min_db and abs(phase) < min_deg):
         return ""
@@ -216,9 +218,9 @@ def replay(
     model, count = Model(scenario), choices.draws + 2
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
-    flying = without_gyro_offset(cut(model, flight, length))
+    flying = without_gyro_offset(cut_windows(model, flight, length))
     wind = estimate_wind(model, flying)
-    flying = settle(model, flying, wind.velocity)
+    flying = settle_starts(model, flying, wind.velocity)
     flight = flying.flight
 
     def fly(change: Change) -> Flown:
@@ -229,7 +231,7 @@ def replay(
     zero[3:6] = accelerometer_zero((flying.measured() - modelled)[:, :, 3:6], model.vehicle)
     modelled = modelled + zero
     low = high = modelled
-    for number, change in enumerate(draw(model, choices)):
+    for number, change in enumerate(draw_vehicles(model, choices)):
         tell("draws", number + 1, count)
         drawn = flying.modelled(fly(change)) + zero
         low, high = np.minimum(low, drawn), np.maximum(high, drawn)
@@ -242,22 +244,22 @@ def replay(
     return Replay(
         log, model.vehicle, engine.name, choices, flying, modelled, low, high, channels,
         wind, causes, engine.uncertainty is not None,
-        _tolerances(engine, choices), _notes(flight),
+        _describe_tolerances(engine, choices), _list_notes(flight),
     )  # fmt: skip
 
 
 def are_explained(channels: Sequence[ChannelMeasures], causes: Causes) -> bool:
-    """Return whether every channel that moves is inside the envelope; an angle whose rates are as modelled need not."""
-    return all(c.within >= MIN_TIME_WITHIN or is_estimate(c, causes) for c in channels if c.excited)
+    """Return whether every moving channel is inside the envelope; angles need not if their rates are."""
+    return all(c.within >= MIN_TIME_WITHIN or is_attitude_error(c, causes) for c in channels if c.excited)
 
 
-def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
-    """Return whether a channel that is off is the attitude's own error: an angle, where no rate or force is off."""
+def is_attitude_error(channel: ChannelMeasures, causes: Causes) -> bool:
+    """Return whether a channel is an angle that is off while no rate or force is: an error of the attitude."""
     return channel.unit == "rad" and not causes.is_off
 
 
-def is_foreign(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
-    """Return whether a channel moves, and the commands neither make the model do so nor anything alike.
+def is_uncommanded(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
+    """Return whether a channel moves by something else than the commands, which move the model otherwise.
 
     Beyond a Theil's U of ``max_u`` a model that is coherent in no band does not do what was measured.
     """
@@ -266,17 +268,18 @@ def is_foreign(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
     return channel.theil.u > max_u and not is_level and not alike
 
 
-def are_beyond(causes: Causes, choices: Choices, draws_engine: bool, span_m: float) -> bool:
-    """Return whether causes are named, and each is further off than vehicles are taken to be: two standard deviations.
+def are_beyond_tolerances(causes: Causes, choices: Choices, draws_engine: bool, span_m: float) -> bool:
+    """Return whether causes are named and each is beyond its tolerance of two standard deviations.
 
     An attitude that is late is no fault of the vehicle.
     """
     return bool(causes.named) and not any(
-        row.parts and all(_is_drawn(part, choices, draws_engine, span_m) for part in row.parts) for row in causes.named
+        row.parts and all(_is_tolerated(part, choices, draws_engine, span_m) for part in row.parts)
+        for row in causes.named
     )
 
 
-def _is_drawn(part: Part, choices: Choices, draws_engine: bool, span_m: float) -> bool:
+def _is_tolerated(part: FittedNumber, choices: Choices, draws_engine: bool, span_m: float) -> bool:
     if part.name.endswith(SENSORS[2]) or (draws_engine and ("of the engines" in part.name or part.name == THRUST)):
         return True
     deviations = {MASS: choices.mass, THRUST: choices.thrust}
@@ -288,7 +291,7 @@ def _is_drawn(part: Part, choices: Choices, draws_engine: bool, span_m: float) -
 
 
 def describe_reach(causes: Causes) -> list[str]:
-    """Return what the log would have shown, were it off, and what not."""
+    """Return sentences on which errors of the vehicle the log would show, and which not."""
     told, hidden = causes.reach
     lines = []
     if told:
@@ -297,7 +300,7 @@ def describe_reach(causes: Causes) -> list[str]:
 
 
 def _join(names: Sequence[str]) -> str:
-    """Return names in a row; of engines their numbers."""
+    """Return names joined by semicolons, those of engines as a list of numbers."""
     engine = "thrust of engine "
     numbers = ", ".join(name.removeprefix(engine) for name in names if name.startswith(engine))
     others = [name for name in names if not name.startswith(engine)]
@@ -305,15 +308,15 @@ def _join(names: Sequence[str]) -> str:
 
 
 def usual_window(vehicle: Vehicle) -> float:
-    """Return the length of a window, s: times of vehicles that are alike go with the root of their size (Froude).
+    """Return the duration of a window [s]: it scales with the root of the vehicle's size (Froude).
 
     It is a second for the Hex-Jet with its span of 0.4 m.
     """
     return float(round(min(max((vehicle.aero.span_m / 0.4) ** 0.5, 0.3), 3.0), 1))
 
 
-def draw(model: Model, choices: Choices) -> Iterator[Change]:
-    """Return the vehicles that are drawn: inertia and mass by their tolerances, engines by their ``[uncertainty]``."""
+def draw_vehicles(model: Model, choices: Choices) -> Iterator[Change]:
+    """Yield random vehicles: inertia and mass by their tolerances, engines by their ``[uncertainty]``."""
     rng = np.random.default_rng(choices.seed)
     engine = model.engine
     for _ in range(choices.draws):
@@ -328,7 +331,7 @@ def draw(model: Model, choices: Choices) -> Iterator[Change]:
 
 
 def _drawn_parameters(engine: EngineSpec, rng: np.random.Generator) -> dict[str, float]:
-    """Return the parameters of the engines, drawn by their uncertainty; what each has by itself is left out."""
+    """Draw engine parameters by their uncertainty, common to all engines."""
     table = engine.uncertainty
     assert table is not None
     known = {variable.name: variable for variable in engine.archive.parameters}
@@ -343,8 +346,8 @@ def _drawn_parameters(engine: EngineSpec, rng: np.random.Generator) -> dict[str,
     return values
 
 
-def _tolerances(engine: EngineSpec, choices: Choices) -> tuple[str, ...]:
-    """Return what was drawn, in words."""
+def _describe_tolerances(engine: EngineSpec, choices: Choices) -> tuple[str, ...]:
+    """Return the tolerances of the drawn vehicles, a sentence each."""
     lines = [
         f"each moment of inertia: standard deviation {100.0 * choices.inertia:g} %",
         f"mass: {100.0 * choices.mass:g} %",
@@ -359,7 +362,7 @@ def _tolerances(engine: EngineSpec, choices: Choices) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _notes(flight: RecordedFlight) -> tuple[str, ...]:
+def _list_notes(flight: RecordedFlight) -> tuple[str, ...]:
     notes = list(flight.notes)
     if not flight.has_angles:
         notes.append(

@@ -13,7 +13,7 @@ from hexjet_identify.replay.windows import Flying
 
 
 class Wind(NamedTuple):
-    """The wind that the windows are flown in, m/s NED, where the air moves to, and how well it is known.
+    """The wind that the windows are flown in [m/s, NED, towards], with its standard deviation.
 
     ``deviation`` is of the component that is told less well, None where none was estimated; ``reason`` says why a wind
     is zero.
@@ -31,7 +31,7 @@ class Wind(NamedTuple):
 def estimate_wind(
     model: Model, flying: Flying, most_windows: int = 10, rounds: int = 6, step_m_s: float = 8.0, most_m_s: float = 30.0
 ) -> Wind:
-    """Estimate a wind from the changes of velocity within some windows; none where the log has none.
+    """Estimate a constant wind from the changes of velocity within some windows; 0 without a velocity.
 
     Where the log has an attitude the model's forces act along the measured one: what turns the vehicle otherwise than
     the model, such as a wrong moment of inertia, is no wind.  Drag goes with the square of the wind, so that it takes
@@ -45,8 +45,8 @@ def estimate_wind(
     flying = flying.only(np.linspace(0, count - 1, min(count, most_windows)).astype(int).tolist())
     wind, deviation = np.zeros(2), np.inf
     for _ in range(rounds):
-        base = _drift(model, flying, wind)
-        slopes = np.stack([_drift(model, flying, wind + axis) - base for axis in np.eye(2)], axis=-1)
+        base = _velocity_drift(model, flying, wind)
+        slopes = np.stack([_velocity_drift(model, flying, wind + axis) - base for axis in np.eye(2)], axis=-1)
         normal = np.einsum("wci,wcj->ij", slopes, slopes)
         if not np.linalg.cond(normal) < 1e12:
             return Wind(ZERO3, None, "the model has no drag: taken for still air")
@@ -61,23 +61,23 @@ def estimate_wind(
             return Wind(ZERO3, None, f"beyond {most_m_s:g} m/s: drag tells too little; taken for still air")
         if size < 0.1:
             break
-    # Twice its standard deviation, were that known.
+    # Twice the standard deviation, by Student's t for the number of windows.
     if float(np.linalg.norm(wind)) < float(t.ppf(0.9772, len(flying.windows) - 1)) * deviation:
         return Wind(ZERO3, deviation, "too small for its standard deviation: taken for still air")
     found = (float(wind[0]), float(wind[1]), 0.0)
-    if _rates_off(model, flying, found) > 1.2 * _rates_off(model, flying, ZERO3):
+    if _sum_rate_errors(model, flying, found) > 1.2 * _sum_rate_errors(model, flying, ZERO3):
         return Wind(ZERO3, deviation, "in it the rates are further off than in still air, which is taken")
     return Wind(found, deviation, "")
 
 
-def _rates_off(model: Model, flying: Flying, wind: Vector3) -> float:
-    """Return the squares of what the rates are off by, (rad/s)^2: a wind turns a vehicle with a wing too."""
+def _sum_rate_errors(model: Model, flying: Flying, wind: Vector3) -> float:
+    """Return the sum of squared errors of the rates in a wind, (rad/s)^2: it turns a vehicle with a wing."""
     flown = model.fly(flying.flight, flying.windows, flying.starts, None, wind)
     return float(np.nansum((flying.flight.rate - flown.rate)[flying.rows] ** 2))
 
 
-def _drift(model: Model, flying: Flying, wind: Array) -> Array:
-    """Return by how much velocities north and east are off at the end of each window, (w, 2) m/s."""
+def _velocity_drift(model: Model, flying: Flying, wind: Array) -> Array:
+    """Return the errors of the velocities north and east at the end of each window, (w, 2) [m/s]."""
     moved = (float(wind[0]), float(wind[1]), 0.0)
     flight = flying.flight
     flown = model.fly(flight, flying.windows, flying.starts, None, moved)
@@ -90,7 +90,7 @@ def _drift(model: Model, flying: Flying, wind: Array) -> Array:
 
 
 def level_part(force: Array, angles: Array) -> Array:
-    """Return what forces (..., 3) of the body have north and east, (..., 2), at roll, pitch and yaw (..., 3) [rad]."""
+    """Return the north and east parts (..., 2) of body forces (..., 3) at roll, pitch and yaw (..., 3) [rad]."""
     (x, y, z), (roll, pitch, yaw) = np.moveaxis(force, -1, 0), np.moveaxis(angles, -1, 0)
     ahead = np.cos(pitch) * x + np.sin(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
     right = np.cos(roll) * y - np.sin(roll) * z

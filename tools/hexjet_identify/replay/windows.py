@@ -25,7 +25,7 @@ CHANNELS: Final = (
 
 @dataclass(frozen=True)
 class Flying:
-    """A flight cut into windows of one length, what the model starts each with, and the noise of each channel (9,)."""
+    """A flight cut into windows of one length, with their starts and the noise of each channel (9,)."""
 
     flight: RecordedFlight
     windows: tuple[Window, ...]
@@ -34,22 +34,22 @@ class Flying:
 
     @property
     def rows(self) -> Array:
-        """The rows that are compared, (w, n): of each window those behind its start."""
+        """Compared rows (w, n): those of each window behind its start."""
         return np.array([np.arange(window.first + 1, window.last + 1) for window in self.windows])
 
     @property
     def seconds(self) -> float:
-        """How long all windows are together, s."""
+        """Duration of all windows together, s."""
         return float(self.rows.size * self.flight.step)
 
     def measured(self) -> Array:
-        """Return what was measured, (w, n, 9), by :data:`CHANNELS`; NaN where the log has nothing."""
+        """Return the measured CHANNELS in the windows, (w, n, 9); NaN where the log has no value."""
         flight = self.flight
         values: Array = np.concatenate([flight.rate, flight.force, flight.angles], axis=1)[self.rows]
         return values
 
     def modelled(self, flown: Flown) -> Array:
-        """Return the same of the model, angles on the measurement's turn of the circle."""
+        """Return the modelled CHANNELS in the windows, (w, n, 9), angles on the same turn as the measured ones."""
         angles = flown.angles + 2.0 * np.pi * np.round(
             (np.nan_to_num(self.flight.angles) - flown.angles) / (2.0 * np.pi)
         )
@@ -57,20 +57,20 @@ class Flying:
         return values
 
     def only(self, chosen: Sequence[int]) -> Flying:
-        """Return the same flight with some of the windows."""
+        """Return the flight with the ``chosen`` windows alone."""
         starts = Starts(*(values[list(chosen)] for values in self.starts))
         return replace(self, windows=tuple(self.windows[n] for n in chosen), starts=starts)
 
 
-def cut(model: Model, flight: RecordedFlight, length_s: float, settling_s: float = 0.5) -> Flying:
-    """Cut a flight into windows in which its engines carry it.
+def cut_windows(model: Model, flight: RecordedFlight, length_s: float, settling_s: float = 0.5) -> Flying:
+    """Cut a flight into windows in which its engines carry the vehicle.
 
     The first ``settling_s`` are left out: what was commanded before the log is not known.  The rates of a start are
     smoothed, and taken as much later as the gyro's filter and latency are.  Raises InputError where it has no two
     windows.
     """
     loads = model.loads(flight, Change())
-    flies = flight.usable & _carried(model, loads) & ~_hit(flight)
+    flies = flight.usable & _is_carried(model, loads) & ~_find_impacts(flight)
     rows = max(round(length_s / flight.step), 4)
     first = round(settling_s / flight.step)
     windows = []
@@ -87,7 +87,7 @@ def cut(model: Model, flight: RecordedFlight, length_s: float, settling_s: float
             "another engine or throttle range, or a shorter window_s"
         )
     starts = [window.first for window in windows]
-    smooth = _smoothed(flight.rate, flight.step)
+    smooth = _smooth(flight.rate, flight.step)
     gyro = model.vehicle.sensors.gyro
     late = np.minimum(np.array(starts) + round(gyro.filter_s / flight.step) + gyro.latency_samples, len(smooth) - 1)
     noise = measure_noise(model, flight, flies)
@@ -95,32 +95,32 @@ def cut(model: Model, flight: RecordedFlight, length_s: float, settling_s: float
     return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
 
 
-def _carried(model: Model, loads: Loads, min_share: float = 0.4) -> Flags:
-    """Return at which steps the engines carry ``min_share`` of the weight: with less it stands, or falls."""
+def _is_carried(model: Model, loads: Loads, min_share: float = 0.4) -> Flags:
+    """Return at which steps the engines carry ``min_share`` of the weight; with less it stands or falls."""
     lift = np.linalg.norm(loads.forces.sum(axis=1), axis=1)
     return np.asarray(lift > min_share * model.vehicle.mass_kg * GRAVITY)
 
 
-def _hit(flight: RecordedFlight, max_g: float = 6.0) -> Flags:
-    """Return where something was hit: within a tenth of a second of a specific force beyond ``max_g``."""
+def _find_impacts(flight: RecordedFlight, max_g: float = 6.0) -> Flags:
+    """Return at which steps it hits something: within 0.1 s of a specific force beyond ``max_g``."""
     hard = np.linalg.norm(np.nan_to_num(flight.force), axis=1) > max_g * GRAVITY
     reach = 2 * round(0.1 / flight.step) + 1
     return np.asarray(np.convolve(hard, np.ones(reach), "same") > 0.0)
 
 
-def _smoothed(values: Array, step: float) -> Array:
+def _smooth(values: Array, step: float) -> Array:
     from scipy.signal import savgol_filter
 
     return np.asarray(savgol_filter(np.nan_to_num(values), _smoothing_rows(step), 2, axis=0))
 
 
 def _smoothing_rows(step: float, seconds: float = 0.03) -> int:
-    """Return over how many rows a parabola is laid (Savitzky and Golay)."""
+    """Return the number of rows of the Savitzky-Golay filter over ``seconds``."""
     return max(5, 2 * round(0.5 * seconds / step) + 1)
 
 
 def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Array:
-    """Return each channel's noise, by what a parabola leaves of it, or what the vehicle states if that is more."""
+    """Return each channel's noise: its rms about a moving parabola, at least what the vehicle states."""
     from scipy.signal import savgol_coeffs
 
     rows = _smoothing_rows(flight.step)
@@ -132,14 +132,14 @@ def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Array:
     passed = (float(np.sqrt(gain / (2.0 - gain))), 1.0, 1.0)
     levels = []
     for values, least, share in zip((flight.rate, flight.force, flight.angles), stated, passed, strict=True):
-        rest = (values - _smoothed(values, flight.step))[flies]
+        rest = (values - _smooth(values, flight.step))[flies]
         spread = np.nanstd(rest, axis=0) / left if np.isfinite(rest).any() else np.zeros(3)
         levels.append(np.maximum(np.nan_to_num(spread), max(least * share, 1e-6)))
     return np.concatenate(levels)
 
 
 def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
-    """Return what of errors of the specific force (w, n, 3) may be the accelerometer's zero, (3,) m/s^2.
+    """Return the accelerometer's zero (3,) [m/s^2] that explains errors of the specific force (w, n, 3).
 
     Across the thrust all of the mean is, for it also depends on how the accelerometer stands; along it no more than
     twice what the vehicle states, as the rest is thrust over mass.
@@ -151,7 +151,7 @@ def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
 
 
 def without_gyro_offset(flying: Flying) -> Flying:
-    """Return the flight without the constant by which its rates differ from how its attitude turns, and note that.
+    """Return the flight without the gyro's offset from the derivative of its attitude, and note that.
 
     It is more than chance from three standard errors over the windows on, and from the attitude's noise on.
     """
