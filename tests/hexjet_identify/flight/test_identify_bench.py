@@ -130,12 +130,6 @@ def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path
     assert not any("time_unit" in note for note in record.notes)
 
 
-def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
-    result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=15.0)
-    assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
-    assert result.records[0].step == pytest.approx(0.001, rel=1e-6)
-
-
 def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_path: Path) -> None:
     """100,000 rows in two parts: means of some, none across the gap, and a delay that is no multiple of anything."""
     times, command, thrust, _ = bench_log("stairs of 2 s", 1000.0, Truth(delay=0.1037), seconds=100.0, noise=0.2)
@@ -212,7 +206,11 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     assert done.status == 0
     assert "engine: " in done.out
     table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
+    assert table["parameters"]["delay_samples"] == 25
     assert table["parameters"]["lag"] == pytest.approx(0.4, rel=0.02)
+    assert table["parameters"]["gain"] == pytest.approx(100.0, rel=0.01)
+    flight = ("hover", "--set", "duration_s=0.1", "--engine", "mine/engine.toml", "--controller", "baseline")
+    assert hexjet("fly", *flight).status == 0
     known = dict(zip(table["uncertainty"]["parameters"], table["uncertainty"]["deviation"], strict=True))
     assert list(known) == ["delay_samples", "lag", "gain", "offset"]
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))

@@ -11,8 +11,10 @@ import pytest
 from command_tools import Hexjet
 from identification_record import SHARED
 from known_logs import Flaws, Log, Truth, closed_loops, drawn
+from scipy.optimize import fsolve
 from scipy.signal import lfilter
 
+from cosim import Scenario, fly
 from cosim.base.errors import InputError, NotIdentifiedError
 from hexjet_identify.fit.forms import Poles
 from hexjet_identify.fit.problem import noise_basis
@@ -78,6 +80,25 @@ def test_an_own_flights_engine_comes_out_of_its_run_and_its_ulog(hexjet: Hexjet,
         assert model.delay_samples == pytest.approx(stated["delay_samples"]["start"], abs=near)
         assert np.exp(-0.004 * result.chosen.x[1]) == pytest.approx(stated["pole"]["start"], abs=1e-3 * near)
         assert any("the log has no noise" in note for note in result.notes) == (name != "flown.ulg")
+
+
+def test_an_own_flights_delay_is_the_ledgers_less_lags_of_the_same_spread(tmp_path: Path) -> None:
+    """A filter that runs once a step delays low frequencies by another time than its time constant.
+
+    Lags are like filters whose mean, variance and third cumulant of the delay are theirs: of a pole a these are
+    a / (1 - a), a / (1 - a)^2 and a (1 + a) / (1 - a)^3 samples.
+    """
+    flown = fly(Scenario.load("pitch-doublet").replace(expect=[]), tmp_path / "run")
+    rows = [row for row in flown.summary.delay_ledger if row.axis == "pitch"]
+    servo, gyro = (row.samples for row in rows if row.kind == "lag")
+    poles = np.array([1.0 - 1.0 / servo, gyro / (1.0 + gyro)])
+    variance, third = (poles / (1.0 - poles) ** 2).sum(), (poles * (1.0 + poles) / (1.0 - poles) ** 3).sum()
+    lags = fsolve(lambda lag: [(lag**2).sum() - variance, 2.0 * (lag**3).sum() - third], -1.0 / np.log(poles))
+    log = read_flight_log(tmp_path / "run")
+    found = identify_log(log, "pitch", signals_of(log, "pitch"), longest_delay=0.3, lags=2).chosen
+    total = sum(row.samples for row in rows) - 0.5
+    assert found.total[0] / 0.004 == pytest.approx(total, abs=0.03)
+    assert found.delay / 0.004 == pytest.approx(total - lags.sum(), abs=0.05)
 
 
 def test_a_form_that_leaves_the_command_in_what_is_left_over_is_refused() -> None:
@@ -242,25 +263,6 @@ def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
     notes = " ".join(found(flight_log(log, output=output, times=times), lags=1).notes)
     assert "3 of " in notes
     assert "its clock goes back 1 times" in notes
-
-
-@pytest.mark.long
-def test_an_engines_log_becomes_an_engine(hexjet: Hexjet, tmp_path: Path) -> None:
-    """The thrust of the engine that is written rests at the gain, and its lag is that of the truth."""
-    truth = Truth(gain=46.03, rate=1.0 / 0.3286, lags=())
-    (log,) = closed_loops(1, 10.0, truth=truth, flaws=Flaws(0.01, 0.0, lost=0.0), size=0.0, sweep=0.2, loop=False)
-    rows = np.column_stack([log.times, 0.5 + log.command, 0.5 * truth.gain / truth.rate + log.output])
-    np.savetxt(tmp_path / "bench.csv", rows, delimiter=",", header="t,throttle_1,thrust_1_N", comments="")
-    done = hexjet("identify", "log", "bench.csv", "--engine", "1", "--lags", "0", "--out", "engine")
-    assert done.status == 0
-    stated = tomllib.loads((tmp_path / "engine" / "engine.toml").read_text(encoding="utf-8"))["parameters"]
-    assert stated["delay_samples"] == 25
-    assert stated["lag"] == pytest.approx(1.0 / truth.rate, rel=0.02)
-    assert stated["gain"] == pytest.approx(truth.gain / truth.rate, rel=0.01)
-    flown = hexjet(
-        "fly", "hover", "--set", "duration_s=0.1", "--engine", "engine/engine.toml", "--controller", "baseline"
-    )
-    assert flown.status == 0
 
 
 def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, logs: list[Log]) -> None:

@@ -20,6 +20,7 @@ from cosim.results.run import open_run
 from hexjet_identify.logs import Channel, FlightLog, read_flight_log
 from hexjet_identify.replay import Choices, RecordedFlight, Replay, ThrottleChannels, record_flight
 from hexjet_identify.replay import replay as fly_again
+from hexjet_identify.replay.flown import Change, Model
 from hexjet_identify.replay.measures import MIN_TIME_WITHIN, theil
 from hexjet_identify.replay.recorded import is_simulated
 from hexjet_identify.replay.replay import EXPLAINED, NOT_EXPLAINED, NOT_TOLD
@@ -202,6 +203,15 @@ def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:
     assert p == pytest.approx(0.03, abs=0.003)
     assert r == pytest.approx(-0.02, abs=0.003)
     assert "q by" not in note
+
+
+def test_loads_are_those_of_the_flight_that_is_asked_for(doublet: Path) -> None:
+    """A model that has run its engines for one flight runs them anew for another, such as the one without an offset."""
+    model, flight = Model(DOUBLET), recorded(doublet)
+    first = model.loads(flight, Change())
+    other = model.loads(replace(flight, throttle=0.5 * flight.throttle), Change())
+    assert np.linalg.norm(other.forces[-1]) < 0.8 * np.linalg.norm(first.forces[-1])
+    assert model.loads(flight, Change()) is first
 
 
 def test_an_attitude_that_is_late_is_not_the_vehicles_fault(doublet: Path) -> None:

@@ -11,7 +11,7 @@ from hexjet_identify.bench.engine_table import fit_power_law
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_small_movements
 from hexjet_identify.fit.answers import answer_of_lags, answer_of_limits, interpolation_weights
-from hexjet_identify.fit.estimate import fit
+from hexjet_identify.fit.estimate import fit, thin_rows
 from hexjet_identify.fit.evidence import PredictedMovement, Verdict, describe_movements, judge, predict_held_back
 from hexjet_identify.fit.forms import Lags, Limits, Poles
 from hexjet_identify.fit.logs import Log
@@ -138,6 +138,12 @@ def test_each_movement_of_a_staircase_is_foretold_from_every_second_other_one() 
     assert describe_movements((stuck,), "krpm", 67.0) == [
         ["88.9 s", "33 to 60 krpm", "1.5 %", "1 s (+5 %)", "2 s (+25 %)", "4 s (never)"]
     ]
+
+
+def test_rows_are_thinned_evenly_in_each_log() -> None:
+    logs = [log_of(TIMES[:count], TIMES[:count], TIMES[:count]) for count in (1003, 901)]
+    thinned = thin_rows(Problem(logs, np.array([0.0, 20.0]), 1.0), rows=190)
+    assert [log.times[:2].tolist() for log in thinned.logs] == [[0.0, 0.1], [0.0, 0.1]]
 
 
 def test_a_power_law_is_laid_through_levels() -> None:
