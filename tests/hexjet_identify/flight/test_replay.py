@@ -206,7 +206,6 @@ def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:
 
 
 def test_loads_are_those_of_the_flight_that_is_asked_for(doublet: Path) -> None:
-    """A model that has run its engines for one flight runs them anew for another, such as the one without an offset."""
     model, flight = Model(DOUBLET), recorded(doublet)
     first = model.loads(flight, Change())
     other = model.loads(replace(flight, throttle=0.5 * flight.throttle), Change())
