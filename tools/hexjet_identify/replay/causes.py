@@ -21,7 +21,7 @@ from hexjet_identify.replay.candidates import INERTIA, Candidate, Number, list_c
 from hexjet_identify.replay.flown import Change, Model
 from hexjet_identify.replay.measures import MIN_EXCITATION, MIN_TIME_WITHIN
 from hexjet_identify.replay.misfit import COST_CHANNELS, MOMENT, Misfit, Point, Slopes, Step
-from hexjet_identify.replay.windows import CHANNELS, Flying
+from hexjet_identify.replay.windows import CHANNELS, CutFlight
 
 # A channel is off above this mean square, in squares of its noise.
 MAX_OVER_NOISE: Final = 1.3
@@ -150,7 +150,7 @@ class Causes:
 
 
 def find_causes(
-    model: Model, flying: Flying, wind: Vector3, margins: tuple[Array, Array], most_windows: int = 20
+    model: Model, flying: CutFlight, wind: Vector3, margins: tuple[Array, Array], most_windows: int = 20
 ) -> Causes:
     """Fit every number to what a replay leaves, fly every case, and name what explains it.
 

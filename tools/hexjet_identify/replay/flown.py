@@ -84,7 +84,7 @@ class Starts(NamedTuple):
     moment: Array
 
 
-class Flown(NamedTuple):
+class ModelOutput(NamedTuple):
     """Output of the model's sensors at the flight's rows, NaN outside the windows.
 
     ``rate`` rad/s, ``force`` m/s^2, ``angles`` rad, ``velocity`` m/s NED; (n, 3) each.
@@ -153,7 +153,7 @@ class Model:
         starts: Starts,
         change: Change | None = None,
         wind: Vector3 = ZERO3,
-    ) -> Flown:
+    ) -> ModelOutput:
         """Fly the windows from ``starts`` in a ``wind`` [m/s, NED].  Raises FlightError where JSBSim stops."""
         change = change or Change()
         acting = _apply_thrust_changes(self.loads(flight, change), change, self.vehicle)
@@ -244,7 +244,7 @@ class _WindowFlight:
     def __init__(self, airframe: Airframe, sensors: SensorSuite, flight: RecordedFlight, loads: Loads) -> None:
         self._airframe, self._sensors = airframe, sensors
         self._flight, self._loads = flight, loads
-        self.flown = Flown(*(np.full((len(flight.times), 3), np.nan) for _ in Flown._fields))
+        self.flown = ModelOutput(*(np.full((len(flight.times), 3), np.nan) for _ in ModelOutput._fields))
 
     def fly(self, window: Window, rate: Array, angles: Array, disturbance: Disturbance) -> None:
         """Fly a window from ``rate`` [rad/s] and ``angles`` [rad]; velocity and height start as recorded."""

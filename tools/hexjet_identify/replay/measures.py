@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array, Complex, Flags
-from hexjet_identify.replay.windows import CHANNELS, Flying
+from hexjet_identify.replay.windows import CHANNELS, CutFlight
 
 # Edges of the bands, in periods a window.
 BAND_EDGES: Final = (1.0, 3.0, 8.0, 25.0)
@@ -139,7 +139,7 @@ def measure_bands(ratio: Ratio, noise: float, min_coherence: float = 0.6) -> tup
     return tuple(bands)
 
 
-def measure_channels(flying: Flying, modelled: Array, low: Array, high: Array) -> tuple[ChannelMeasures, ...]:
+def measure_channels(flying: CutFlight, modelled: Array, low: Array, high: Array) -> tuple[ChannelMeasures, ...]:
     """Return the measures of each channel that the log has, of a model (w, n, 9) and the ends of its envelope."""
     measured, step = flying.measured(), flying.flight.step
     shares = np.mean((measured >= low) & (measured <= high), axis=(0, 1))

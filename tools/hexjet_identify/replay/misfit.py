@@ -19,7 +19,7 @@ from cosim.base.arrays import Array, Flags
 from cosim.base.errors import FlightError
 from cosim.base.signals import Vector3
 from hexjet_identify.replay.flown import Change, Model, Starts, delay_rows
-from hexjet_identify.replay.windows import Flying
+from hexjet_identify.replay.windows import CutFlight
 
 # Columns of a window's own numbers: rate, moment, angle and drift of the angle, about each axis.
 RATE, MOMENT, ANGLE, DRIFT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -129,7 +129,7 @@ class Misfit:
     """
 
     def __init__(
-        self, model: Model, flying: Flying, wind: Vector3, moment: Array | None = None, by_axis: bool = False
+        self, model: Model, flying: CutFlight, wind: Vector3, moment: Array | None = None, by_axis: bool = False
     ) -> None:
         self._by_axis = by_axis
         self._model, self.flying, self._wind = model, flying, wind
@@ -279,8 +279,8 @@ class Misfit:
 
 
 def settle_starts(
-    model: Model, flying: Flying, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)
-) -> Flying:
+    model: Model, flying: CutFlight, wind: Vector3, shares: Sequence[float] = (0.15, 0.4, 1.0, 1.0)
+) -> CutFlight:
     """Return the flight with starts and moments fitted for the vehicle as stated.
 
     The first of the ``shares`` of a window are looked at alone: a moment that the model lacks leads the whole of it far

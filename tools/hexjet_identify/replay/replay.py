@@ -17,12 +17,12 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
 from hexjet_identify.replay.causes import Causes, FittedNumber, find_causes
-from hexjet_identify.replay.flown import Change, Flown, Model
+from hexjet_identify.replay.flown import Change, Model, ModelOutput
 from hexjet_identify.replay.measures import LEVEL, MIN_TIME_WITHIN, Band, ChannelMeasures, measure_channels
 from hexjet_identify.replay.misfit import settle_starts
 from hexjet_identify.replay.recorded import RecordedFlight
 from hexjet_identify.replay.wind import Wind, estimate_wind
-from hexjet_identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut_windows, without_gyro_offset
+from hexjet_identify.replay.windows import CHANNELS, CutFlight, accelerometer_zero, cut_windows, without_gyro_offset
 
 # Largest gain of measured over modelled that still counts as an answer to the command.
 MAX_GAIN_DB: Final = 10.0
@@ -55,7 +55,7 @@ class Replay:
     vehicle: Vehicle
     engine: str
     choices: Choices
-    flying: Flying
+    flying: CutFlight
     modelled: Array
     low: Array
     high: Array
@@ -223,7 +223,7 @@ def replay(
     flying = settle_starts(model, flying, wind.velocity)
     flight = flying.flight
 
-    def fly(change: Change) -> Flown:
+    def fly(change: Change) -> ModelOutput:
         return model.fly(flight, flying.windows, flying.starts, change, wind.velocity)
 
     modelled = flying.modelled(fly(Change()))

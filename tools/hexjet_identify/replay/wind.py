@@ -9,7 +9,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.signals import ZERO3, Vector3
 from hexjet_identify.replay.flown import Model
-from hexjet_identify.replay.windows import Flying
+from hexjet_identify.replay.windows import CutFlight
 
 
 class Wind(NamedTuple):
@@ -29,7 +29,12 @@ class Wind(NamedTuple):
 
 
 def estimate_wind(
-    model: Model, flying: Flying, most_windows: int = 10, rounds: int = 6, step_m_s: float = 8.0, most_m_s: float = 30.0
+    model: Model,
+    flying: CutFlight,
+    most_windows: int = 10,
+    rounds: int = 6,
+    step_m_s: float = 8.0,
+    most_m_s: float = 30.0,
 ) -> Wind:
     """Estimate a constant wind from the changes of velocity within some windows; 0 without a velocity.
 
@@ -70,13 +75,13 @@ def estimate_wind(
     return Wind(found, deviation, "")
 
 
-def _sum_rate_errors(model: Model, flying: Flying, wind: Vector3) -> float:
+def _sum_rate_errors(model: Model, flying: CutFlight, wind: Vector3) -> float:
     """Return the sum of squared errors of the rates in a wind, (rad/s)^2: it turns a vehicle with a wing."""
     flown = model.fly(flying.flight, flying.windows, flying.starts, None, wind)
     return float(np.nansum((flying.flight.rate - flown.rate)[flying.rows] ** 2))
 
 
-def _velocity_drift(model: Model, flying: Flying, wind: Array) -> Array:
+def _velocity_drift(model: Model, flying: CutFlight, wind: Array) -> Array:
     """Return the errors of the velocities north and east at the end of each window, (w, 2) [m/s]."""
     moved = (float(wind[0]), float(wind[1]), 0.0)
     flight = flying.flight

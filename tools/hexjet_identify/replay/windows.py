@@ -13,7 +13,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.results.log.columns import RATES
 from cosim.spec.vehicle import Vehicle
-from hexjet_identify.replay.flown import Change, Flown, Loads, Model, Starts, Window
+from hexjet_identify.replay.flown import Change, Loads, Model, ModelOutput, Starts, Window
 from hexjet_identify.replay.recorded import RecordedFlight
 
 CHANNELS: Final = (
@@ -24,7 +24,7 @@ CHANNELS: Final = (
 
 
 @dataclass(frozen=True)
-class Flying:
+class CutFlight:
     """A flight cut into windows of one length, with their starts and the noise of each channel (9,)."""
 
     flight: RecordedFlight
@@ -48,7 +48,7 @@ class Flying:
         values: Array = np.concatenate([flight.rate, flight.force, flight.angles], axis=1)[self.rows]
         return values
 
-    def modelled(self, flown: Flown) -> Array:
+    def modelled(self, flown: ModelOutput) -> Array:
         """Return the modelled CHANNELS in the windows, (w, n, 9), angles on the same turn as the measured ones."""
         angles = flown.angles + 2.0 * np.pi * np.round(
             (np.nan_to_num(self.flight.angles) - flown.angles) / (2.0 * np.pi)
@@ -56,13 +56,13 @@ class Flying:
         values: Array = np.concatenate([flown.rate, flown.force, angles], axis=1)[self.rows]
         return values
 
-    def only(self, chosen: Sequence[int]) -> Flying:
+    def only(self, chosen: Sequence[int]) -> CutFlight:
         """Return the flight with the ``chosen`` windows alone."""
         starts = Starts(*(values[list(chosen)] for values in self.starts))
         return replace(self, windows=tuple(self.windows[n] for n in chosen), starts=starts)
 
 
-def cut_windows(model: Model, flight: RecordedFlight, length_s: float, settling_s: float = 0.5) -> Flying:
+def cut_windows(model: Model, flight: RecordedFlight, length_s: float, settling_s: float = 0.5) -> CutFlight:
     """Cut a flight into windows in which its engines carry the vehicle.
 
     The first ``settling_s`` are left out: what was commanded before the log is not known.  The rates of a start are
@@ -92,7 +92,7 @@ def cut_windows(model: Model, flight: RecordedFlight, length_s: float, settling_
     late = np.minimum(np.array(starts) + round(gyro.filter_s / flight.step) + gyro.latency_samples, len(smooth) - 1)
     noise = measure_noise(model, flight, flies)
     moment = np.zeros((len(windows), 3))
-    return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
+    return CutFlight(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
 
 
 def _is_carried(model: Model, loads: Loads, min_share: float = 0.4) -> Flags:
@@ -150,7 +150,7 @@ def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
     return np.array([x, y, np.clip(z, -most, most)])
 
 
-def without_gyro_offset(flying: Flying) -> Flying:
+def without_gyro_offset(flying: CutFlight) -> CutFlight:
     """Return the flight without the gyro's offset from the derivative of its attitude, and note that.
 
     It is more than chance from three standard errors over the windows on, and from the attitude's noise on.
