@@ -36,7 +36,7 @@ def test_the_numbers_are_those_that_are_read_here(tmp_path: Path, kind: str) -> 
     else:
         assert isinstance(apart, FlightLog)
         assert isinstance(here, FlightLog)
-        assert (apart.kind, apart.remarks, list(apart.events)) == (here.kind, here.remarks, list(here.events))
+        assert (apart.kind, apart.remarks) == (here.kind, here.remarks)
         pairs = {name: (apart.channels[name].values, channel.values) for name, channel in here.channels.items()}
         times = [id(channel.times) for channel in here.channels.values()]
         again = [id(channel.times) for channel in apart.channels.values()]

@@ -71,7 +71,7 @@ def read(path: Path, number: int | None = None) -> FlightLog:
         remarks.append(f"{damage}, with {frames.unusable} that build on them" if frames.unusable else damage)
     if not frames.ended:
         remarks.append("the log has no end: it was cut short, or the power went")
-    return FlightLog(path, "Betaflight blackbox", _make_channels(head, frames), tuple(remarks), frames.events)
+    return FlightLog(path, "Betaflight blackbox", _make_channels(head, frames), tuple(remarks))
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,6 @@ class _FrameReader:
     head: Head
     rows: array[int] = field(default_factory=lambda: array("q"))
     others: dict[str, list[tuple[int, list[int]]]] = field(default_factory=dict)
-    events: list[tuple[float, str]] = field(default_factory=list)
     refused: int = 0  # frames that are damaged
     unusable: int = 0  # differences against a frame that is
     ended: bool = False
@@ -346,39 +345,31 @@ class _FrameReader:
         data = self.data
         kind = data[at]
         at += 1
-        text, resumed, ended = "", None, False
-        if kind == 0:
+        resumed, ended = None, False
+        # A sync beep, and the reason of a disarming.
+        if kind in (0, 15):
             _, at = unsigned(data, at)
-            text = "sync beep"
         elif kind in AUTOTUNE_EVENT_BYTES:
             at += AUTOTUNE_EVENT_BYTES[kind]
         elif kind == 13:
-            function = data[at]
-            if function & 0x80:
-                at += 5
-            else:
-                _, at = signed(data, at + 1)
-            text = f"adjustment {function & 0x7F}"
+            # An adjustment, to a float or to a whole number.
+            at = at + 5 if data[at] & 0x80 else signed(data, at + 1)[1]
         elif kind == 14:
+            # Logging goes on.
             count, at = unsigned(data, at)
             time, at = unsigned(data, at)
-            resumed, text = (count, time), "logging goes on"
-        elif kind == 15:
-            reason, at = unsigned(data, at)
-            text = f"disarmed, reason {reason}"
+            resumed = (count, time)
         elif kind == 30:
-            flags, at = unsigned(data, at)
-            _, at = unsigned(data, at)
-            text = f"flight mode flags {flags}"
+            # Flags of the flight mode, and those before.
+            at = unsigned(data, unsigned(data, at)[1])[1]
         elif kind == ENDEVENT and data.startswith(END, at):
-            ended, text = True, "end of log"
+            ended = True
         else:
             return at, None
 
         def done() -> None:
             self.accepted = resumed or self.accepted
             self.ended = ended
-            self.events += [(1e-6 * (resumed[1] if resumed else self.time), text)] if text else []
 
         return at, done
 

@@ -56,16 +56,12 @@ def read(path: Path) -> FlightLog:
     }
     units = _read_units(formats, tables)
     channels: dict[str, Channel] = {}
-    events: list[tuple[float, str]] = []
     for kind, rows in tables.items():
         name, _, columns, labels = formats[kind]
         stamp = next((label for label in ("TimeUS", "TimeMS") if label in labels), None)
         if stamp is None or name in FORMAT_MESSAGES:
             continue
         times = (1e-6 if stamp == "TimeUS" else 1e-3) * rows[stamp].astype(np.float64)
-        if name == "MSG" and "Message" in labels:
-            texts = [bytes(text).split(b"\0")[0].decode("utf-8", "replace") for text in rows["Message"]]
-            events = list(zip(times.tolist(), texts, strict=True))
         for full, part in name_instances(name, rows, _find_instance_field(columns, labels, units.get(kind))):
             for label, c in zip(labels, columns, strict=True):
                 if TYPES[c][1] and label != stamp:
@@ -75,7 +71,7 @@ def read(path: Path) -> FlightLog:
     remarks = [f"{passed} bytes are damaged and were passed over"] if passed else []
     if cut:
         remarks.append(f"the log was cut short, or the power went: it ends {cut} bytes into a message")
-    return FlightLog(path, "ArduPilot DataFlash", channels, tuple(remarks), events)
+    return FlightLog(path, "ArduPilot DataFlash", channels, tuple(remarks))
 
 
 class DataFlashNotes(NamedTuple):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,13 +74,12 @@ class LogSignals(NamedTuple):
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A log: channels by name, its ``kind``, ``remarks`` on the file, and ``events`` that it reports."""
+    """A log: channels by name, its ``kind``, and ``remarks`` on the file."""
 
     path: Path
     kind: str
     channels: Mapping[str, Channel]
     remarks: tuple[str, ...] = ()
-    events: Sequence[tuple[float, str]] = field(default=())
     engine: str = ""  # what flew, where the log says so
 
     def signal(self, text: str, notes: list[str] | None = None) -> Channel:

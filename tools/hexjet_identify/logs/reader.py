@@ -131,5 +131,4 @@ def _unpack_answer(path: Path, answer: bytearray, megabytes: float) -> FlightLog
     if "channels" not in fields:
         return TableColumns(**fields)
     channels = {name: Channel(*channel) for name, channel in fields["channels"].items()}
-    events = [(time, text) for time, text in fields["events"]]
-    return FlightLog(path, fields["kind"], channels, tuple(fields["remarks"]), events, fields["engine"])
+    return FlightLog(path, fields["kind"], channels, tuple(fields["remarks"]), fields["engine"])

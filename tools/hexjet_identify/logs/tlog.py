@@ -92,18 +92,13 @@ def read(path: Path) -> FlightLog:
     for number, which, sender in tables:
         senders.setdefault(_load_kinds()[number][which].name, set()).add(sender)
     channels: dict[str, Channel] = {}
-    events: list[tuple[float, str]] = []
     for key, table in tables.items():
         kind, sender = _load_kinds()[key[0]][key[1]], key[2]
         times = _choose_times(table, taken[key], clocks.get(sender))
         full = kind.name + (f"[{sender[0]}/{sender[1]}]" if len(senders[kind.name]) > 1 else "")
         for name, rows in name_instances(full, table, kind.instance, 2):
             channels |= _make_channels(name, kind, table[rows], times[rows])
-        if kind.name == "STATUSTEXT":
-            events += [
-                (float(t), text.decode("utf-8", "replace")) for t, text in zip(times, table["text"], strict=True)
-            ]
-    return FlightLog(path, "MAVLink telemetry log", channels, index.remarks(begin), sorted(events))
+    return FlightLog(path, "MAVLink telemetry log", channels, index.remarks(begin))
 
 
 @cache

@@ -52,8 +52,7 @@ def read(path: Path) -> FlightLog:
         remarks.append("the log was cut short, or the power went: it ends within a message")
     if missing := [int(dropout.duration) for dropout in log.dropouts]:
         remarks.append(f"{len(missing)} times the logger lost data, {1e-3 * sum(missing):.1f} s together")
-    events = [(1e-6 * int(message.timestamp), str(message.message)) for message in log.logged_messages]
-    return FlightLog(path, "ULog", channels, tuple(remarks), events)
+    return FlightLog(path, "ULog", channels, tuple(remarks))
 
 
 class _Remainder(io.BytesIO):
