@@ -19,7 +19,7 @@ MAX_LINES = {
     "tools/hexjet_design": 8_197,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 308,
-    "tools/hexjet_identify": 10_480,
+    "tools/hexjet_identify": 10_464,
     "tools/hexjet_laws": 586,
     "tools/hexjet_paper": 4_513,
     "tools/hexjet_prove": 6_478,
