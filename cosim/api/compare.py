@@ -222,7 +222,7 @@ def _load_labelled_flight(letter: str, flight: str | Path | Run, note: Callable[
     from cosim.flight import fly_watched as fly
     from cosim.results.comparison import ComparedFlight
     from cosim.results.log.readers import is_flight_log, read_flight_log
-    from cosim.results.run import finish_killed, open_run
+    from cosim.results.run import open_run, recover_killed_run
     from cosim.spec.scenario import Scenario, scenario_names
 
     if isinstance(flight, Run):
@@ -241,7 +241,7 @@ def _load_labelled_flight(letter: str, flight: str | Path | Run, note: Callable[
         run = open_run(path)
         return ComparedFlight(label, run.log, run, name)
     if path.suffix.lower() == ".toml" or name in scenario_names():
-        finish_killed(path)
+        recover_killed_run(path)
         run = fly(Scenario.read(name, []))
         return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
     if path.suffix.lower() in (".csv", ".parquet") or is_flight_log(path):

@@ -20,7 +20,7 @@ from cosim.campaign.workers.flight_row import Kinds, custom_metric_names, kinds
 
 
 def write_columns(folder: Path, study: Study) -> None:
-    """Write what is known of a study's columns into its folder.  Raises OSError, and InputError as the study's code."""
+    """Write the names of a study's columns into its folder.  Raises OSError; InputError for wrong user code."""
     keys = [asdict(replace(study.key(name), field=None)) for name in study.drawn]
     write_whole(folder / COLUMNS, json.dumps({"own": custom_metric_names(study), "keys": keys}, indent=1) + "\n")
 
@@ -38,8 +38,8 @@ def stored_kinds(folder: Path, study: Study) -> Kinds:
     except InputError as error:
         raise InputError(f"{path}: not the columns of a campaign: {error}") from error
     try:
-        metrics = [str(name) for name in _list(content["own"])]
-        keys = [Key(**{**key, "choices": tuple(_list(key["choices"]))}) for key in _list(content["keys"])]
+        metrics = [str(name) for name in _as_list(content["own"])]
+        keys = [Key(**{**key, "choices": tuple(_as_list(key["choices"]))}) for key in _as_list(content["keys"])]
     except (LookupError, TypeError) as error:
         raise InputError(
             f'{path}: not the columns of a campaign: must be an object with "own", a list of names, and "keys", a list '
@@ -49,7 +49,7 @@ def stored_kinds(folder: Path, study: Study) -> Kinds:
     return kinds(study, metrics)
 
 
-def _list(value: object) -> list[Any]:
+def _as_list(value: object) -> list[Any]:
     if not isinstance(value, list):
         raise TypeError
     return value

@@ -37,9 +37,9 @@ FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.h
 REFEREE = "referee.json"  # JSBSim's check of flights on arrays
 # What the campaign was started with: study, scenario, file hashes and installed versions.
 RECORD = "asked.toml"
-# Table of what a command adds to the study, and its key with the command's name.
+# Keys of the record: the table of what a command adds to the study, and in it the command's name.
 PLAN, COMMAND = "plan", "command"
-SWEEP = "hexjet sweep"  # command of a folder that names none
+SWEEP = "hexjet sweep"  # command if the record names none
 # Keys of study and scenario that no result depends on: titles and the origin of values.
 DESCRIPTIVE_KEYS = ("title", "description", "changed")
 CAMPAIGN_FILES = (  # files that campaigns write
@@ -63,7 +63,7 @@ class FrozenStudy:
         self.write_study(folder)
 
     def write_files(self, folder: Path) -> None:
-        """Put everything but the study into place.  Raises OSError."""
+        """Write all files but the study.  Raises OSError."""
         for name, content in self.files.items():
             write_whole(folder / name, content)
         write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
@@ -71,12 +71,12 @@ class FrozenStudy:
         remember_written(folder)
 
     def write_study(self, folder: Path) -> None:
-        """Put the study into place.  Raises OSError."""
+        """Write the study.  Raises OSError."""
         write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
 
     @property
     def asked(self) -> dict[str, Any]:
-        """Everything that rows depend on, as tables, with files as hashes."""
+        """All inputs that rows depend on, as tables, with files as hashes."""
         files = {name: sha256(content).hexdigest() for name, content in self.files.items()}
         return {STUDY: self.study, SCENARIO: self.scenario, "file": files, PLAN: self.plan}
 
@@ -102,12 +102,12 @@ def check_asked(folder: Path, frozen: FrozenStudy | None) -> None:
             change = f"other {FILES}" if name == FILES else f"{name} was {then} and is {value}"
             raise InputError(f"{folder}: what is installed changed since its first flight: {change}")
     if frozen is not None:
-        for name, was, now in _differences(asked, frozen.asked):
+        for name, was, now in _compare_records(asked, frozen.asked):
             raise InputError(f"{folder}: holds another study; {name} is {was} there and {now} here")
 
 
 def check_unedited(folder: Path) -> dict[str, Any]:
-    """Return the plan of a folder, as a table; empty for a sweep, and for folders of versions that kept no record.
+    """Check that a folder's study is unedited, and return its plan: empty for a sweep, or without a record.
 
     Raises InputError where study, scenario or a file of theirs is not as it was at the folder's first flight.
     """
@@ -116,7 +116,7 @@ def check_unedited(folder: Path) -> dict[str, Any]:
     asked = read_asked(folder)
     files = {name: sha256(read_file(folder / name)).hexdigest() for name in asked["file"]}
     now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files, PLAN: asked[PLAN]}
-    for name, was, value in _differences(asked, now):
+    for name, was, value in _compare_records(asked, now):
         raise InputError(f"{folder}: changed since its first flight; {name} was {was} and is {value}")
     return dict(asked[PLAN])
 
@@ -144,8 +144,8 @@ def extend_asked(folder: Path, study: Study) -> None:
     study.save(folder / STUDY)
 
 
-def _differences(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the differences of two records, the study's first: file, key and both values."""
+def _compare_records(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the differences of two records of inputs, the study's first: file, key and both values."""
     defaults = {
         name: field.get_default(call_default_factory=True)
         for name, field in Study.model_fields.items()
@@ -170,10 +170,10 @@ def freeze(study: Study, plan: Mapping[str, Any] | None = None) -> FrozenStudy:
     with build(with_values(base, {"controller": BASELINE.name})) as simulation:
         check_signals(simulation, allowed_metric_names(base))
         resolved, sources = resolve(simulation)
-        scenario = _scenario(study, resolved, simulation, sources)
-    controllers = [_controller(name, study.folder, sources) for name in study.controllers]
+        scenario = _make_scenario_table(study, resolved, simulation, sources)
+    controllers = [_copy_controller(name, study.folder, sources) for name in study.controllers]
     if not study.controllers:
-        scenario["controller"] = _controller(base.controller, base.folder, sources)
+        scenario["controller"] = _copy_controller(base.controller, base.folder, sources)
     renamed = study.resolved(Path(SCENARIO)).changed(
         controllers=controllers,
         vary=[
@@ -205,7 +205,7 @@ def load(folder: Path) -> Study:
 
 
 def is_campaign(folder: Path) -> bool:
-    """Return whether a folder has the flights of a study, begun at least."""
+    """Return whether a folder has the flights of a study, some or all."""
     return ((folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()) or _is_older_search(folder)
 
 
@@ -220,7 +220,7 @@ def _is_older_search(folder: Path) -> bool:
     return any((folder / name).is_file() for name in ("search.toml", "rare.toml"))
 
 
-def _scenario(
+def _make_scenario_table(
     study: Study, resolved: Scenario, simulation: Simulation, sources: dict[str, Path | bytes]
 ) -> dict[str, Any]:
     """Return the resolved scenario as a table; values that belong to a varied aircraft or engine stay unresolved."""
@@ -252,7 +252,7 @@ def _scenario(
 
 
 def _copied(base: Scenario, key: str, value: Any, sources: dict[str, Path | bytes]) -> Any:
-    """Return a value of a key; an aircraft or an engine file by the name of its copy in the campaign's folder."""
+    """Return a key's value; an aircraft or engine file by the name of its copy in the campaign's folder."""
     if key == "aircraft" and isinstance(value, str) and is_aircraft_path(value):
         return copy_vehicle(value, base.folder, sources)
     if key.split(".")[-1] == "engine" and isinstance(value, str) and is_file(value):
@@ -262,7 +262,7 @@ def _copied(base: Scenario, key: str, value: Any, sources: dict[str, Path | byte
     return value
 
 
-def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:
+def _copy_controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:
     """Return a controller's name in the campaign's folder; add the copies of its files to ``sources``."""
     if is_design(name):
         return _add_copy(folder / name, sources)
@@ -271,7 +271,7 @@ def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> st
 
 
 def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:
-    """Note a file to be copied, and return its name in the folder."""
+    """Add a file to those that are copied to the campaign's folder, and return its name there."""
     name, number = source.name, len(sources)
     while name in sources:
         name, number = f"{number}-{source.name}", number + 1

@@ -16,7 +16,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.results.summary import versions
 
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # versions of these change results
-KINDS = ("*.py", "*.c", "*.h", "*.toml", "*.xml")  # files whose hash is the version
+HASHED = ("*.py", "*.c", "*.h", "*.toml", "*.xml")  # patterns of the hashed files
 FILES = "files of aircraft, engines and program"  # name of this hash among the versions
 
 
@@ -25,11 +25,11 @@ def installed_versions() -> dict[str, str]:
     """Return the versions that determine a flight's numbers and may differ on other machines."""
     all_versions = versions()
     minor = ".".join(platform.python_version_tuple()[:2])
-    return {"python": minor, **{name: all_versions.get(name, "none") for name in PACKAGES}, FILES: _files()}
+    return {"python": minor, **{name: all_versions.get(name, "none") for name in PACKAGES}, FILES: _hash_files()}
 
 
 def list_differences(remote: Mapping[str, str], local: Mapping[str, str]) -> list[str]:
-    """Describe the versions that differ between there and here."""
+    """Describe the versions in which a remote machine differs from this one."""
     return [
         f"other {name}" if name == FILES else f"{name} {remote.get(name, 'none')} (here {value})"
         for name, value in local.items()
@@ -37,7 +37,7 @@ def list_differences(remote: Mapping[str, str], local: Mapping[str, str]) -> lis
     ]
 
 
-def _files() -> str:
+def _hash_files() -> str:
     digest = hashlib.sha256()
     for name, path in sorted(_list_files()):
         digest.update(f"{name}\n".encode() + hashlib.sha256(path.read_bytes()).digest())
@@ -45,11 +45,11 @@ def _files() -> str:
 
 
 def _list_files() -> list[tuple[str, Path]]:
-    """Return the shipped files that determine a flight's numbers, with names, of tools that add to a flight too."""
+    """Return names and paths of the shipped files, of tools too, that determine a flight's numbers."""
     entries = chain(entry_points(group=PLUGIN_GROUP), entry_points(group=HOOK_GROUP))
     adding = [entry for entry in entries if entry.dist and entry.dist.name == PACKAGES[0]]
     specs = [find_spec(name) for name in {"cosim", *(entry.module.partition(".")[0] for entry in adding)}]
     packages = [Path(spec.origin).parent for spec in specs if spec and spec.origin]
     roots = [*packages, data_folder("aircraft"), data_folder("engines")]
-    found = [(root, path.relative_to(root), path) for root in roots for kind in KINDS for path in root.rglob(kind)]
+    found = [(root, path.relative_to(root), path) for root in roots for kind in HASHED for path in root.rglob(kind)]
     return [(f"{root.name}/{part.as_posix()}", path) for root, part, path in found if "data" not in part.parts]

@@ -96,29 +96,31 @@ def run_sampler(
         batch.check(study)
     with Store.resume(folder, study, plan, kept) if is_begun else Store.create(folder, study, plan, kept) as store:  # type: ignore[arg-type]
 
-        def tell() -> None:
+        def report_progress() -> None:
             if progress is not None:
                 progress(store.tally, store.stored, store.of)
 
-        tell()
+        report_progress()
         with open_workers(workers) as flying:
             batch = load_batch(store.study)
             fleet = batch.BatchWorkers(flying) if batch else flying
             try:
-                result = _answer(sampler(store.study), lambda asked: _rows(store, asked, fleet, tell))
+                result = _drive_sampler(
+                    sampler(store.study), lambda asked: _get_rows(store, asked, fleet, report_progress)
+                )
                 if batch:
                     batch.judge(folder, flying)
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:
                 # The interruption may have come between storing a flight and reporting it.
-                tell()
+                report_progress()
                 raise
     return open_campaign(folder), result
 
 
-def _answer(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row]]) -> R:
-    """Run a sampler to its end and return its result."""
+def _drive_sampler(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row]]) -> R:
+    """Fly what a sampler requests until it ends, and return its result."""
     rows: Generator[Row] | None = None
     while True:
         try:
@@ -131,21 +133,21 @@ def _answer(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row
         rows = fly(asked)
 
 
-def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callable[[], None]) -> Generator[Row]:
-    """Yield the rows of the requested flights in that order; missing ones are flown and stored.
+def _get_rows(store: Store, asked: Iterable[Flight], workers: Workers, report: Callable[[], None]) -> Generator[Row]:
+    """Yield the rows of the requested flights in that order; those not yet stored are flown and stored.
 
     The rows of a study that may stop are stored in order, so that there are none beyond that.
     """
     keys: dict[int, str] = {}  # keys of the flights in progress
     to_fly, to_tell = tee((flight, store.key(flight)) for flight in asked)
 
-    def missing() -> Iterator[Flight]:
+    def missing_flights() -> Iterator[Flight]:
         for flight, key in to_fly:
             if key not in store.done:
                 keys[flight.number] = key
                 yield flight
 
-    flown = workers.fly(store.study, missing())
+    flown = workers.fly(store.study, missing_flights())
     waiting: dict[str, Row] = {}
     with closing(flown):  # type: ignore[type-var]  # both kinds of workers have close
         for _, key in to_tell:
@@ -156,12 +158,12 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
                 key_flown = keys.pop(int(row["flight"] or 0))
                 if store.study.until is None:
                     store.add(row)
-                    tell()
+                    report()
                 else:
                     waiting[key_flown] = row
             if key in waiting:
                 store.add(waiting.pop(key))
-                tell()
+                report()
             yield store.done[key]
 
 
@@ -205,7 +207,7 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
 
 
 def refuse_changes(what: str, **choices: Any) -> None:
-    """Raise InputError if one of these choices is made for a campaign that exists; ``what`` describes it."""
+    """Raise InputError if an option would change an existing campaign; ``what`` names the campaign."""
     for name, value in choices.items():
         if value not in (None, (), []) and value is not False:
             raise InputError(f"{what} and goes on as it began; leave out {name}")
@@ -250,7 +252,7 @@ def choose_workers(count: int | None, cluster: str | None, time_limit_s: float |
 
 
 def open_workers(workers: Workers | int | None) -> AbstractContextManager[Workers]:
-    """Open workers that are closed by whoever made them."""
+    """Open workers for a block of code; those given by the caller are left open."""
     if workers is None or isinstance(workers, int):
         return LocalWorkers(count_processors() if workers is None else workers)
     return nullcontext(workers)

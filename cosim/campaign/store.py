@@ -1,6 +1,6 @@
 """The rows of a campaign on disk, whole and readable at every moment.
 
-``flights/part-00000.parquet`` and so on hold the rows in the order in which they were finished, ``PART_ROWS`` each but
+``flights/part-00000.parquet`` and so on hold the rows in the order in which they were finished, ``PART_SIZE`` each but
 for the last, which is now and then replaced by one that has all its rows and more.  What is finished since then is in
 ``flights.jsonl``, one row a line, written as the row comes: a process that is killed leaves at most its last line torn.
 A row leaves the journal only when it is in a part.
@@ -51,12 +51,12 @@ from cosim.campaign.workers.flight_row import KEY, Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
 from cosim.results.log.tables import NamedColumns
 
-PART_ROWS = 4096  # rows per part, 2 MB
-WRITE_S = 15.0  # s between writes, which take 50 ms
-SYNC_S = 1.0  # s of flights that a power cut may cost
+PART_SIZE = 4096  # rows per part, 2 MB
+WRITE_INTERVAL_S = 15.0  # s between writes, which take 50 ms
+SYNC_INTERVAL_S = 1.0  # s of flights that a power cut may cost
 _PARTS = "part-*.parquet"  # names of the parts
 _TALLIED = ("flight", "controller", "success", "outcome")  # columns that the tally needs
-_NOTHING: Row = {}  # shared, as there may be millions
+_EMPTY_ROW: Row = {}  # one object for millions of flights
 
 
 class Tally:
@@ -68,6 +68,7 @@ class Tally:
         self.outcomes: Counter[str] = Counter()
 
     def add(self, controller: str, success: bool, outcome: str) -> None:
+        """Count a finished flight."""
         self.flights[controller] += 1
         self.successes[controller] += success
         self.outcomes[outcome] += 1
@@ -100,7 +101,7 @@ class Store:
     def create(
         cls, folder: Path, study: Study, plan: Mapping[str, Any] | None = None, kept: Sequence[str] | None = ()
     ) -> Store:
-        """Begin in a folder without flights; ``plan``: what a command adds to the study.
+        """Begin a campaign in a folder without flights; ``plan`` is what a command adds to the study.
 
         Raises InputError if it holds anything of a campaign, or cannot be written to; nothing is changed then.
         """
@@ -117,7 +118,7 @@ class Store:
             # The journal is created first: without one, the campaign had hardly begun.
             journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)
         try:
-            return cls._begin_with(folder, journal, frozen, kept)
+            return cls._begin_in(folder, journal, frozen, kept)
         except InputError:
             for name in (*frozen.files, SCENARIO, RECORD, STUDY, JOURNAL, COLUMNS):
                 (folder / name).unlink(missing_ok=True)
@@ -126,7 +127,7 @@ class Store:
             raise
 
     @classmethod
-    def _begin_with(cls, folder: Path, journal: AppendedFile, frozen: FrozenStudy, kept: Sequence[str] | None) -> Store:
+    def _begin_in(cls, folder: Path, journal: AppendedFile, frozen: FrozenStudy, kept: Sequence[str] | None) -> Store:
         try:
             with map_os_errors(InputError, folder):
                 (folder / FLIGHTS).mkdir(exist_ok=True)
@@ -147,7 +148,7 @@ class Store:
         plan: Mapping[str, Any] | None = None,
         kept: Sequence[str] | None = (),
     ) -> Store:
-        """Continue with the flights in a folder, or begin if it was killed before the first.
+        """Continue a campaign in its folder, or begin it if its process was killed before the first flight.
 
         Raises InputError if the folder, or the program, is not as it was at the first flight, study or plan is another
         one than the folder's, or another process is at work there.
@@ -159,11 +160,11 @@ class Store:
         with map_os_errors(InputError, folder):
             journal = _open_journal(folder, os.O_CREAT)
         if frozen is not None and anew:
-            return cls._begin_with(folder, journal, frozen, kept)
+            return cls._begin_in(folder, journal, frozen, kept)
         try:
             check_asked(folder, frozen)
             store = cls(folder, journal, kept)
-            store._take_up()
+            store._read_finished_flights()
         except BaseException:
             journal.close()
             raise
@@ -189,7 +190,7 @@ class Store:
         row = row | {KEY: key}
         # Into memory first: Ctrl-C may come at any line, and rows of the journal alone never get into a part.
         self._rows.append(row)
-        self._count(row)
+        self._count_row(row)
         try:
             self._journal.append((json.dumps(row) + "\n").encode())
         except FlightError:
@@ -197,9 +198,9 @@ class Store:
             del self.done[key]
             raise
         now = time.monotonic()
-        if len(self._rows) >= PART_ROWS or now - self._last_write >= WRITE_S:
+        if len(self._rows) >= PART_SIZE or now - self._last_write >= WRITE_INTERVAL_S:
             self.flush()
-        elif now - self._last_sync >= SYNC_S:
+        elif now - self._last_sync >= SYNC_INTERVAL_S:
             self._journal.sync()
             self._last_sync = now
 
@@ -217,7 +218,7 @@ class Store:
             _sync_folder(path.parent)
             self._written = len(self._rows)
         os.ftruncate(self._journal.number, 0)
-        if self._written >= PART_ROWS:
+        if self._written >= PART_SIZE:
             self._part, self._rows, self._written = self._part + 1, [], 0
         self._last_write = time.monotonic()
 
@@ -243,29 +244,30 @@ class Store:
         with suppress(FlightError):
             self.close()
 
-    def _take_up(self) -> None:
-        """Find the finished flights, including those in the journal."""
+    def _read_finished_flights(self) -> None:
+        """Read the rows of finished flights from parts and journal, and move those of the journal into parts."""
         for leftover in (*self.folder.glob(".*.tmp"), *(self.folder / FLIGHTS).glob(".*.tmp")):  # of a killed process
             leftover.unlink(missing_ok=True)
-        paths = _parts(self.folder)
+        paths = _list_parts(self.folder)
         for path in paths:
             for row in _read_rows(path, None if self._kept is None else {KEY, *_TALLIED, *self._kept}):
-                self._count(row)
+                self._count_row(row)
             self._part = int(path.stem.removeprefix("part-")) + 1
         if paths:
             last = list(_read_rows(paths[-1]))
-            if len(last) < PART_ROWS:
+            if len(last) < PART_SIZE:
                 self._part, self._rows, self._written = self._part - 1, last, len(last)
-        for row in _journal(self.folder, self.of):
+        for row in _read_journal(self.folder, self.of):
             if row.get(KEY) is None or row[KEY] != self.key(flight_of(self.study, row)):
                 raise InputError(f"{self.folder / JOURNAL}: flight {row['flight']} is no flight of this study")
             if row[KEY] not in self.done:
-                self._count(row)
+                self._count_row(row)
                 self._rows.append(row)
         self.flush()
 
-    def _count(self, row: Row) -> None:
-        self.done[str(row[KEY])] = row if self._kept is None else {name: row[name] for name in self._kept} or _NOTHING
+    def _count_row(self, row: Row) -> None:
+        """Note the row of a finished flight, and count it."""
+        self.done[str(row[KEY])] = row if self._kept is None else {name: row[name] for name in self._kept} or _EMPTY_ROW
         self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
 
 
@@ -331,9 +333,9 @@ class _Columns(NamedColumns[list[Value]]):
     def __init__(self, folder: Path, columns: Kinds, of: int, success: Mapping[str, bool]) -> None:
         self._names, self._success = tuple(columns), success  # success as the referee judges it
         # The journal is read first: rows that leave it meanwhile are in a part.
-        journal_rows = {_flight_number(row): row for row in _journal(folder, of)}
-        self._parts = [(path, read_table(path, ("flight",))["flight"]) for path in _parts(folder)]
-        numbers = [number for _, stored in self._parts for number in stored]
+        journal_rows = {_flight_number(row): row for row in _read_journal(folder, of)}
+        self._list_parts = [(path, read_table(path, ("flight",))["flight"]) for path in _list_parts(folder)]
+        numbers = [number for _, stored in self._list_parts for number in stored]
         stored_numbers = set(numbers)
         self._journal_rows = [row for number, row in journal_rows.items() if number not in stored_numbers]
         numbers += [row["flight"] for row in self._journal_rows]
@@ -351,7 +353,7 @@ class _Columns(NamedColumns[list[Value]]):
             raise KeyError(f"no column {name!r}; {nearest(name, self._names)}")
         if name not in self._read:
             values: list[Value] = []
-            for path, stored in self._parts:
+            for path, stored in self._list_parts:
                 # A part may have grown at its end, and an older version may have written fewer columns.
                 values += read_table(path, (name,), lacking=True)[name][: len(stored)]
             values += [row.get(name) for row in self._journal_rows]
@@ -369,7 +371,7 @@ def _lacks_study(folder: Path) -> bool:
     return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
 
 
-def _parts(folder: Path) -> list[Path]:
+def _list_parts(folder: Path) -> list[Path]:
     return sorted((folder / FLIGHTS).glob(_PARTS))
 
 
@@ -378,7 +380,7 @@ def _read_rows(path: Path, names: Collection[str] | None = None) -> Iterator[Row
     return (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
 
 
-def _journal(folder: Path, of: int) -> Iterator[Row]:
+def _read_journal(folder: Path, of: int) -> Iterator[Row]:
     """Yield the rows of the journal up to its end, or to the line that is torn.
 
     Raises InputError if it cannot be read, or has anything but flights, below ``of`` where that is not 0.

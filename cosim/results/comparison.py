@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.results.log.columns import COLUMNS
+from cosim.results.log.columns import COLUMNS, EULER
 from cosim.results.log.recorder import Log, MemoryLog
 from cosim.results.log.tables import TIME
 from cosim.results.metrics import wrap
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
-_EULER = "body to NED"  # angles: differences go the short way
-# In steps: closer times are the same, because k * dt is rounded.
+# Times closer than this many steps are the same, because k * dt is rounded.
 _TIME_TOLERANCE = 1e-6
 
 
@@ -55,7 +54,7 @@ class LogComparison(NamedTuple):
     begins_s: float
     ends_s: float  # start of the last compared step
     steps_of: str  # the log with the shorter steps
-    held: str  # the other log, held; empty: equal steps
+    held: str  # log with held rows; empty: equal steps
     same: bool  # True: both whole logs are equal
     signals: tuple[Signal, ...]
     only_first: tuple[str, ...]  # columns that only the first log has
@@ -81,7 +80,7 @@ def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
 
 def compare_with_first(flights: Sequence[ComparedFlight]) -> list[LogComparison]:
     """Compare each flight with the first."""
-    return [_pair(flights[0], other) for other in flights[1:]]
+    return [_compare_pair(flights[0], other) for other in flights[1:]]
 
 
 def make_time_base(first: Log, second: Log) -> TimeBase:
@@ -107,7 +106,7 @@ def make_time_base(first: Log, second: Log) -> TimeBase:
 
 
 def difference(first: Log, second: Log, name: str, base: TimeBase) -> Array:
-    """Return a column of the second less that of the first on a base, angles the short way round."""
+    """Return a column of the second log less that of the first on a time base, angles wrapped to 180 deg."""
     return _subtract(first[name][base.first], second[name][base.second], name, first)
 
 
@@ -119,24 +118,24 @@ def median_step(times: Array) -> float:
 def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]]:
     """Return what differs between two runs' scenarios, versions and files: its key, and both values as texts."""
     try:
-        left, right = (_flat(side) for side in (first, second))
+        left, right = (_flatten_inputs(side) for side in (first, second))
     except InputError:  # an old scenario, no longer readable
         return []
     keys = dict.fromkeys([*left, *right])
     return [
-        (key, _short(left.get(key)), _short(right.get(key)))
+        (key, _abbreviate(left.get(key)), _abbreviate(right.get(key)))
         for key in keys
         if left.get(key) != right.get(key) and key not in ("title", "description", "changed")
     ]
 
 
-def _pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
+def _compare_pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
     base = make_time_base(first.log, second.log)
     columns_first, columns_second = first.log.columns, second.log.columns
     common = [name for name in columns_first if name in columns_second and name != TIME]
-    signals = tuple(_signals(first.log, second.log, common, base)) if base.times.size else ()
+    signals = tuple(_compare_signals(first.log, second.log, common, base)) if base.times.size else ()
     is_whole = base.times.size == len(first.log) == len(second.log) and columns_first == columns_second
-    times = is_whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
+    times = is_whole and _to_bytes(first.log[TIME]) == _to_bytes(second.log[TIME])
     finer = median_step(second.log[TIME]) < (1.0 - _TIME_TOLERANCE) * median_step(first.log[TIME])
     return LogComparison(
         first.label,
@@ -153,11 +152,11 @@ def _pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
     )
 
 
-def _signals(first: Log, second: Log, names: Sequence[str], base: TimeBase) -> Iterator[Signal]:
+def _compare_signals(first: Log, second: Log, names: Sequence[str], base: TimeBase) -> Iterator[Signal]:
     units = {column.name: column.unit for log in (first, second) for column in log.described}
     for name in names:
         left, right = first[name][base.first], second[name][base.second]
-        unlike = np.flatnonzero(_canonical(left) != _canonical(right))
+        unlike = np.flatnonzero(_canonical_bits(left) != _canonical_bits(right))
         finite = np.isfinite(left) & np.isfinite(right)
         size = np.abs(_subtract(left, right, name, first))
         peak = int(np.argmax(np.where(finite, size, -1.0)))
@@ -177,37 +176,37 @@ def _signals(first: Log, second: Log, names: Sequence[str], base: TimeBase) -> I
 def _subtract(left: Array, right: Array, name: str, log: Log) -> Array:
     apart: Array = right - left
     frame = next((column.frame for column in (*log.described, *COLUMNS) if column.name == name), "")
-    return np.asarray(wrap(apart)) if frame == _EULER else apart
+    return np.asarray(wrap(apart)) if frame == EULER else apart
 
 
-def _canonical(values: Array) -> NDArray[np.int64]:
-    """Return the bits of numbers, every NaN the same."""
+def _canonical_bits(values: Array) -> NDArray[np.int64]:
+    """Return numbers as bits, with one pattern for every NaN."""
     same = np.array(values, "<f8")
     same[np.isnan(same)] = np.nan
     return same.view(np.int64)
 
 
-def _bits(values: Array) -> bytes:
-    return _canonical(values).tobytes()
+def _to_bytes(values: Array) -> bytes:
+    return _canonical_bits(values).tobytes()
 
 
-def _flat(run: Run) -> dict[str, Any]:
+def _flatten_inputs(run: Run) -> dict[str, Any]:
     scenario: Scenario = run.scenario
     table = scenario.model_dump(mode="json", exclude_none=True)
     inputs = {"version": run.summary.versions, "blas_kernels": run.summary.blas_kernels, "sha256": run.summary.sha256}
-    return dict(_leaves({key: value for key, value in table.items() if key != "expect"} | inputs))
+    return dict(_list_leaves({key: value for key, value in table.items() if key != "expect"} | inputs))
 
 
-def _leaves(table: Mapping[str, Any] | Sequence[Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def _list_leaves(table: Mapping[str, Any] | Sequence[Any], before: str = "") -> Iterator[tuple[str, Any]]:
     entries = table.items() if isinstance(table, Mapping) else enumerate(table)
     for key, value in entries:
         nested = isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(v, dict) for v in value))
         if nested:
-            yield from _leaves(value, f"{before}{key}.")
+            yield from _list_leaves(value, f"{before}{key}.")
         else:
             yield f"{before}{key}", value
 
 
-def _short(value: Any) -> str:
+def _abbreviate(value: Any) -> str:
     text = "-" if value is None else value if isinstance(value, str) else str(value)
     return text if len(text) <= 40 else f"{text[:12]}..." if " " not in text else f"{text[:37]}..."

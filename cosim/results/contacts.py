@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.protocols import Columns
 
-CONTACTS = ("leaves the ground", "touches the ground")  # event when a leg stops, begins to touch
+CONTACTS = ("leaves the ground", "touches the ground")  # event when a leg lifts off, touches
 
 
 def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
@@ -19,7 +19,7 @@ def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
 
 
 def find_contact_changes(contact: NDArray[np.bool_], step_s: float, apart_s: float = 0.5) -> Iterator[tuple[int, bool]]:
-    """Yield rows where the vehicle leaves the ground (False) or stands (True), without bounces.
+    """Yield rows on which the vehicle leaves the ground (False) or comes to stand on it (True), without bounces.
 
     ``apart_s``: contacts nearer to each other than this are one.
     """
@@ -33,7 +33,7 @@ def find_contact_changes(contact: NDArray[np.bool_], step_s: float, apart_s: flo
 
 
 def height_error(setpoint: Array, altitude: Array, contact: NDArray[np.bool_] | None = None) -> Array:
-    """Return the height asked for minus the height (m) in every row.
+    """Return the set-point of the height minus the height (m) in every row.
 
     Where the vehicle stands (``contact``) and a lower height is asked for there is no error: the ground carries it.
     """

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
 MAX_EVENTS = 500  # events of one kind; the log has all
-PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # what carries the vehicle
+PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # by what carries the vehicle
 ON_JETS, ON_WING = 0.05, 0.5  # fractions of weight on the wing
 
 
 class Event(Record):
-    """Something that happened; ``end_s`` None: an instant, or for faults and disturbances to the end."""
+    """Event of a flight; ``end_s`` None: an instant, or for faults and disturbances to the end."""
 
     time_s: float
     kind: Kind
@@ -44,7 +44,7 @@ class Event(Record):
 
     @property
     def lasts(self) -> bool:
-        """Whether it is a stretch of time rather than an instant."""
+        """Whether the event has a duration."""
         return self.kind in ("fault", "disturbance")
 
 
@@ -155,7 +155,9 @@ def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Itera
             continue
         for start, end in spans(log[column] > 0.0, step):
             lines = [
-                fault.describe() for fault in scheduled if _is_of(fault, kind, name) and _acts(fault, start, end, step)
+                fault.describe()
+                for fault in scheduled
+                if _affects(fault, kind, name) and _acts(fault, start, end, step)
             ]
             where = f"jet {name}" if kind == "jet" else f"{name} {'servo' if kind == 'servo' else ''}".strip()
             yield Event(
@@ -168,7 +170,7 @@ def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Itera
             )
 
 
-def _is_of(fault: Fault, kind: str, name: str) -> bool:
+def _affects(fault: Fault, kind: str, name: str) -> bool:
     if kind == "jet":
         return int(name) in getattr(fault, "jet", ())
     return getattr(fault, kind, None) == name
@@ -193,11 +195,11 @@ def find_verdicts(log: Log, step: float) -> Iterator[Event]:
         believed = np.concatenate(([1.0], health))
         for row in np.flatnonzero(np.diff(believed) != 0.0)[:MAX_EVENTS].tolist():
             yield Event(
-                time_s=row * step, kind="monitor", text=f"jet {jet} {_health_text(believed[row + 1])}", severity=4
+                time_s=row * step, kind="monitor", text=f"jet {jet} {_describe_health(believed[row + 1])}", severity=4
             )
 
 
-def _health_text(health: float) -> str:
+def _describe_health(health: float) -> str:
     if health >= 1.0:
         return "reported healthy again"
     return "reported failed" if health <= 0.0 else f"reported weak: {100.0 * health:.0f} % of its command"
@@ -212,36 +214,36 @@ def find_contacts(log: Log, step: float) -> Iterator[Event]:
 def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
     """Yield the scenario's disturbances within the flight."""
     if any(scenario.environment.wind_ned_m_s):
-        yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
+        yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_format_speed(scenario.environment.wind_ned_m_s)}")
     for entry in scenario.disturbance:
         if entry.start_s < end:
             length = entry.duration_s
             end_s = None if length is None or entry.start_s + length > end else entry.start_s + length
-            yield Event(time_s=entry.start_s, kind="disturbance", text=_disturbance(entry), end_s=end_s, banded=True)
+            yield Event(time_s=entry.start_s, kind="disturbance", text=_describe_entry(entry), end_s=end_s, banded=True)
 
 
-def _disturbance(entry: DisturbanceEntry) -> str:
+def _describe_entry(entry: DisturbanceEntry) -> str:
     match entry.kind:
         case "force":
-            return f"force of {_size(entry.force_n)} N"
+            return f"force of {_format_norm(entry.force_n)} N"
         case "moment":
-            return f"moment of {_size(entry.moment_n_m)} N m"
+            return f"moment of {_format_norm(entry.moment_n_m)} N m"
         case "torque_command":
             return f"{entry.shape} on the {entry.axis} command"
         case "payload":
             return f"load of {entry.mass_kg:g} kg"
         case "wind":
-            return f"wind changes by {_speed(entry.velocity_ned_m_s)}"
+            return f"wind changes by {_format_speed(entry.velocity_ned_m_s)}"
         case "gust":
-            return f"gust of {_speed(entry.velocity_ned_m_s)}"
+            return f"gust of {_format_speed(entry.velocity_ned_m_s)}"
 
 
-def _size(vector: Iterable[float]) -> str:
+def _format_norm(vector: Iterable[float]) -> str:
     return f"{float(np.linalg.norm(list(vector))):.3g}"
 
 
-def _speed(velocity: Iterable[float]) -> str:
-    return f"{_size(velocity)} m/s"
+def _format_speed(velocity: Iterable[float]) -> str:
+    return f"{_format_norm(velocity)} m/s"
 
 
 def read_pilot_messages(folder: Path | None, step: float) -> Iterator[Event]:

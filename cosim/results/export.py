@@ -22,12 +22,12 @@ from cosim.results.run import LOG, RUN_FILES, Run, open_run
 from cosim.results.summary import Summary
 
 GROUP = "hexjet.exporters"  # entry points of further formats
-_DESCRIBED = {column.name: column for column in COLUMNS}  # unit and frame of the log's columns
+_COLUMN_BY_NAME = {column.name: column for column in COLUMNS}  # unit and frame of the log's columns
 
 
 def list_endings() -> dict[str, tuple[str, ...]]:
     """Return the endings of the files of each format that is installed, that of the default name first."""
-    endings: dict[str, tuple[str, ...]] = {to: (f".{to}",) for to in _OWN}
+    endings: dict[str, tuple[str, ...]] = {to: (f".{to}",) for to in _BUILT_IN}
     for entry in list_tools(GROUP):
         to, _, ending = entry.name.partition(".")
         endings[to] = (f".{ending}", f".{to}") if ending else (f".{to}",)
@@ -46,7 +46,7 @@ def export_log(to: str, folder: Path, out: Path | None = None, **options: Any) -
             "the log is Parquet already; another file (out) is a copy that says what was flown",
         )
         raise InputError(f"{path}: {copy if is_log else 'belongs to the run itself; choose another name'}")
-    write = _OWN.get(to) or next(each for each in list_tools(GROUP) if each.name.partition(".")[0] == to).load()
+    write = _BUILT_IN.get(to) or next(each for each in list_tools(GROUP) if each.name.partition(".")[0] == to).load()
     try:
         with replace_on_success(path) as temporary:
             write(run, temporary, **options)
@@ -87,11 +87,11 @@ def export_parquet(run: Run, path: Path) -> None:
     write_log(path, describe_columns(run), run.log.blocks(run.log.columns), run_properties(run.summary))
 
 
-_OWN: dict[str, Callable[..., None]] = {"csv": export_csv, "parquet": export_parquet}  # built-in formats
+_BUILT_IN: dict[str, Callable[..., None]] = {"csv": export_csv, "parquet": export_parquet}  # built-in formats
 
 
 def run_properties(summary: Summary) -> dict[str, str]:
-    """Return what a run is, by names that are the same in every format."""
+    """Return the metadata of a run, under names that are the same in every format."""
     return {
         "scenario": summary.scenario,
         "aircraft": summary.aircraft,
@@ -109,12 +109,12 @@ def run_properties(summary: Summary) -> dict[str, str]:
 
 
 def describe_columns(run: Run) -> list[Column]:
-    """Return the columns of a log with their meanings: from its file, or as today's where an older file is silent."""
+    """Return the columns of a log with unit, frame and meaning: from its file, or current ones if it has none."""
     columns = {column.name: column for column in run.log.described}
     empty = Column("", "", "", "")
     return [
         column
         if (column := columns.get(name, empty)).meaning
-        else _DESCRIBED.get(name, empty)._replace(name=name, source="")
+        else _COLUMN_BY_NAME.get(name, empty)._replace(name=name, source="")
         for name in run.log.columns
     ]

@@ -59,7 +59,7 @@ LIMITED = {  # metric by key of [limits]
 }
 
 
-NEVER_SETTLED = ".settling_time_s"  # None if a step has not settled
+SETTLING_TIME = ".settling_time_s"  # ending of settling times' names
 
 
 class LimitInputs(Record):
@@ -67,7 +67,7 @@ class LimitInputs(Record):
 
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s; climb and descent limits m/s
-    stated: dict[str, float | None]  # by key of [limits]; None: no limit
+    stated: dict[str, float | None]  # limit by key of [limits]; None: none
     piloted: bool  # True: an autopilot flies, no drift limit
     axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: an older run
 
@@ -179,7 +179,7 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
 def lean_motion(
     roll: Array, pitch: Array, yaw: Array, velocity: tuple[Array, Array], step_s: float, block: int = 65_536
 ) -> tuple[float, float] | None:
-    """Return the way (m) and the largest speed (m/s) that commanded leans explain: in still air, without drag.
+    """Return distance (m) and largest speed (m/s) that commanded leans cause: in still air, without drag.
 
     ``a = g tan(lean)`` of thrust along the body's -z axis that holds the weight, added up from the ``velocity`` at the
     start.  None where an angle is not commanded.  ``block``: whose leans are looked at together: 0.5 MB a column.
@@ -199,7 +199,7 @@ def lean_motion(
 
 
 def _velocity_changes(roll: Array, pitch: Array, yaw: Array, step_s: float) -> tuple[Array, Array]:
-    """Return the change of the velocity north and east (m/s) in every step that commanded leans explain."""
+    """Return the change of the velocity north and east (m/s) in every step that commanded leans cause."""
     upright = np.cos(roll) * np.cos(pitch)
     scale = np.where(upright > 0.0, -GRAVITY * step_s / np.maximum(upright, 1e-3), 0.0)
     sine, rolled = np.cos(roll) * np.sin(pitch), np.sin(roll)
@@ -224,7 +224,7 @@ def find_exceeded(limits: Mapping[str, float], flat: Mapping[str, float | None])
     return [
         name
         for name, most in limits.items()
-        if (name.endswith(NEVER_SETTLED) if (value := flat.get(name)) is None else value > most)
+        if (name.endswith(SETTLING_TIME) if (value := flat.get(name)) is None else value > most)
     ]
 
 

@@ -31,11 +31,11 @@ from cosim.spec.scenario import Range
 R = TypeVar("R", bound="Record")
 # Chosen by us: smaller offsets at the start are trim or noise and not a command.
 MIN_STEP_RAD = 1e-3
-SETTLING_BAND = 0.05  # of the step's size, as is common
+SETTLING_BAND = 0.05  # fraction of the step's size
 FINAL_WINDOW_S = 1.0  # window at the end of the flight
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")  # columns of what was not allocated
-POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")  # columns
-WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")  # columns
+POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")  # columns of the commanded position
+WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")  # columns of the wind
 # Columns of disturbances other than wind begin with these.
 UPSETS = ("disturbance_", "payload_kg", "fault_")
 WAYPOINTS_LEFT = "waypoints_left"  # column of scripts with waypoints
@@ -131,25 +131,25 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
     Without ``reach`` only what allocation refused counts as saturation.
     """
-    axes = {axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)}
+    axes = {axis: _axis_metrics(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)}
     contact, jets = find_contact_rows(log), jets_in(log.columns)
     saturated, flying = saturation_in_flight(log, reach), np.count_nonzero(~contact)
     altitude, speed = log["altitude_m"], np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])
-    return _record(
+    return _build(
         Metrics,
         axes=axes,
         altitude=altitude_metrics(log["altitude_setpoint_m"], altitude, contact),
         touchdown_m_s=touchdown(contact, altitude, log["velocity_down_m_s"]),
-        position=_position_of(log),
-        speed=_record(SpeedMetrics, max_m_s=_largest(speed), final_m_s=_at_end(speed)),
-        effort=_record(
+        position=_position_metrics(log),
+        speed=_build(SpeedMetrics, max_m_s=_peak(speed), final_m_s=_last_value(speed)),
+        effort=_build(
             EffortMetrics,
-            saturated_percent=_plain(100.0 * np.count_nonzero(saturated, axis=-1) / flying) if flying else None,
+            saturated_percent=_to_plain(100.0 * np.count_nonzero(saturated, axis=-1) / flying) if flying else None,
             alternating_percent=alternating_percent(_ranges(log, reach), step_s),
-            throttle_1_s=activity((log[name] for name in _of_jets(THROTTLE, jets)), step_s),
+            throttle_1_s=activity((log[name] for name in _jet_columns(THROTTLE, jets)), step_s),
             tilt_rad_s=activity((log[TILT.format(name)] for name in servos_in(log.columns)), step_s),
         ),
-        fuel_burnt_kg=fuel_burnt(log["fuel_kg"], (log[name] for name in _of_jets(FLOW, jets)), step_s),
+        fuel_burnt_kg=fuel_burnt(log["fuel_kg"], (log[name] for name in _jet_columns(FLOW, jets)), step_s),
     )
 
 
@@ -168,10 +168,10 @@ def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[s
         *([WAYPOINTS_LEFT] if waypoints else ()),
         *(
             *REFUSED,
-            *_of_jets(THROTTLE, jets),
-            *_of_jets(HEALTH, jets),
+            *_jet_columns(THROTTLE, jets),
+            *_jet_columns(HEALTH, jets),
             *_servo_columns(vehicle),
-            *_of_jets(FLOW, jets),
+            *_jet_columns(FLOW, jets),
             "fuel_kg",
         ),
         *WIND,
@@ -184,7 +184,7 @@ def _servo_columns(vehicle: LoggedVehicle) -> list[str]:
     return [TILT.format(name) for name in vehicle.servos] + [DEFLECTION.format(name) for name in vehicle.surfaces]
 
 
-def _of_jets(pattern: str, jets: int) -> list[str]:
+def _jet_columns(pattern: str, jets: int) -> list[str]:
     return [pattern.format(jet) for jet in range(1, jets + 1)]
 
 
@@ -192,34 +192,34 @@ def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
     return f"{axis}_setpoint_rad", f"{axis}_rad", f"rate_{rate}_setpoint_rad_s", f"rate_{rate}_rad_s"
 
 
-def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
+def _axis_metrics(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
     setpoint, angle, rate_setpoint, true_rate = (log[name] for name in _axis_columns(axis, rate))
     error = wrap(setpoint - angle)
-    last = _known(error[..., -round(FINAL_WINDOW_S / step_s) :])
-    steps, percent, seconds = _answer_steps(setpoint, angle, error, step_s)
-    return _record(
+    last = _finite_values(error[..., -round(FINAL_WINDOW_S / step_s) :])
+    steps, percent, seconds = _measure_steps(setpoint, angle, error, step_s)
+    return _build(
         AxisMetrics,
         commanded=bool(steps) or bool(np.any(np.diff(setpoint[np.isfinite(setpoint)]) != 0.0)),
         rmse_rad=_rms(error),
-        max_abs_error_rad=_largest(np.abs(error)),
+        max_abs_error_rad=_peak(np.abs(error)),
         overshoot_percent=percent,
         settling_time_s=seconds,
         rate_rmse_rad_s=_rms(rate_setpoint - true_rate),
-        final_error_rad=_plain(np.mean(np.abs(last), axis=-1)) if last.size else None,
-        oscillation_rad=_plain(0.5 * np.ptp(last, axis=-1)) if last.size else None,
+        final_error_rad=_to_plain(np.mean(np.abs(last), axis=-1)) if last.size else None,
+        oscillation_rad=_to_plain(0.5 * np.ptp(last, axis=-1)) if last.size else None,
     )
 
 
-def _answer_steps(setpoint: Array, angle: Array, error: Array, step_s: float) -> tuple[list[Step], Any, Any]:
-    """Return the steps of a set-point, and the worst overshoot and settling time of the answers to them."""
+def _measure_steps(setpoint: Array, angle: Array, error: Array, step_s: float) -> tuple[list[Step], Any, Any]:
+    """Return the steps of a set-point, and the worst overshoot and settling time of the responses."""
     if error.ndim > 1 and not (len(setpoint) == 1 and np.all(angle[:, 0] == angle[0, 0])):
         tables = np.broadcast_arrays(setpoint, angle, error)
-        each = [_answer_steps(a, b, c, step_s)[1:] for a, b, c in zip(*tables, strict=True)]
+        each = [_measure_steps(a, b, c, step_s)[1:] for a, b, c in zip(*tables, strict=True)]
         return [], *np.array(each, dtype=float).T
     steps = find_steps(np.ravel(setpoint), np.ravel(angle[..., :1]), step_s)
     answers = [(error[..., first:end], size) for first, end, size in steps]
-    over = _worst([overshoot(answer, size) for answer, size in answers])
-    return steps, over, _worst([settling_time(answer, size, step_s) for answer, size in answers])
+    over = _max_or_none([overshoot(answer, size) for answer, size in answers])
+    return steps, over, _max_or_none([settling_time(answer, size, step_s) for answer, size in answers])
 
 
 def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2) -> list[Step]:
@@ -249,8 +249,8 @@ def overshoot(error: Array, size: float) -> Any:
 
     ``error`` is target minus response, one value a row; ``size`` is the step's, in the same unit.
     """
-    past = _largest(-error * np.sign(size))
-    return None if past is None else _plain(np.maximum(100.0 * past / abs(size), 0.0))
+    past = _peak(-error * np.sign(size))
+    return None if past is None else _to_plain(np.maximum(100.0 * past / abs(size), 0.0))
 
 
 def settling_time(error: Array, size: float, step_s: float) -> Any:
@@ -268,7 +268,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
     """Return the metrics of the height error (m), over the rows that have a set-point."""
     error = height_error(setpoint, altitude, contact)
     size = np.abs(error)
-    return _record(AltitudeMetrics, rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
+    return _build(AltitudeMetrics, rmse_m=_rms(error), max_abs_error_m=_peak(size), final_error_m=_last_value(size))
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
@@ -334,7 +334,7 @@ def alternating_percent(
         count = np.zeros((*turns.shape[:-1], turns.shape[-1] + 1), dtype=np.int32)
         np.cumsum(turns, axis=-1, out=count[..., 1:])
         own = 100.0 * np.max(count[..., rows:] - count[..., :-rows], axis=-1) / rows
-        worst = _plain(own if worst is None else np.maximum(worst, own))
+        worst = _to_plain(own if worst is None else np.maximum(worst, own))
     return worst
 
 
@@ -344,7 +344,7 @@ def activity(commands: Iterable[Array], step_s: float) -> float | None:
     It is the common measure of a control signal's effort.  A command without a number is left out.
     """
     values = [
-        _plain(np.sum(np.abs(np.diff(command)), axis=-1)) / ((command.shape[-1] - 1) * step_s)
+        _to_plain(np.sum(np.abs(np.diff(command)), axis=-1)) / ((command.shape[-1] - 1) * step_s)
         for command in commands
         if command.shape[-1] > 1 and np.all(np.isfinite(command))
     ]
@@ -358,21 +358,21 @@ def fuel_burnt(fuel: Array, flows: Iterable[Array], step_s: float) -> Any:
     """
     reported = [flow for flow in flows if flow.size and np.any(np.isfinite(flow))]
     if reported and fuel.size and np.all(np.isfinite(fuel)):
-        return _plain(fuel[..., 0] - fuel[..., -1])
-    burnt = [_plain(np.sum(flow[..., :-1], axis=-1)) for flow in reported if np.all(np.isfinite(flow))]
+        return _to_plain(fuel[..., 0] - fuel[..., -1])
+    burnt = [_to_plain(np.sum(flow[..., :-1], axis=-1)) for flow in reported if np.all(np.isfinite(flow))]
     return sum(burnt) * step_s if burnt else None
 
 
-def _position_of(log: Columns) -> PositionMetrics:
+def _position_metrics(log: Columns) -> PositionMetrics:
     north, east = log["north_m"], log["east_m"]
     drift = np.hypot(north - north[..., :1], east - east[..., :1]) if north.size else north
-    ends = {"drift_m": _largest(drift), "final_drift_m": _at_end(drift)}
+    ends = {"drift_m": _peak(drift), "final_drift_m": _last_value(drift)}
     if not commands_position(log):
-        return _record(PositionMetrics, **ends)
+        return _build(PositionMetrics, **ends)
     off = np.hypot(log[POSITION_SETPOINT[0]] - north, log[POSITION_SETPOINT[1]] - east)
-    remaining = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
-    errors = {"rmse_m": _rms(off), "max_abs_error_m": _largest(off), "final_error_m": _at_end(off)}
-    return _record(PositionMetrics, **ends, **errors, waypoints_left=remaining)
+    remaining = _last_value(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
+    errors = {"rmse_m": _rms(off), "max_abs_error_m": _peak(off), "final_error_m": _last_value(off)}
+    return _build(PositionMetrics, **ends, **errors, waypoints_left=remaining)
 
 
 def commands_position(log: Columns) -> bool:
@@ -435,56 +435,56 @@ def check_expectations(flat: Mapping[str, float | None], expected: Mapping[str, 
         value = flat[name]
         low, high = allowed.min, allowed.max
         if value is None:
-            complaints.append(f"{name}: this flight has none, expected {_span(low, high)}")
+            complaints.append(f"{name}: this flight has none, expected {_describe_range(low, high)}")
         elif (low is not None and value < low) or (high is not None and value > high):
-            complaints.append(f"{name} = {value:.6g}, expected {_span(low, high)}")
+            complaints.append(f"{name} = {value:.6g}, expected {_describe_range(low, high)}")
     return complaints
 
 
-def _span(low: float | None, high: float | None) -> str:
+def _describe_range(low: float | None, high: float | None) -> str:
     if low is None:
         return f"at most {high:g}"
     return f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
 
 
-def _record(kind: type[R], **values: Any) -> R:
+def _build(kind: type[R], **values: Any) -> R:
     """Return a record; one of many flights has arrays, which are not checked."""
     is_of_many = any(isinstance(value, np.ndarray) for value in values.values())
     return kind.model_construct(**values) if is_of_many else kind(**values)
 
 
-def _plain(value: Any) -> Any:
-    """Return the number of one flight as Python's, those of many as an array."""
+def _to_plain(value: Any) -> Any:
+    """Return the number of one flight as a Python number, those of many flights as an array."""
     return value if np.ndim(value) else float(value)
 
 
-def _known(values: Array) -> Array:
-    """Return the finite values of a flight; those of many are finite everywhere or nowhere."""
+def _finite_values(values: Array) -> Array:
+    """Return the finite values of one flight; values of many flights are finite everywhere or nowhere."""
     return values if values.ndim > 1 else values[np.isfinite(values)]
 
 
-def _at_end(values: Array) -> Any:
+def _last_value(values: Array) -> Any:
     if values.ndim > 1:
         return values[..., -1]
     return float(values[-1]) if values.size and np.isfinite(values[-1]) else None
 
 
 def _rms(values: Array) -> Any:
-    finite = _known(values)
+    finite = _finite_values(values)
     if not finite.size:
         return None
     largest = np.maximum(np.max(finite, axis=-1), -np.min(finite, axis=-1))
     # Scaled, so that no square overflows.
     scale = np.where(largest > 0.0, largest, 1.0)[..., None]
     scaled = np.divide(finite, scale, out=None if finite is values else finite)
-    return _plain(largest * np.sqrt(np.mean(np.square(scaled, out=scaled), axis=-1)))
+    return _to_plain(largest * np.sqrt(np.mean(np.square(scaled, out=scaled), axis=-1)))
 
 
-def _largest(values: Array) -> Any:
-    finite = _known(values)
-    return _plain(np.max(finite, axis=-1)) if finite.size else None
+def _peak(values: Array) -> Any:
+    finite = _finite_values(values)
+    return _to_plain(np.max(finite, axis=-1)) if finite.size else None
 
 
-def _worst(values: list[Any]) -> Any:
-    """Return the largest; None if there are none or one is None."""
-    return _plain(np.max(values, axis=0)) if values and all(value is not None for value in values) else None
+def _max_or_none(values: list[Any]) -> Any:
+    """Return the largest value; None if there is none or one value is None."""
+    return _to_plain(np.max(values, axis=0)) if values and all(value is not None for value in values) else None

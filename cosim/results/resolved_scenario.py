@@ -30,7 +30,7 @@ from cosim.vehicle.model_file import read_model
 
 
 def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
-    """Return the scenario with all numbers of vehicle and engines, and the files that go beside it."""
+    """Return the scenario with all numbers of vehicle and engines, and the files that it is written with."""
     scenario = simulation.flown_scenario
     files: dict[str, Path | bytes] = {}
     if scenario.requests is not None:
@@ -49,7 +49,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     if custom is not None:
         controller |= {"controller": copy_controller(custom, files), "controller_sha256": custom.sha256 or None}
         custom_parameters = custom.resolve_values(scenario.controller_parameters, "controller_parameters")
-        controller["controller_parameters"] = _floats(custom_parameters)
+        controller["controller_parameters"] = _to_floats(custom_parameters)
     aircraft, vehicle, names = copy_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
     # Each part was validated when the scenario was read, so nothing is validated again.
@@ -60,9 +60,9 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             "changed": list_changes(simulation.scenario, parameters),
             "command": commands,
             "engine": names[id(engine)],
-            "engine_parameters": _floats(engine.parameters),
+            "engine_parameters": _to_floats(engine.parameters),
             "stations": {
-                str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
+                str(number): Station(engine=names[id(station)], parameters=_to_floats(station.parameters))
                 for number, station in enumerate(simulation.stations, 1)
                 if station.source_key != engine.source_key or jets[number - 1].engine is not None
             },
@@ -78,7 +78,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
 
 
 def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tuple[str, dict[str, Any], dict[int, str]]:
-    """Return the aircraft's name beside a resolved scenario, its numbers, and its engines' names there.
+    """Return the aircraft's name relative to a resolved scenario, its numbers, and the names of its engines.
 
     The engines are those of their specs' ids; files of the user's, of aircraft and engines, are added to ``files``.
 
@@ -93,8 +93,8 @@ def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tup
     model = simulation.vehicle.model
     if model is not None:
         written[Path(model).name] = read_model(folder / model)
-        renamed = {"model": Path(model).name}
-        table, whole = table | renamed, whole | renamed
+        rename_engine = {"model": Path(model).name}
+        table, whole = table | rename_engine, whole | rename_engine
     written[VEHICLE] = b""
     for name in written:
         if name in files:
@@ -103,25 +103,25 @@ def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tup
     names = engine_files(specs, files)
     called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
     table, whole = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, whole))
-    files[VEHICLE] = toml_text(_written(table)).encode()
+    files[VEHICLE] = toml_text(_drop_none(table)).encode()
     return VEHICLE, whole, names
 
 
 def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str]) -> dict[str, Any]:
-    """Return a vehicle's table, its engine files seen from ``folder``, by their names beside a scenario.
+    """Return a vehicle's table with its engine files, relative to ``folder``, replaced by their copies' names.
 
     An engine that does not fly is left out.
     """
 
-    def renamed(part: dict[str, Any]) -> dict[str, Any]:
+    def rename_engine(part: dict[str, Any]) -> dict[str, Any]:
         engine = part.get("engine")
         if engine is None or not is_file(engine):
             return part
         name = called.get((folder / engine).resolve())
         return {key: value for key, value in part.items() if key != "engine"} | ({"engine": name} if name else {})
 
-    jets = {"jets": [renamed(jet) for jet in table["jets"]]} if "jets" in table else {}
-    return renamed(table) | jets
+    jets = {"jets": [rename_engine(jet) for jet in table["jets"]]} if "jets" in table else {}
+    return rename_engine(table) | jets
 
 
 def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
@@ -143,7 +143,7 @@ def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) ->
     specs = {source.resolve(): load_engine(str(source), {}, step, isolated=True) for source in sources}
     names = engine_files(list(specs.values()), files)
     table = _with_engines(table, location, {source: names[id(spec)] for source, spec in specs.items()})
-    written[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
+    written[f"{vehicle.name}-{VEHICLE}"] = toml_text(_drop_none(table)).encode()
     for name in written:
         if name in files:
             raise InputError(f"aircraft {vehicle.name}: another file has the name {name!r}")
@@ -151,10 +151,10 @@ def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) ->
     return f"{vehicle.name}-{VEHICLE}"
 
 
-def _written(table: Mapping[str, Any]) -> dict[str, Any]:
+def _drop_none(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table without the None that TOML cannot express."""
     return {
-        key: _written(value) if isinstance(value, Mapping) else value
+        key: _drop_none(value) if isinstance(value, Mapping) else value
         for key, value in table.items()
         if value is not None
     }
@@ -171,7 +171,7 @@ def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str,
     return by_key | ({"own_sha256": hashes} if hashes else {})
 
 
-def _floats(values: Mapping[str, float]) -> dict[str, float]:
+def _to_floats(values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
 
 
@@ -202,7 +202,7 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
     noted = {file.resolve(): name for name, file in files.items() if isinstance(file, Path)}
     copied: dict[Path, str] = {}
 
-    def copy(source: Path, content: Path | bytes) -> str:
+    def add_copy(source: Path, content: Path | bytes) -> str:
         target = source.resolve()
         if target not in copied:
             name, number = noted.get(target, source.name), len(copied)
@@ -217,8 +217,8 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
         if spec.library:
             names[id(spec)] = spec.name
             continue
-        archive = copy(spec.path, spec.path)
-        names[id(spec)] = archive if spec.mapping is None else copy(spec.mapping, _mapping(spec.mapping, archive))
+        archive = add_copy(spec.path, spec.path)
+        names[id(spec)] = archive if spec.mapping is None else add_copy(spec.mapping, _mapping(spec.mapping, archive))
     return names
 
 

@@ -225,7 +225,7 @@ class Recording:
             outcome, reason = "failed", str(error)
         folder = self._sink.path.parent
         try:
-            summary, log = _settle(folder, self._setup, outcome, reason, wall_s, pace, self._metrics)
+            summary, log = _convert_to_parquet(folder, self._setup, outcome, reason, wall_s, pace, self._metrics)
         finally:
             self._sink.close()
         self._sink.path.unlink()
@@ -280,7 +280,7 @@ def claim_folder(folder: Path, files: Mapping[str, Path | bytes] | None = None) 
 
 
 def open_run(folder: Path | str) -> Run:
-    """Return a finished run as :func:`cosim.fly` did; one that was killed is finished with all that it had written.
+    """Return the run of a folder as :func:`cosim.fly` does; of a killed run, what it had written.
 
     >>> open_run(fly("hover", "runs/one", settings={"duration_s": 0.2}).folder).summary.steps
     50
@@ -297,7 +297,7 @@ def open_run(folder: Path | str) -> Run:
     """
     folder = Path(folder)
     if (folder / STREAM).is_file():
-        _recover(folder)
+        _recover_run(folder)
     for name in (SUMMARY, LOG):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: no run here ({name} is missing)")
@@ -313,16 +313,16 @@ def open_run(folder: Path | str) -> Run:
     return Run(summary, ParquetLog(folder / LOG), folder)
 
 
-def finish_killed(scenario: Path) -> None:
-    """Finish a killed run, given its scenario file, so that the scenario ends where it did.
+def recover_killed_run(scenario: Path) -> None:
+    """Write log and summary of a run whose process was killed, given its scenario file.
 
     Raises InputError while the run is being flown.
     """
     if scenario.name == SCENARIO and (scenario.parent / STREAM).is_file():
-        _recover(scenario.parent)
+        _recover_run(scenario.parent)
 
 
-def _settle(
+def _convert_to_parquet(
     folder: Path,
     setup: Setup,
     outcome: Outcome,
@@ -331,7 +331,7 @@ def _settle(
     pace: PaceReport | None = None,
     custom: Sequence[CustomMetric] = (),
 ) -> tuple[Summary, ParquetLog]:
-    """Make Parquet and summary of a stream, and leave the stream."""
+    """Write the log and the summary of a stream, and keep the stream."""
     try:
         stream_to_parquet(folder / STREAM, folder / LOG)
         log = ParquetLog(folder / LOG)
@@ -345,7 +345,7 @@ def _settle(
     return summary, log
 
 
-def _recover(folder: Path) -> None:
+def _recover_run(folder: Path) -> None:
     """Finish a run whose process was killed."""
     stream = folder / STREAM
     with lock_file(stream, f"{folder}: a run is still being recorded here; wait until it ends"):
@@ -358,14 +358,14 @@ def _recover(folder: Path) -> None:
             except ValidationError as error:
                 raise InputError(f"{stream}: not a stream of this program") from error
             custom = [make_unavailable_metric(block.name) for block in setup.brought if block.key == "metrics"]
-            summary, log = _settle(folder, setup, "failed", "interrupted", None, custom=custom)
-            _shorten(folder, summary, len(log))
+            summary, log = _convert_to_parquet(folder, setup, "failed", "interrupted", None, custom=custom)
+            _shorten_scenario(folder, summary, len(log))
         elif not (folder / LOG).is_file():
             stream_to_parquet(stream, folder / LOG)
         stream.unlink()
 
 
-def _shorten(folder: Path, summary: Summary, steps: int) -> None:
+def _shorten_scenario(folder: Path, summary: Summary, steps: int) -> None:
     """End an open-ended scenario where its log ends."""
     scenario = Scenario.read(folder / SCENARIO)
     if scenario.requests is not None and steps:

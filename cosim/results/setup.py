@@ -67,7 +67,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         aircraft=scenario.aircraft_name,
         engine=engine.name,
         controller=label(scenario.controller),
-        own_controller=_own_controller(simulation),
+        own_controller=_describe_controller(simulation),
         brought=[
             PluginRecord(key=key, name=source.label, sha256=source.sha256, files=source.hashes, version=source.version)
             for key, sources in simulation.plugins.sources.items()
@@ -81,7 +81,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
         engine_uncertainty=_engine_uncertainty(engine),
-        stations=[_station(station, engine) for station in simulation.stations],
+        stations=[_describe_station(station, engine) for station in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**vars(row)) for row in simulation.ledger],
         reach=find_reach(simulation),
@@ -89,7 +89,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         expectation=find_expectation(scenario),
         requires=stated_requirements(scenario),
         event_times_s=event_times(scenario) if scenario.require else {},
-        notes=_notes(simulation, files, yardstick) if notes else [],
+        notes=_collect_notes(simulation, files, yardstick) if notes else [],
         versions=versions(),
         blas_kernels=kernels.find_kernels(),
         sha256={
@@ -108,7 +108,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
     ).retitled()
 
 
-def _notes(simulation: Simulation, flown: Sequence[FlownParameters], yardstick: LimitInputs) -> list[str]:
+def _collect_notes(simulation: Simulation, flown: Sequence[FlownParameters], yardstick: LimitInputs) -> list[str]:
     scenario, vehicle = simulation.scenario, simulation.vehicle
     return [
         *list_design_notes(flown, simulation.engine),
@@ -119,7 +119,7 @@ def _notes(simulation: Simulation, flown: Sequence[FlownParameters], yardstick: 
     ]
 
 
-def _own_controller(simulation: Simulation) -> OwnController | None:
+def _describe_controller(simulation: Simulation) -> OwnController | None:
     source, scenario = simulation.controller_source, simulation.scenario
     if source is None:
         return None
@@ -149,7 +149,7 @@ def describe_integration(scenario: Scenario) -> Integration:
 
 
 def find_reach(simulation: Simulation) -> Reach:
-    """Return the range of the throttles and tilts of a flight: by the built-in allocation, or at all."""
+    """Return the command ranges of throttles and tilts: those of the built-in allocation, or of the actuators."""
     vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
     jets = len(vehicle.jets)
     least, most = (0.0,) * jets, (1.0,) * jets
@@ -172,7 +172,7 @@ def _engine_uncertainty(spec: EngineSpec) -> EngineUncertainty | None:
     return EngineUncertainty(source=spec.uncertainty.source, parameters=rows)
 
 
-def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
+def _describe_station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
     curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
     file = "" if spec.library else (spec.mapping or spec.path).name
     return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, isolated=spec.isolated)

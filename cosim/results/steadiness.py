@@ -63,19 +63,19 @@ class Upsets:
                 acts[1:] |= (changed != 0.0) & np.isfinite(changed)
         self._count = np.concatenate((np.zeros(1, np.int32), np.cumsum(acts, dtype=np.int32)))
         winds = (log[name] for name in WIND if name in log.columns)
-        self._wind = [wind for wind in winds if not (wind.size and np.ptp(wind) <= wind_m_s)]  # that change at all
+        self._wind = [wind for wind in winds if not (wind.size and np.ptp(wind) <= wind_m_s)]  # components that change
         self._wind_m_s = wind_m_s
 
     def has_any(self, first: int, end: int) -> bool:
-        """Return whether anything acted anew on rows ``first`` to ``end - 1``."""
+        """Return whether a new disturbance acts on rows ``first`` to ``end - 1``."""
         return self.has_any_but_wind(first, end) or self.has_wind_change(first, end)
 
     def has_any_but_wind(self, first: int, end: int) -> bool:
-        """Return whether anything but the wind acted anew on these rows."""
+        """Return whether a new disturbance other than wind acts on these rows."""
         return bool(self._count[end] > self._count[first])
 
     def has_wind_change(self, first: int, end: int) -> bool:
-        """Return whether the wind changed on these rows."""
+        """Return whether the wind changes on these rows."""
         return any(np.ptp(wind[first:end]) > self._wind_m_s for wind in self._wind)
 
 
@@ -89,7 +89,7 @@ def settling_limit(axis: AxisLimitInputs, time_constants: float = 10.0) -> float
 
 
 def noise_floor(axis: AxisLimitInputs, step_s: float, deviations: float = 6.0) -> float:
-    """Return the half peak-to-peak (rad) of a second that cannot be told from the sensors' noise.
+    """Return the half peak-to-peak (rad) within a second that the noise of the sensors may cause.
 
     ``deviations`` of the root of the sum of the squares of the attitude's noise and of what the rate's noise moves an
     axis by: white noise of s rad/s through the attitude law's lag 1/K leaves ``s sqrt(dt / (2 K))``.  ``deviations``:
@@ -122,18 +122,18 @@ def axis_limits(
         if "settling_s" in chosen:
             limits[f"{name}.settling_time_s"] = chosen["settling_s"] if steps else None
         else:
-            limits[f"{name}.settling_time_s"] = _settling(axis, steps, wrap(setpoint - angle), upsets, step_s)
+            limits[f"{name}.settling_time_s"] = _judge_settling(axis, steps, wrap(setpoint - angle), upsets, step_s)
         if "oscillation_rad" in chosen:
             limits[f"{name}.oscillation_rad"] = chosen["oscillation_rad"]
         else:
-            limits[f"{name}.oscillation_rad"] = _oscillation(axis, steps, setpoint, upsets, step_s)
+            limits[f"{name}.oscillation_rad"] = _judge_oscillation(axis, steps, setpoint, upsets, step_s)
     return {name: value for name, value in limits.items() if value is not None}
 
 
-def _settling(
+def _judge_settling(
     axis: AxisLimitInputs, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float
 ) -> float | None:
-    """Return the limit of settling time (s); None if no step can tell, or not all and none is late.
+    """Return the limit of settling time (s); None if no step is undisturbed, or some are and none is late.
 
     A step of which 5 % are below the noise floor is settled within that floor.
     """
@@ -152,10 +152,10 @@ def _settling(
     return most if judged and all(time is not None and time <= most for time in measured) else None
 
 
-def _oscillation(
+def _judge_oscillation(
     axis: AxisLimitInputs, steps: Sequence[Step], setpoint: Array, upsets: Upsets, step_s: float
 ) -> float | None:
-    """Return the limit of residual oscillation (rad); None if the end of the flight cannot tell.
+    """Return the limit of residual oscillation (rad); None if the end of the flight is disturbed.
 
     It is ``SETTLING_BAND`` of the last step, or the noise floor if that is more, or ``MAX_SWING_IN_WIND_RAD`` while the
     wind changes, and beyond it what is left of how the set-point moved since the axis had time to settle before the

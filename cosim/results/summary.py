@@ -30,8 +30,8 @@ from cosim.results.metrics import (
     flight_metrics,
 )
 from cosim.results.requirements import (
+    FailedFlight,
     FlightSignals,
-    Lost,
     Requirement,
     RequirementResult,
     flight_requirements,
@@ -43,8 +43,8 @@ from cosim.simulation.plugins import CustomMetric
 from cosim.spec.controller_name import HASH_DIGITS, describe_controller
 from cosim.spec.scenario import Expectation
 
-_TITLED = ("aircraft", "engine", "controller", "design", "models")  # keys shown in the title already
-_AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"  # note on the scenario's own text
+_TITLE_KEYS = ("aircraft", "engine", "controller", "design", "models")  # keys shown in the title already
+_FILE_TEXT_NOTE = "Of the scenario as its file states it, not of this flight:"  # note on the scenario's own text
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")  # packages whose versions are recorded
 
 
@@ -69,7 +69,7 @@ class StationEngine(Record):
 
 
 class UncertainParameter(Record):
-    """One uncertain parameter of an engine, in its unit."""
+    """Uncertain parameter of an engine; all numbers are in its unit."""
 
     name: str
     nominal: float  # value in the mapping file
@@ -99,7 +99,7 @@ class Integration(Record):
 
     @property
     def methods(self) -> str:
-        """In words."""
+        """Description of the methods of integration."""
         air = [f"rates {self.rates}", f"velocities {self.velocities}"]
         if self.rates == self.velocities:
             air = [f"rates and velocities {self.rates}"]
@@ -192,17 +192,17 @@ class Setup(BaseModel):
         return self.engine + "".join(f" ({name} {value[:HASH_DIGITS]})" for name, value in files.items() if name)
 
     def retitled(self) -> Self:
-        """Return the same with a title of what flies, if it differs from the scenario's file.
+        """Return the setup with a title of what flies, if that differs from the scenario's file.
 
         The description is kept, marked as the scenario's.
         """
         if not self.changed:
             return self
-        texts = [text for text in self.changed if text.partition(" = ")[0] not in _TITLED]
+        texts = [text for text in self.changed if text.partition(" = ")[0] not in _TITLE_KEYS]
         listed = [*texts[:3], *([f"{len(texts) - 3} more changes"] if len(texts) > 3 else [])]
         title = f"{self.scenario}: {self.aircraft}, {self.engine_shown}, {self.controller_shown}"
         title += f", with {', '.join(listed)}" if listed else ""
-        story = f"{_AS_IN_FILE} {self.description.strip()}" if self.description.strip() else ""
+        story = f"{_FILE_TEXT_NOTE} {self.description.strip()}" if self.description.strip() else ""
         return self.model_copy(update={"title": title, "description": story})
 
 
@@ -316,9 +316,9 @@ def summarize(
     duration = steps * setup.step_s
     limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
     above = find_exceeded(limits, flat)
-    complaints = _complaints(setup.expectation, outcome, flat)
+    complaints = _list_unmet_expectations(setup.expectation, outcome, flat)
     met = None if setup.expectation is None else not complaints
-    lost = None if outcome == "completed" else Lost(duration, setup.planned_s)
+    lost = None if outcome == "completed" else FailedFlight(duration, setup.planned_s)
     results = assess_flight(setup, limits, FlightSignals(log, setup.step_s, flat, setup.event_times_s), lost)
     margin, decided_by = smallest_margin(results, lost)
     kept = all(result.kept for result in results if result.source == "require") if setup.requires else None
@@ -357,7 +357,7 @@ def summarize(
 
 
 def assess_flight(
-    setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: Lost | None
+    setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: FailedFlight | None
 ) -> list[RequirementResult]:
     """Return the flight's result for each requirement."""
     expected = {} if setup.expectation is None else setup.expectation.metrics
@@ -379,11 +379,11 @@ def _evaluate(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple
 
 def versions() -> dict[str, str]:
     """Return the versions that a run depends on, by name: Python and the packages that make its numbers."""
-    return dict(_versions())
+    return dict(_read_versions())
 
 
 @cache
-def _versions() -> dict[str, str]:
+def _read_versions() -> dict[str, str]:
     versions = {"python": python_version()}
     for package in PACKAGES:
         try:
@@ -394,11 +394,13 @@ def _versions() -> dict[str, str]:
 
 
 def now() -> str:
-    """Return the time of day, UTC, for :attr:`Setup.started`."""
+    """Return the present time as UTC text, for :attr:`Setup.started`."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping[str, float | None]) -> list[str]:
+def _list_unmet_expectations(
+    expectation: Expectation | None, outcome: Outcome, flat: Mapping[str, float | None]
+) -> list[str]:
     if expectation is None:
         return []
     wrong = (

@@ -12,7 +12,7 @@ from cosim.base.signals import AXES
 
 
 class Metric(NamedTuple):
-    """A metric: its key, its words, and the displayed unit with its factor."""
+    """Metric of a report: its key, its label, and the displayed unit with its factor."""
 
     name: str
     label: str

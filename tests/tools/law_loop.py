@@ -220,5 +220,5 @@ def roll() -> Channel:
     scenario = Scenario.load("roll-doublet")
     vehicle, _ = scenario.resolved_vehicle()
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    found = make.identify_there(scenario, vehicle, spec, None)
+    found = make.identify_hover(scenario, vehicle, spec, None)
     return channels(scenario, vehicle, spec, Actuator.of(spec.name, make.make_dynamics(found)))["roll"]

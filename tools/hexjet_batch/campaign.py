@@ -20,7 +20,7 @@ from cosim.base.storage.cache import RecentCache
 from cosim.results.limits import find_exceeded, flight_limits, make_limit_inputs
 from cosim.results.log.columns import logged_vehicle
 from cosim.results.metrics import Reach, columns, flatten, flight_metrics, metric_names
-from cosim.results.requirements import FlightSignals, Lost
+from cosim.results.requirements import FailedFlight, FlightSignals
 from cosim.results.requirements.signals import event_times
 from cosim.results.requirements.stated import columns_of
 from cosim.results.resolved_scenario import resolve
@@ -196,7 +196,7 @@ def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, know
     scenario, flown, step = group.scenarios[i], group.flight(i), group.n.step
     assert flown.ending is not None
     steps, log = len(flown.log), cast(Any, flown.log)  # its columns are all that is read
-    lost = None if flown.ending.outcome == "completed" else Lost(steps * step, scenario.duration_s)
+    lost = None if flown.ending.outcome == "completed" else FailedFlight(steps * step, scenario.duration_s)
     limits = flight_limits(make_limit_inputs(scenario, scenario.resolved_vehicle()[0]), log, step, known)
     signals = FlightSignals(log, step, flat, event_times(scenario) if scenario.require else {})
     results = assess_flight(setup, limits, signals, lost)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class DesignResult(FolderResult):
-    """A controller with predictor, model, gains, margins and the proof flown with them: ``designed`` has it all."""
+    """Designed controller with its model, gains, margins and proof; ``designed`` has all the details."""
 
     def __init__(self, designed: Design, autopilot: str | None = None, chosen: Sequence[tuple[str, str]] = ()) -> None:
         self.designed = designed
@@ -55,12 +55,12 @@ class DesignResult(FolderResult):
         file = prepare(folder)
         files = write(self.designed, file)
         if self._autopilot is not None and self.ok:
-            write_parameters = _ask_autopilots("autopilot_parameters", self._autopilot)
+            write_parameters = _load_autopilot_hook("autopilot_parameters", self._autopilot)
             files |= write_parameters(self._autopilot, self.designed.scenario, file)
         return files
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the curves."""
+        """Return the result without the curves."""
         from hexjet_design.result import to_dict
 
         return to_dict(self.designed, self.files)
@@ -199,7 +199,7 @@ def design(
         hears.note(line)
     firmware: Firmware | None = None
     if autopilot is not None:
-        firmware, controller = _loops_of(autopilot, vehicle, texts, controller, start)
+        firmware, controller = _load_firmware(autopilot, vehicle, texts, controller, start)
         lead = scheduled = proof = False
     spans = {"delay_tolerance": delay_tolerance, "gain_tolerance": gain_tolerance, "engine_spread": engine_spread}
     need = Requirements(
@@ -209,7 +209,7 @@ def design(
         noise_share=noise_share,
     )
 
-    def tell(text: str) -> None:
+    def report_progress(text: str) -> None:
         hears.update(text, 0, 1)
 
     seek = partial(
@@ -225,20 +225,20 @@ def design(
         scheduled=scheduled,
         start=None if start is None else Path(start),
         firmware=firmware,
-        say=tell,
+        say=report_progress,
     )
     designed = seek()
     if proof:
-        designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
+        designed = add_proof(designed, report_progress, lambda unsure: seek(unsure=unsure))
     if limit and designed.is_written:
-        designed = add_limits(designed, tell)
+        designed = add_limits(designed, report_progress)
     chosen = [("aircraft", vehicle)] if vehicle != "hexjet" else []
     chosen += [] if engine is None else [("engine", str(engine))]
     result = DesignResult(designed, autopilot, [*chosen, *(("set", text) for text in texts)])
     return result if out is None else result.write(out)
 
 
-def _loops_of(
+def _load_firmware(
     autopilot: str, aircraft: str, settings: Sequence[str], controller: str, start: str | Path | None
 ) -> tuple[Firmware, str]:
     """Return an autopilot's own loops, and the controller that is designed for them.  Raises InputError."""
@@ -246,11 +246,11 @@ def _loops_of(
 
     if controller not in ("auto", BASELINE.name) or start is not None:
         raise InputError(f"autopilot {autopilot}: has no predictor of ours; leave controller and start out")
-    return _ask_autopilots("autopilot_loops", autopilot)(autopilot, aircraft, settings), BASELINE.name
+    return _load_autopilot_hook("autopilot_loops", autopilot)(autopilot, aircraft, settings), BASELINE.name
 
 
-def _ask_autopilots(hook: str, autopilot: str) -> Any:
-    """Return a function of the tool for autopilots.  Raises InputError if it is not installed."""
+def _load_autopilot_hook(hook: str, autopilot: str) -> Any:
+    """Return a function of the tool for autopilots.  Raises InputError if the tool is not installed."""
     if (function := load_hook(hook)) is None:
         raise InputError(f"autopilot {autopilot}: hexjet_sitl is not installed, which knows its loops and parameters")
     return function

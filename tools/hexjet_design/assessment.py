@@ -50,7 +50,7 @@ class Assessment:
 
 @dataclass(frozen=True)
 class AxisDesign:
-    """Design of one channel: shipped loop, candidates' objectives, and chosen loop."""
+    """Design of one channel: the shipped loop, the candidates' objectives, and the chosen loop."""
 
     channel: Channel
     before: Assessment
@@ -110,7 +110,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 
 
 def margins(closed: ClosedLoop) -> LeastMargins:
-    """Return what is kept of a loop's margins: of lag and lead the less, lead with a minus."""
+    """Return a loop's least margins: of lag and lead the smaller one, of which a lead is negative."""
     loop = closed.margins
     lag, lead = loop.phase_deg, loop.phase_lead_deg
     turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]

@@ -23,7 +23,7 @@ WITH_LEAD = " + lead"  # suffix of a candidate with a lead
 
 
 def candidate_names(controller: str, start: Path | None) -> Sequence[str]:
-    """Return the controllers that are tried.  Raises InputError for what no design can use."""
+    """Return the controllers to try.  Raises InputError for one that no design can use."""
     if controller == LAW:
         need_solver()
         if start is not None:
@@ -35,10 +35,10 @@ def candidate_names(controller: str, start: Path | None) -> Sequence[str]:
     return names
 
 
-def names_for_servos(
+def servo_candidates(
     names: Sequence[str], controller: str, vehicle: Vehicle, firmware: Firmware | None
 ) -> Sequence[str]:
-    """Return the controllers that are tried where servos turn the roll: a predictor is for engines that answer late."""
+    """Return the controllers to try if servos control roll: those without predictor, unless one is named."""
     if controller == LAW:
         raise InputError(f"controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
     return (BASELINE.name,) if controller == "auto" and firmware is None else names

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 # Columns of tables at a fuel level; the report has all columns.
-AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
+LEVEL_COLUMNS = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
 
 
 def print_design(result: DesignResult, verbose: bool = False) -> None:
@@ -23,7 +23,7 @@ def print_design(result: DesignResult, verbose: bool = False) -> None:
 
     design = result.designed
     say(f"{design.vehicle.name} with engine [bold]{design.engine.name}[/bold]", marked=True)
-    _say_all(answer_lines(design))
+    _print_lines(answer_lines(design))
     for name, path in result.files.items():
         say(f"{name}: {path}", wrap=False)
     if verbose:
@@ -39,38 +39,38 @@ def _print_details(design: Design) -> None:
 
     columns_shown = [k for k, column in enumerate(COLUMNS) if column not in ("attitude 1/s", "P", "I", "D", "delay ms")]
     columns = [list(column) for column in zip(COLUMNS, *channel_rows(design), strict=True)]
-    _show_in_pieces([columns[k] for k in columns_shown])
+    _print_in_pieces([columns[k] for k in columns_shown])
     if levels := level_rows(design):
-        columns_of_levels = [0, *(COLUMNS.index(column) for column in AT_A_LEVEL)]
-        _show([[row[k] for k in columns_of_levels] for row in (COLUMNS, *levels)])
-    _say_all([*row_lines(design), *detail_lines(design)])
+        columns_of_levels = [0, *(COLUMNS.index(column) for column in LEVEL_COLUMNS)]
+        _print_table([[row[k] for k in columns_of_levels] for row in (COLUMNS, *levels)])
+    _print_lines([*row_lines(design), *detail_lines(design)])
     if design.proof is not None and design.proof.compared:
         compared = design.proof.compared
-        _show_in_pieces([comparison_columns(compared), *comparison_rows(compared)])
+        _print_in_pieces([comparison_columns(compared), *comparison_rows(compared)])
         say(WORSE_WORDS)
 
 
-def _say_all(lines: Iterable[str]) -> None:
+def _print_lines(lines: Iterable[str]) -> None:
     for line in lines:
         say(line)
 
 
-def _show_in_pieces(lines: Sequence[Sequence[str]]) -> None:
+def _print_in_pieces(lines: Sequence[Sequence[str]]) -> None:
     """Print a table, headings first, in pieces of as many pairs of columns as the terminal is wide."""
     side = max(1, (terminal().width - 14) // 40 * 2)
     for first in range(1, len(lines[0]), side):
-        _show([[line[0], *line[first : first + side]] for line in lines])
+        _print_table([[line[0], *line[first : first + side]] for line in lines])
 
 
-def _show(lines: Sequence[Sequence[str]], name_width: int = 32) -> None:
+def _print_table(lines: Sequence[Sequence[str]], name_width: int = 32) -> None:
     """Print a table, headings first; a line's name is wrapped last."""
     width = min(name_width, max(len(line[0]) for line in lines))
     numbers = range(1, len(lines[0]))
     show_table(lines[0], lines[1:], numbers, name_width=width, pad_edge=False, collapse_padding=True)
 
 
-def _folder(arguments: Mapping[str, Any]) -> str:
-    """Name the folder by aircraft and engine."""
+def _default_folder(arguments: Mapping[str, Any]) -> str:
+    """Return the default folder, named by aircraft and engine."""
     from cosim.api.call.choices import engine_for
 
     aircraft, engine = arguments["aircraft"], arguments["engine"]
@@ -86,7 +86,7 @@ design = Command(
     metavars={"model": "FILE.toml", "start": "FILE.toml", "amplitude": "A", "out": "DIR|FILE.toml",
               "controller": "NAME"},
     writes=(".toml",),
-    folder=_folder,
+    folder=_default_folder,
     before=lambda arguments: one_thread(),
     notes="warning",
     succeeded=lambda result: result.ok,

@@ -21,7 +21,7 @@ from hexjet_design.proof.result import Proof
 
 
 def make_controller_table(design: Design, folder: Path | None = None) -> dict[str, Any]:
-    """Return the content of a controller file as a table; paths are seen from ``folder``, or absolute without one.
+    """Return the content of a controller file as a table; paths are relative to ``folder``, or absolute.
 
     Raises InputError for a design that was not found.
     """
@@ -54,7 +54,7 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
     if roll.needs_model:
         vehicle["identified"] = {
             design.engine.family: {
-                axis: _model(design.axes[axis].channel, chosen[axis], design).model_dump()
+                axis: _undelayed_model(design.axes[axis].channel, chosen[axis], design).model_dump()
                 for axis in AXES
                 if chosen[axis].tuning.needs_model
             }
@@ -64,8 +64,8 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
     purpose = Purpose(
         aircraft=design.vehicle.name,
         engine=spec.name,
-        aircraft_path=_path_of(scenario.aircraft, folder) if is_aircraft_path(scenario.aircraft) else None,
-        engine_path=None if spec.library else _path_of(scenario.engine, folder),
+        aircraft_path=_relative_path(scenario.aircraft, folder) if is_aircraft_path(scenario.aircraft) else None,
+        engine_path=None if spec.library else _relative_path(scenario.engine, folder),
         family=spec.family,
         engine_sha256=spec.identity,
         engine_parameters=dict(scenario.engine_parameters),
@@ -80,7 +80,7 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
         requirements=design.need,
         tolerances=design.tolerances or None,
         axes={
-            axis: _record(axis_design.after, axis_design.candidates)
+            axis: _axis_record(axis_design.after, axis_design.candidates)
             for axis, axis_design in design.axes.items()
             if axis_design.after
         },
@@ -93,7 +93,7 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
                 held={
                     axis: state.peak_sensitivity for axis, state in level.unscheduled.items() if state.peak_sensitivity
                 },
-                axes={axis: _record(state) for axis, state in level.after.items() if state.stable},
+                axes={axis: _axis_record(state) for axis, state in level.after.items() if state.stable},
             )
             for level in design.levels
         ],
@@ -107,7 +107,7 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
     }
 
 
-def _path_of(file: str, folder: Path | None) -> str:
+def _relative_path(file: str, folder: Path | None) -> str:
     return file if folder is None else Path(os.path.relpath(file, folder)).as_posix()
 
 
@@ -138,14 +138,14 @@ def _round_all(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: _round_all(value) if isinstance(value, dict) else round_gain(value) for key, value in table.items()}
 
 
-def _model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
+def _undelayed_model(channel: Channel, chosen: Assessment, design: Design) -> RateModel:
     """Return the predictor's model without the controller's added delay, which the flight adds again."""
     model = chosen.tuning.model
     origin = {"source": design.model_source, "engine_sha256": design.engine.fingerprint}
     return model.model_copy(update={"delay_samples": model.delay_samples - channel.added_delay, **origin})
 
 
-def _record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:
+def _axis_record(after: Assessment, candidates: Mapping[str, float] | None = None) -> AxisRecord:
     assert after.margins is not None
     same = ("controller", "peak_sensitivity", "bandwidth_hz", "tolerated", "overshoot", "settling_s")
     return AxisRecord.model_validate(

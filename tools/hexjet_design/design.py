@@ -28,16 +28,16 @@ from cosim.spec.vehicle import (
     read_models,
 )
 from hexjet_design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
-from hexjet_design.candidates import WITH_LEAD, candidate_names, design_axis_at_limit, find_simplest, names_for_servos
+from hexjet_design.candidates import WITH_LEAD, candidate_names, design_axis_at_limit, find_simplest, servo_candidates
 from hexjet_design.levels import (
     DESIGN_FUELS,
     THRUST_AXES,
     Level,
-    follow,
-    lead_there,
+    adapt_lead,
     make_levels,
     make_schedule,
     meets_requirements,
+    tune_levels,
     tunings_at,
 )
 from hexjet_design.limits import (
@@ -58,7 +58,7 @@ from hexjet_design.loop.limit import AxisLimit, axis_limit
 from hexjet_design.loop.programme import need_solver
 from hexjet_design.loop.tuning import Tuning
 from hexjet_design.proof.result import Proof
-from hexjet_design.tune import TuningResult, settle, tune, tune_near
+from hexjet_design.tune import TuningResult, tune, tune_digits, tune_near
 
 CHANNELS = (*AXES, "altitude")  # what a design has gains for
 
@@ -88,9 +88,9 @@ class Design:
     levels: Sequence[LevelDesign]  # full tank first; empty: no tank
     schedule: Schedule | None  # gain schedule; None: full tank's gains
     reason: str  # why not acceptable; empty: it is
-    allowing: Mapping[str, float]  # delay_s and lag_factor that would do
+    allowing: Mapping[str, float]  # delay_s, lag_factor that would suffice
     proof: Proof | None = None  # None: not requested
-    firmware: Firmware | None = None  # whose loop has the gains; None: ours
+    firmware: Firmware | None = None  # autopilot with the gains; None: ours
     tolerances: str = ""  # origin of tolerances not stated by hand
     # Limit by axis, if requested; or why there is none.
     performance: Mapping[str, AxisLimit | str] = field(default_factory=dict)
@@ -102,7 +102,7 @@ class Design:
 
     @property
     def is_written(self) -> bool:
-        """Whether a controller file is written, also as not proved if only off-design flights failed."""
+        """Whether a controller file is written: also one not proved, if only off-design flights failed."""
         if self.ok or self.proof is None or self.reason != self.proof.reason:
             return self.ok
         as_designed = [flight.fault for flight in self.proof.flights if flight.is_as_designed]
@@ -166,7 +166,7 @@ def design(
             f"outside {limits.throttle_min:g} to {limits.throttle_max:g}: it cannot be controlled, whatever the gains"
         )
     say(f"identifying {spec.name}")
-    identified = identify_there(scenario, vehicle, spec, amplitude)
+    identified = identify_hover(scenario, vehicle, spec, amplitude)
     dynamics = Actuator.of(spec.name, make_dynamics(identified, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
     say(f"uncertainty of {spec.name}")
@@ -181,7 +181,7 @@ def design(
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=of_axis)
     if plants["roll"].is_by_servo:
-        names = names_for_servos(names, controller, vehicle, firmware)
+        names = servo_candidates(names, controller, vehicle, firmware)
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
     inputs = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
@@ -195,7 +195,7 @@ def design(
     burning: list[LevelDesign] = []
     plan: Schedule | None = None
     if vehicle.fuel is not None and not reason and not model:
-        there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
+        there = _make_levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
         plan, burning, reason = _design_levels(axes, there, need, begin, scheduled, say)
     return Design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
@@ -228,7 +228,7 @@ def axis_requirements(axis: str, need: Requirements) -> Requirements:
     return need if axis in ("roll", "pitch") else need.model_copy(update={"min_bandwidth_hz": 0.0})
 
 
-def _levels(
+def _make_levels(
     scenario: Scenario,
     vehicle: Vehicle,
     spec: EngineSpec,
@@ -237,13 +237,13 @@ def _levels(
     unsure: tuple[tuple[float, float], ...],
     say: Say,
 ) -> list[Level]:
-    def dynamics(there: Vehicle) -> Actuator:
+    def identify_at(there: Vehicle) -> Actuator:
         if there.mass_kg == vehicle.mass_kg:
             return full
         say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
-        return Actuator.of(spec.name, make_dynamics(identify_there(scenario, there, spec, amplitude), unsure))
+        return Actuator.of(spec.name, make_dynamics(identify_hover(scenario, there, spec, amplitude), unsure))
 
-    return make_levels(scenario, vehicle, spec, dynamics)
+    return make_levels(scenario, vehicle, spec, identify_at)
 
 
 def _design_levels(
@@ -275,7 +275,7 @@ def _design_levels(
         if scheduled and not fits and not law:
             for axis in THRUST_AXES:
                 say(f"{axis}: with less fuel")
-                followed = follow(axis, levels, full[axis], needs[axis], level_tunings[axis], designed)
+                followed = tune_levels(axis, levels, full[axis], needs[axis], level_tunings[axis], designed)
                 if followed is None:
                     return None, [], f"{axis}: no gains keep the requirements with less fuel"
                 level_tunings[axis] = followed
@@ -329,7 +329,7 @@ def _resume_axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None, sta
     axis, vehicle, need = channel.name, inputs.vehicle, axis_requirements(channel.name, inputs.need)
     inputs.say(f"{axis}: {start.controller}")
     model, predictor = predictor_model(channel, inputs.source), roll.predictor if roll else start.predictor
-    start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
+    start = replace(start, model=model, lead=adapt_lead(start.lead, channel), predictor=predictor)
     tuned = tune_near(channel, start, need, not _follows_roll(axis, vehicle))
     before = assess(channel, shipped_tuning(channel, vehicle, inputs.spec), need)
     key = start.controller + (WITH_LEAD if start.lead else "")
@@ -355,8 +355,8 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     return scenario, scenario.resolved_vehicle()[0]
 
 
-def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
-    """Identify the engine around the throttle of hover."""
+def identify_hover(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, amplitude: float | None) -> Identification:
+    """Identify the engine around its throttle in hover."""
     throttle = throttle_for(spec, vehicle)
     # Of the throttle, around hover: limits on an engine's acceleration do not act on so small a change.
     min_swing = 0.005
@@ -428,12 +428,12 @@ def _design_axes(
         if begin is not None:
             axes[axis] = _resume_axis(plants[axis], inputs, chosen, begin[axis][1.0])
             continue
-        axes[axis] = _axis(plants[axis], inputs, chosen)
+        axes[axis] = _tune(plants[axis], inputs, chosen)
         if axis == "pitch" and (shared := _share_angle_gain(axes, plants, inputs)) is not None:
             inputs = shared
-            axes = {"roll": _axis(plants["roll"], inputs, None)}
+            axes = {"roll": _tune(plants["roll"], inputs, None)}
             again = axes["roll"].after
-            axes["pitch"] = _axis(plants["pitch"], inputs, again.tuning if again else None)
+            axes["pitch"] = _tune(plants["pitch"], inputs, again.tuning if again else None)
     return axes, inputs
 
 
@@ -447,13 +447,13 @@ def _share_angle_gain(
     firmware, roll = inputs.firmware, axes["roll"].after
     if firmware is None or not firmware.common_angle or roll is None or axes["pitch"].after is not None:
         return None
-    alone = _axis(plants["pitch"], replace(inputs, firmware=replace(firmware, common_angle=False)), roll.tuning).after
+    alone = _tune(plants["pitch"], replace(inputs, firmware=replace(firmware, common_angle=False)), roll.tuning).after
     if alone is None:
         return None
     return replace(inputs, firmware=replace(firmware, angle_gain=alone.tuning.angle_gain))
 
 
-def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:
+def _tune(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:
     """Tune all candidates of an axis and choose the best; ``roll`` is roll's tuning, None for roll."""
     axis, vehicle, say, need = channel.name, inputs.vehicle, inputs.say, axis_requirements(channel.name, inputs.need)
     predicted = roll is not None and _follows_roll(axis, vehicle)
@@ -483,7 +483,7 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
     if not isfinite(best.objective):
         nearest = describe_nearest(channel, tried, need)
         return AxisDesign(channel, before, objectives, None, {}, {}, nearest=nearest)
-    settled = settle(channel, best.tuning, need, not predicted)
+    settled = tune_digits(channel, best.tuning, need, not predicted)
     if settled is None and firmware is not None and firmware.units is not None:
         return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # no feasible rounded one
     after = assess(channel, settled or best.tuning, need)

@@ -24,15 +24,15 @@ def design_figures(design: Design) -> dict[str, Figure]:
     """Draw Plotly figures, by name: ``bode_roll``, ``nyquist_roll``, ``sensitivity_roll``, ``step_roll``, ..."""
     figures: dict[str, Figure] = {}
     for axis, axis_design in design.axes.items():
-        loops = _loops(axis_design)
+        loops = _close_loops(axis_design)
         figures[f"bode_{axis}"] = bode(_make_curves(loops))
         figures[f"nyquist_{axis}"] = nyquist(_make_curves(loops), design.need.max_sensitivity)
-        figures[f"sensitivity_{axis}"] = _sensitivity(loops, design)
-        figures[f"step_{axis}"] = _step(loops, axis_design)
+        figures[f"sensitivity_{axis}"] = _sensitivity_figure(loops, design)
+        figures[f"step_{axis}"] = _step_figure(loops, axis_design)
     return figures
 
 
-def _loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
+def _close_loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
     points = FrequencyGrid(axis_design.channel, close=1500)
     loops = []
     states: list[tuple[str, str, Tuning, bool]] = [
@@ -46,12 +46,12 @@ def _loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
     return loops
 
 
-def _hertz(loop: ClosedLoop) -> Array:
+def _grid_hz(loop: ClosedLoop) -> Array:
     return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
 
 
 class Curve(NamedTuple):
-    """Open loop as drawn: name, colour, ``L`` at rising frequencies [Hz], style."""
+    """Open loop to be drawn: name, colour, ``L`` at rising frequencies [Hz], style."""
 
     label: str
     colour: str
@@ -61,7 +61,7 @@ class Curve(NamedTuple):
 
 
 def _make_curves(loops: list[tuple[str, str, ClosedLoop, bool]]) -> list[Curve]:
-    return [Curve(label, colour, _hertz(loop), loop.open_loop) for label, colour, loop, _ in loops]
+    return [Curve(label, colour, _grid_hz(loop), loop.open_loop) for label, colour, loop, _ in loops]
 
 
 def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -> Figure:
@@ -70,7 +70,7 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
     The margins keep their signs: a gain margin is the change of gain to instability, a phase margin the lag to it.  The
     phase is between -360 and 0 deg.  ``more``: the titles of further panels below these, which stay empty.
     """
-    low, high = _about_crossover(curves)
+    low, high = _crossover_range(curves)
     data: list[Figure] = []
     for curve in curves:
         seen = (curve.hertz >= low) & (curve.hertz <= high)
@@ -101,7 +101,7 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
 
 
 class MarginPoint(NamedTuple):
-    """Where a loop has a margin: the frequency [Hz] and, there, its gain [dB] or phase [deg, -360 to 0]."""
+    """Point at which a loop has a margin: frequency [Hz], and gain [dB] or phase [deg, -360 to 0] there."""
 
     hertz: float
     value: float
@@ -114,10 +114,10 @@ def margin_points(loop: Complex, hertz: Array) -> tuple[MarginPoint | None, Marg
     """
     factors, of_axis, angles, of_circle = crossings(loop, 2.0 * pi * hertz)
     phases = _wrap_phase(np.degrees(angles) - 180.0)
-    return _nearest(-20.0 * np.log10(factors), 0.0, of_axis), _nearest(phases, -180.0, of_circle)
+    return _find_nearest(-20.0 * np.log10(factors), 0.0, of_axis), _find_nearest(phases, -180.0, of_circle)
 
 
-def _nearest(values: Array, limit: float, omega: Array) -> MarginPoint | None:
+def _find_nearest(values: Array, limit: float, omega: Array) -> MarginPoint | None:
     if not len(values):
         return None
     k = int(np.argmin(np.abs(values - limit)))
@@ -134,7 +134,7 @@ def decibels(loop: Complex) -> Array:
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(loop), np.finfo(np.float64).tiny)))
 
 
-def _about_crossover(curves: Sequence[Curve]) -> tuple[float, float]:
+def _crossover_range(curves: Sequence[Curve]) -> tuple[float, float]:
     """Return the frequencies [Hz] from a tenth of the least to ten times the greatest crossover, as far as known."""
     crossovers = []
     for curve in curves:
@@ -165,9 +165,9 @@ def nyquist(curves: Sequence[Curve], peak: float, height: int = 460, far: float 
     return {"data": data, "layout": layout}
 
 
-def _sensitivity(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:
+def _sensitivity_figure(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:
     data = []
-    hertz = _hertz(loops[0][2])
+    hertz = _grid_hz(loops[0][2])
     limit = design.need.max_sensitivity
     data.append(trace("limit", RED, hertz[[0, -1]], np.array([limit, limit]), line={"color": RED, "dash": "dash"}))
     for label, colour, loop, stable in loops:
@@ -179,10 +179,10 @@ def _sensitivity(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design)
     return {"data": data, "layout": layout}
 
 
-def _step(
+def _step_figure(
     loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign, points: int = 1500, times: float = 25.0
 ) -> Figure:
-    """Draw the answers in time over so many ``times`` the channel's pace."""
+    """Draw the step responses over ``times`` the pace of the channel."""
     data: list[Figure] = []
     end = times * axis_design.channel.pace_s
     for label, colour, loop, stable in loops:

@@ -41,7 +41,7 @@ class Level:
 def make_levels(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
 ) -> list[Level]:
-    """Return the fuel levels of a proof, full tank first; ``dynamics`` gives the engine of a vehicle.
+    """Return the fuel levels of a proof, full tank first; ``dynamics`` returns the engine model of a vehicle.
 
     With less thrust in hover there is less room below it, for a step as for noise, and the requirements stay the same.
     Of an axis that hinges give they are those of a full tank: allocation turns more where there is less to turn.
@@ -61,7 +61,7 @@ def meets_requirements(channel: Channel, tuning: Tuning, need: Requirements) -> 
     return is_acceptable(fine_loop(channel, tuning), need)
 
 
-def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
+def adapt_lead(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
     """Return a lead of the same form that cancels the engine's poles of this channel."""
     if lead is None:
         return None
@@ -72,7 +72,7 @@ def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
     return lead.model_copy(update={"natural_rad_s": natural, "damping": damping})
 
 
-def follow(
+def tune_levels(
     axis: str, levels: Sequence[Level], full: Tuning, need: Requirements, begin: Mapping[float, Tuning],
     designed: Collection[float] = DESIGN_FUELS,
 ) -> dict[float, Tuning] | None:  # fmt: skip
@@ -92,7 +92,7 @@ def follow(
         start = begin.get(level.fuel, last)
         # The derivative's filter, the predictor and its model stay those of the full tank.
         gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})
-        begun = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
+        begun = replace(full, angle_gain=start.angle_gain, gains=gains, lead=adapt_lead(start.lead, channel))
         tuned = tune_near(channel, begun, need, level=True)
         if tuned is None:
             return None
@@ -109,14 +109,14 @@ def make_schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, 
         level=[
             ThrustLevel(
                 share=round_gain(level.thrust_fraction),
-                **{axis: _factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
+                **{axis: _gain_factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
             )
             for level in rows
         ],
     )
 
 
-def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
+def _gain_factors(here: Tuning, full: Tuning) -> ScheduledGains:
     lead = here.lead
     factors = {
         "angle": round_gain(here.angle_gain / full.angle_gain),
@@ -130,7 +130,7 @@ def _factors(here: Tuning, full: Tuning) -> ScheduledGains:
 
 
 def tunings_at(plan: Schedule, full: Mapping[str, Tuning], thrust_fraction: float, step: float) -> dict[str, Tuning]:
-    """Return the tunings that act in flight at a collective, a fraction of the engines' range."""
+    """Return the scheduled tunings at a collective, which is a fraction of the range of the engines."""
     there = GainSchedule(plan, Leads(**{axis: tuning.lead for axis, tuning in full.items()}), step).at(thrust_fraction)
     return {"roll": scale_gains(full["roll"], there.roll), "altitude": scale_gains(full["altitude"], there.altitude)}
 

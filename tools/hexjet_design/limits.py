@@ -23,7 +23,7 @@ from hexjet_design.tune import TuningResult, tune
 GAIN_COUNT = 7  # gains tried within the tolerance
 BISECTIONS = 5  # steps to find an allowance
 
-Say = Callable[[str], None]  # is told the progress of the search
+Say = Callable[[str], None]  # receives the progress of the search
 
 
 def bandwidths_without_limits(
@@ -46,7 +46,7 @@ def bandwidths_without_limits(
 
 
 def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> dict[str, bool]:
-    """Check that a loop is stable at all tolerated whole samples of delay and gains, and with lags 30 % off."""
+    """Check that a loop is stable for all tolerated whole samples of delay and gains, and lags 30 % off."""
     wide = need.delay_samples(channel.transport_samples)
     middle = channel.actuator_delay
     whole = map(float, range(max(0, ceil(middle - wide)), floor(middle + wide) + 1))
@@ -54,19 +54,19 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
     gains = np.linspace(1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance, GAIN_COUNT)
     checks = {}
     checks[f"gain {gains[0]:.2f} to {gains[-1]:.2f} times delay {delays[0]:g} to {delays[-1]:g} samples"] = all(
-        _stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
+        _is_stable(replace(channel.with_delay(delay), gain=channel.gain * gain), tuning)
         for delay in delays
         for gain in (gains if channel.identified is None else gains[GAIN_COUNT // 2 : GAIN_COUNT // 2 + 1])
     )
     if channel.identified is None:
         actuator = SERVO if channel.is_by_servo else "engine"
         checks[f"lags of the {actuator} 0.7 and 1.3 times"] = all(
-            _stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
+            _is_stable(channel.with_lags(factor), tuning) for factor in (0.7, 1.3)
         )
     return checks
 
 
-def _stable(channel: Channel, tuning: Tuning) -> bool:
+def _is_stable(channel: Channel, tuning: Tuning) -> bool:
     return ClosedLoop(FrequencyGrid(channel, close=2000), tuning).unstable_poles == 0
 
 
@@ -114,23 +114,23 @@ def find_allowances(
     allowances = {}
     delay = channel.actuator_delay
 
-    def works(changed: Channel) -> bool:
+    def meets(changed: Channel) -> bool:
         fixed = roll.before.tuning
         lead, model = engine_lead(changed) if with_lead else None, changed.model("trial")
         return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
 
     say("which delay would allow one")
-    if delay > 0.0 and (fraction := _largest(lambda part: works(channel.with_delay(round(part * delay))))) is not None:
+    if delay > 0.0 and (fraction := _largest(lambda part: meets(channel.with_delay(round(part * delay))))) is not None:
         allowances["delay_s"] = round(fraction * delay) * channel.step
     if channel.identified is None:
         say("which lag would allow one")
-        if (fraction := _largest(lambda part: works(channel.with_lags(part)))) is not None:
+        if (fraction := _largest(lambda part: meets(channel.with_lags(part)))) is not None:
             allowances["lag_factor"] = fraction
     return allowances
 
 
 def _largest(works: Callable[[float], bool]) -> float | None:
-    """Return the largest factor from 0 to 1 that works, found by bisection; None if 0 does not."""
+    """Return the largest feasible factor from 0 to 1, found by bisection; None if 0 is infeasible."""
     if not works(0.0):
         return None
     low, high = 0.0, 1.0

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
-from hexjet_design.loop.programme import EVEN_DELAYS, Bounds, InvertedPlant, Programme, need_solver, splines
+from hexjet_design.loop.programme import UNIFORM_DELAYS, Bounds, InvertedPlant, Programme, need_solver, splines
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class LoadLimit:
 
 
 class _Plant(InvertedPlant):
-    """One output, which is all that the controller measures."""
+    """Plant with one output, which is all that the controller measures."""
 
     def __init__(self, numerator: Array, denominator: Array, step: float, delay: int, window: float | None) -> None:
         zeros, poles = np.roots(numerator), np.roots(denominator)
@@ -62,8 +62,8 @@ class _Plant(InvertedPlant):
             response = response.cumsum(0)
         return np.asarray(lfilter(np.convolve(self.inverted, self.kept), self._stable, response, axis=0))
 
-    def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
-        longer = np.concatenate([t, np.zeros((EVEN_DELAYS * self.late, *t.shape[1:]))])
+    def noise_responses(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
+        longer = np.concatenate([t, np.zeros((UNIFORM_DELAYS * self.late, *t.shape[1:]))])
         return self.to_command(longer), np.zeros((len(longer), 0)), np.zeros((0, 0))
 
     def evaluate(self, t: Array) -> LoadLimit:
@@ -72,7 +72,7 @@ class _Plant(InvertedPlant):
         return LoadLimit(
             float(np.abs(self.angle_of_load(acts)).sum()) * self.step,
             float(np.abs(np.fft.rfft(acts, 1 << 17)).max()),
-            float(np.linalg.norm(self.noise_of(t, t)[0])),
+            float(np.linalg.norm(self.noise_responses(t, t)[0])),
             complementary,
             self.samples * self.step,
         )

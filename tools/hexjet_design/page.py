@@ -14,7 +14,7 @@ FIGURES = (  # figures of each channel and their titles
     ("sensitivity", "sensitivity and closed loop"),
     ("step", "steps of set-point and load"),
 )
-TOLERATED = (  # note on tolerances
+TOLERANCES_NOTE = (  # note on tolerances
     "The loop is broken at the plant's input with attitude and rate loop closed. Tolerated: how many times the "
     "tolerances ({:.0f} % of the delay and {:.0f} % of the gain, both ways, together) make the loop unstable. The "
     "height is in metres where the others are in radians."
@@ -26,7 +26,7 @@ def make_page(design: Design) -> Page:
     answers, lines = answer_lines(design), detail_lines(design)
     wrong = [line for line in (*answers, *lines) if "NOT" in line or "no acceptable" in line or line.startswith(WORSE)]
     compared, need = design.proof.compared if design.proof else (), design.need
-    tolerances = TOLERATED.format(100.0 * need.delay_tolerance, 100.0 * need.gain_tolerance)
+    tolerances = TOLERANCES_NOTE.format(100.0 * need.delay_tolerance, 100.0 * need.gain_tolerance)
     cards = [
         Card("Shipped and designed, as flown", comparison_columns(compared), comparison_rows(compared),
              f"{WORSE_WORDS.capitalize()}.") if compared else None,

@@ -23,7 +23,7 @@ from hexjet_design.proof.comparison import comparison_lines, worse_lines
 from hexjet_design.proof.result import Proof
 
 NOT_PROVED = "NOT PROVED"  # mark of a design whose proof failed
-OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # options that may allow a failed design
+RELAXING_OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # options that may allow a failed design
 
 
 def write(design: Design, file: Path) -> dict[str, Path]:
@@ -44,7 +44,7 @@ def write(design: Design, file: Path) -> dict[str, Path]:
 
 
 def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str, Any]:
-    """Return everything but the curves, for JSON; None where something is not finite."""
+    """Return the design without curves as a table for JSON; None for numbers that are not finite."""
     identification = design.identification
     return {
         "ok": design.ok,
@@ -60,7 +60,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "tolerances": design.tolerances or None,
         "model_source": design.model_source,
         "identification": identification.to_dict() if identification else None,
-        "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
+        "axes": {axis: _axis_to_dict(axis_design) for axis, axis_design in design.axes.items()},
         "limit": {
             axis: {"reason": limit} if isinstance(limit, str) else limit.to_dict()
             for axis, limit in design.performance.items()
@@ -71,8 +71,8 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
                 "mass_kg": level.level.mass_kg,
                 "share": level.level.thrust_fraction,
                 "designed": level.designed,
-                "held": {axis: _assessment_dict(state) for axis, state in level.unscheduled.items()},
-                "after": {axis: _assessment_dict(state) for axis, state in level.after.items()},
+                "held": {axis: _assessment_to_dict(state) for axis, state in level.unscheduled.items()},
+                "after": {axis: _assessment_to_dict(state) for axis, state in level.after.items()},
                 "kept": dict(level.is_kept),
             }
             for level in design.levels
@@ -85,7 +85,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
     }
 
 
-def _axis_dict(axis_design: AxisDesign) -> dict[str, Any]:
+def _axis_to_dict(axis_design: AxisDesign) -> dict[str, Any]:
     channel = axis_design.channel
     return {
         "command_unit": channel.unit,
@@ -98,8 +98,8 @@ def _axis_dict(axis_design: AxisDesign) -> dict[str, Any]:
         "transport_delay_samples": channel.transport_samples,
         "all_delay_s": channel.slowness_s,
         "room": channel.room,
-        "before": _assessment_dict(axis_design.before),
-        "after": _assessment_dict(axis_design.after),
+        "before": _assessment_to_dict(axis_design.before),
+        "after": _assessment_to_dict(axis_design.after),
         "candidates": {name: value if isfinite(value) else None for name, value in axis_design.candidates.items()},
         "bandwidth_without_hz": dict(axis_design.limits),
         "checks": dict(axis_design.checks),
@@ -115,7 +115,7 @@ def _proof_record(proof: Proof) -> dict[str, Any]:
     return record
 
 
-def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
+def _assessment_to_dict(assessment: Assessment | None) -> dict[str, Any] | None:
     if assessment is None:
         return None
     values = {field.name: getattr(assessment, field.name) for field in fields(assessment)}
@@ -132,20 +132,17 @@ def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
     return values
 
 
-# ---- texts and tables
-
-
 def summary_lines(design: Design) -> list[str]:
-    """Return what a person has to know, a sentence each, the answer first."""
+    """Return the main findings, a sentence each, with the result first."""
     return [*answer_lines(design), *detail_lines(design)]
 
 
 def answer_lines(design: Design) -> list[str]:
     """Return the result: controller, proof, worse measures and limits; or why there is none."""
     if not design.is_written:
-        return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
+        return [f"no acceptable design: {design.reason}", *_relaxation_lines(design)]
     roll = design.axes["roll"]
-    lines = [] if design.ok else [f"{NOT_PROVED}: {design.reason}", *_allowing_lines(design)]
+    lines = [] if design.ok else [f"{NOT_PROVED}: {design.reason}", *_relaxation_lines(design)]
     lines += [f"controller: {design.controller}; {_compare_candidates(roll)}"]
     if design.proof is not None:
         lines += [*design.proof.lines(), *comparison_lines(design.proof.compared)]
@@ -155,7 +152,7 @@ def answer_lines(design: Design) -> list[str]:
 
 
 def detail_lines(design: Design) -> list[str]:
-    """Return what the answer rests on."""
+    """Return the evidence behind the result: models, loops, limits and proof."""
     lines = _model_lines(design)
     if not design.is_written:
         return [*lines, *(design.proof.lines() if design.proof else [])]
@@ -166,7 +163,7 @@ def detail_lines(design: Design) -> list[str]:
         for axis, axis_design in design.axes.items()
         if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
-    lines.append(_reach(design))
+    lines.append(_describe_saturation(design))
     lines += _level_lines(design)
     checks = [
         (axis, f"{'stable' if fine else 'NOT stable'} for {check}")
@@ -205,8 +202,8 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
             more = "" if m.delay_s is None else f", {1e3 * m.delay_s:.1f} ms more delay"
             less = None if m.gain_down_db is None else -m.gain_down_db
             lines.append(
-                f"{axis}: it takes {_decimals(m.gain_db, 1)} dB more gain, {_decimals(less, 1)} dB less, "
-                f"{_decimals(m.phase_deg, 1)} deg of phase{more} until it is unstable"
+                f"{axis}: it takes {_format_decimals(m.gain_db, 1)} dB more gain, {_format_decimals(less, 1)} dB less, "
+                f"{_format_decimals(m.phase_deg, 1)} deg of phase{more} until it is unstable"
             )
     return lines
 
@@ -325,7 +322,7 @@ def _level_lines(design: Design) -> list[str]:
     return [f"{text}: gains and leads follow the collective from {fractions} of the engines' range{worst}"]
 
 
-def _reach(design: Design) -> str:
+def _describe_saturation(design: Design) -> str:
     roll = design.axes["roll"]
     after = roll.after
     assert after is not None
@@ -337,7 +334,7 @@ def _reach(design: Design) -> str:
     )
 
 
-def _allowing_lines(design: Design) -> list[str]:
+def _relaxation_lines(design: Design) -> list[str]:
     lines = []
     if "delay_s" in design.allowing:
         lines.append(f"with a delay of at most {1e3 * design.allowing['delay_s']:.4g} ms there would be one")
@@ -351,7 +348,7 @@ def _allowing_lines(design: Design) -> list[str]:
     lines += [
         f"{name} {value:g} would allow it: with these gains that flight keeps what is promised"
         for name, value in design.allowing.items()
-        if name in OPTIONS
+        if name in RELAXING_OPTIONS
     ]
     if not design.allowing and design.axes["roll"].after is None:
         lines.append("neither less delay nor less lag of the engine alone would allow one")
@@ -448,17 +445,17 @@ def _cells(state: Assessment, channel: Channel) -> list[str]:
     m = state.margins
     return [
         *first,
-        _decimals(state.peak_sensitivity, 2),
-        _decimals(m.gain_db, 1),
-        _decimals(m.gain_down_db, 1),
-        _decimals(m.phase_deg, 1),
-        _decimals(None if m.delay_s is None else 1e3 * m.delay_s, 0),
-        _decimals(state.bandwidth_hz, 2),
-        _decimals(None if state.overshoot is None else 100.0 * state.overshoot, 1),
-        f"> {window_s(channel):.2g}" if state.settling_s is None else _decimals(state.settling_s, 2),
-        _decimals(state.tolerated, 2),
+        _format_decimals(state.peak_sensitivity, 2),
+        _format_decimals(m.gain_db, 1),
+        _format_decimals(m.gain_down_db, 1),
+        _format_decimals(m.phase_deg, 1),
+        _format_decimals(None if m.delay_s is None else 1e3 * m.delay_s, 0),
+        _format_decimals(state.bandwidth_hz, 2),
+        _format_decimals(None if state.overshoot is None else 100.0 * state.overshoot, 1),
+        f"> {window_s(channel):.2g}" if state.settling_s is None else _format_decimals(state.settling_s, 2),
+        _format_decimals(state.tolerated, 2),
     ]
 
 
-def _decimals(value: float | None, digits: int) -> str:
+def _format_decimals(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"

@@ -22,10 +22,10 @@ UNSTABLE = 1e3  # objective of unstable loops
 PENALTY = 100.0  # cost per relative excess, logarithmic
 MAX_GENERATIONS = 40  # of the global search
 MAX_EVALUATIONS = 200  # of a simplex search
-# Relative excess over the requirements with which a search may begin at its own answer.
+# Largest relative excess over the requirements of a tuning at which a further search may begin.
 MAX_EXCESS = 0.02
 ROUNDING_POINTS = 1500  # frequencies to round numbers
-MIN_STEP = 1e-6  # of the objective, to change a digit
+MIN_GAIN = 1e-6  # of the objective, for another digit
 MAX_PASSES = 1000  # over all numbers, so that it ends
 # The search keeps requirements by this relative margin, for what lies between its frequencies.
 MARGIN = 0.004
@@ -94,7 +94,7 @@ class TuningBounds:
             knob.name: float(x) * knob.scale(tau) for knob, x in zip(self._own, value[4:], strict=False)
         }
         predictor = self._spec.tuned(self._fixed.predictor, predictor_values)
-        smooth = _smooth(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
+        smooth = _choose_filter_s(float(d), self._channel.step) if d else self._fixed.gains.d_filter_s
         if firmware is not None:
             smooth, k = firmware.smooth(smooth), firmware.angle_gain or k
         gains = self._fixed.gains.model_copy(
@@ -188,10 +188,10 @@ def _cost(closed: ClosedLoop, need: Requirements) -> float:
     return objective(closed) + PENALTY * excess(closed, need, MARGIN) if not closed.unstable_poles else UNSTABLE
 
 
-def settle(
+def tune_digits(
     channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
 ) -> Tuning | None:
-    """Find the tuning in numbers of three digits near ``start`` that no change of a last digit improves.
+    """Find the tuning of three-digit numbers near ``start`` that no change of a last digit improves.
 
     More digits are not meant, and where the optimum is flat a search does not tell them from its own error: what is
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
@@ -200,10 +200,10 @@ def settle(
     points = FrequencyGrid(channel, close=ROUNDING_POINTS)
     firmware = start.firmware
     if firmware is not None and firmware.units is not None:
-        return _settle_in_whole_numbers(channel, start, need)
+        return _tune_integers(channel, start, need)
 
     def cost(values: Mapping[str, Digits]) -> float:
-        return _cost(ClosedLoop(points, _written(start, values, channel.step, level)), need)
+        return _cost(ClosedLoop(points, _apply_digits(start, values, channel.step, level)), need)
 
     values = {name: digits(value) for name, value in _search_values(start, predictor and not level).items()}
     best = cost(values)
@@ -212,16 +212,16 @@ def settle(
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
-                if (value := cost(trial)) < best - MIN_STEP:
+                if (value := cost(trial)) < best - MIN_GAIN:
                     values, best, moved = trial, value, True
         if not moved:
             break
-    tuning = _written(start, values, channel.step, level)
+    tuning = _apply_digits(start, values, channel.step, level)
     return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
 
-def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
-    """Improve an autopilot's integers as :func:`settle`, by steps of one in one or two of them.
+def _tune_integers(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
+    """Improve the integer gains of an autopilot as :func:`tune_digits`, by steps of one in one or two of them.
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
@@ -232,13 +232,13 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
     gains = start.gains
     gain_values = {"angle_gain": start.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
 
-    def at(values: Mapping[str, int]) -> Tuning:
+    def tuning_at(values: Mapping[str, int]) -> Tuning:
         scaled = {name: values[name] * units[name] for name in names}
         angle = scaled.pop("angle_gain", start.angle_gain)
         return replace(start, angle_gain=angle, gains=gains.model_copy(update=scaled))
 
     def cost(values: Mapping[str, int]) -> float:
-        return _cost(ClosedLoop(points, at(values)), need)
+        return _cost(ClosedLoop(points, tuning_at(values)), need)
 
     values = {name: min(max(1, round(gain_values[name] / units[name])), firmware.max_gain) for name in names}
     ways = [{name: way} for name in names for way in (1, -1)]
@@ -248,11 +248,11 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
-            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_STEP:
+            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_GAIN:
                 values, best, moved = trial, value, True
         if not moved:
             break
-    tuning = at(values)
+    tuning = tuning_at(values)
     return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
 
@@ -266,20 +266,22 @@ def tune_near(
     points = FrequencyGrid(channel)
     names = list(_search_values(start, predictor and not level))
 
-    def at(x: Array) -> Tuning:
+    def tuning_at(x: Array) -> Tuning:
         value = dict(zip(names, np.exp(x), strict=True))
-        return _with(start, {name: float(number) for name, number in value.items()}, channel.step, level)
+        return _apply_values(start, {name: float(number) for name, number in value.items()}, channel.step, level)
 
     def cost(x: Array) -> float:
-        return _cost(ClosedLoop(points, at(x)), need)
+        return _cost(ClosedLoop(points, tuning_at(x)), need)
 
     x = np.log([_search_values(start, True)[name] for name in names])
     x = _descend(cost, x, cost(x))
-    there = settle(channel, at(x), need, predictor, level)
+    there = tune_digits(channel, tuning_at(x), need, predictor, level)
     # Far from the requirements, rounding digit by digit would take long.
     fine = FrequencyGrid(channel, close=FINE_POINTS)
     here = (
-        settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < MAX_EXCESS else None
+        tune_digits(channel, start, need, predictor, level)
+        if excess(ClosedLoop(fine, start), need) < MAX_EXCESS
+        else None
     )
     if here is None or there is None:
         return here or there
@@ -320,20 +322,20 @@ def _search_values(tuning: Tuning, predictor: bool) -> dict[str, float]:
     return {name: value for name, value in values.items() if value > 0.0}
 
 
-def _written(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
+def _apply_digits(start: Tuning, values: Mapping[str, Digits], step: float, level: bool) -> Tuning:
     """Return ``start`` with searched numbers replaced by three-digit ones."""
-    tuning = _with(start, {name: _to_float(number) for name, number in values.items()}, step, level)
+    tuning = _apply_values(start, {name: _to_float(number) for name, number in values.items()}, step, level)
     smooth = _to_float(digits(tuning.gains.d_filter_s))
     if tuning.firmware is not None:
         smooth = tuning.firmware.smooth(smooth)
     return tuning if level else replace(tuning, gains=tuning.gains.model_copy(update={"d_filter_s": smooth}))
 
 
-def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
+def _apply_values(start: Tuning, value: Mapping[str, float], step: float, level: bool) -> Tuning:
     """Return ``start`` with searched numbers replaced."""
     gains: dict[str, float] = {name: value[name] for name in ("p", "i", "d") if name in value}
     if "d" in gains and not level:
-        gains["d_filter_s"] = _smooth(gains["d"] / gains["p"], step)
+        gains["d_filter_s"] = _choose_filter_s(gains["d"] / gains["p"], step)
         if start.firmware is not None:
             gains["d_filter_s"] = start.firmware.smooth(gains["d_filter_s"])
     predictor_values = {
@@ -351,6 +353,6 @@ def _with(start: Tuning, value: Mapping[str, float], step: float, level: bool) -
     )
 
 
-def _smooth(leads_by: float, step: float) -> float:
+def _choose_filter_s(leads_by: float, step: float) -> float:
     """Return the derivative's filter, s: a tenth of what the derivative leads by, but at least a step."""
     return max(step, 0.1 * leads_by)

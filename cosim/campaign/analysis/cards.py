@@ -22,18 +22,18 @@ from cosim.campaign.store import read_referee
 from cosim.results.report.cards import Card, code
 
 NONE = "–"  # shown where there is no number
-GRID_SHARES = "Shares of the grid's points and not probabilities: every combination counts alike, however likely it is."
-BOUNDS = (  # note on the two kinds of intervals
+GRID_NOTE = "Shares of the grid's points and not probabilities: every combination counts alike, however likely it is."
+INTERVALS_NOTE = (  # note on Wilson's and the exact interval
     "Thick is Wilson's interval, which holds 95 % on average; thin is Clopper and Pearson's exact one, which never "
     "holds less: quote it where a requirement must be shown to hold."
 )
-ENDINGS = "Missed: flew to its end, outside what counts as success. Failed: not flown to a verdict; no success."
-PAIR_COLUMNS = (  # heads of the comparison in pairs
+OUTCOMES_NOTE = "Missed: flew to its end, outside what counts as success. Failed: not flown to a verdict; no success."
+PAIR_COLUMNS = (  # heads of the paired comparison
     "second against first", "draws", "both succeed", "only the second", "only the first", "neither",
     "difference [points]", "95 %, paired", "p, McNemar",
 )  # fmt: skip
-SAME_DRAWS = "Only draws that both controllers have flown count: the same numbers, noise and turbulence."
-TESTS = (  # note on the tests in pairs
+COMMON_DRAWS_NOTE = "Only draws that both controllers have flown count: the same numbers, noise and turbulence."
+PAIRED_TEST_NOTE = (  # note on the paired comparison's test
     "The interval is Newcombe's for pairs (method 10); p, of McNemar's exact test, is corrected for the number of "
     "comparisons (Holm)."
 )
@@ -44,14 +44,14 @@ DIFFERENCES = (  # note on median differences
     "corrected for the number of metrics."
 )
 RANKING_COLUMNS = ("controller", "key", "index [%]", "95 %", "rank correlation", "95 %", "partial", "")
-FIRST_ORDER = (  # note on first-order indices
+FIRST_ORDER_NOTE = (  # note on first-order indices
     "First-order index: the share of the variance that would go if the key were known, for an effect of any shape, "
     "corrected for chance. Shaded is what the largest of all keys reaches by chance in 19 of 20 cases; a pale bar is "
     "not above it. A key that acts only together with others has no bar: the map shows it."
 )
-CORRELATED = "Correlated keys share what they explain; the partial correlation holds the others."
-NOT_RANKED = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
-SPREADS = (  # note on the spread of metrics
+CORRELATED_KEYS_NOTE = "Correlated keys share what they explain; the partial correlation holds the others."
+NO_RANKING_NOTE = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
+SPREADS_NOTE = (  # note on the spread of metrics
     "Median, the span of the middle 90 %, and of how many flights: those that completed and have the metric. Where "
     "many failed these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
     "complete, or has none."
@@ -63,7 +63,7 @@ def format_span(ends: Interval | None, form: str, factor: float = 1.0) -> str:
     return "" if ends is None else f"{factor * ends[0]:{form}} to {factor * ends[1]:{form}}"
 
 
-def _points(fraction: float | None) -> str:
+def _as_points(fraction: float | None) -> str:
     if fraction is None:
         return NONE
     text = f"{100.0 * fraction:+.1f}"
@@ -74,7 +74,7 @@ def _format_signed(value: float) -> str:
     return f"{value:+.3g}" if value else "0"
 
 
-def _format_probability(p: float) -> str:
+def _format_p_value(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 
@@ -87,7 +87,7 @@ def _card(
     is_folded: bool = False,
     figure: str | Sequence[str] = "",
 ) -> Card:
-    """Return a card; of a grid, which is no sample, without the columns of bounds and of tests."""
+    """Return a card; of a grid study, whose points are no random sample, without intervals and tests."""
     kept = [n for n, column in enumerate(columns) if not (is_grid and column.startswith(("95 %", "p, ")))]
     return Card(title, [columns[n] for n in kept], [[row[n] for n in kept] for row in rows], text, figure,
                 is_folded=is_folded)  # fmt: skip
@@ -106,7 +106,7 @@ def success_card(table: FlightTable, named: Sequence[str], found: Sequence[Propo
         for number, (name, each) in enumerate(zip(named, found, strict=True))
     ]  # fmt: skip
     columns = ("controller", "flights", "successes", share, "95 %, Wilson", "95 %, exact", *kinds)
-    text = f"{GRID_SHARES if table.grid else f'{BOUNDS} {note}'} {ENDINGS}"
+    text = f"{GRID_NOTE if table.grid else f'{INTERVALS_NOTE} {note}'} {OUTCOMES_NOTE}"
     title = "Success over the grid" if table.grid else "Probability of success"
     return _card(title, columns, rows, text, table.grid)
 
@@ -118,15 +118,15 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
     rows = [
         (
             name, *(f"{count:,}" for count in (pairs.draws, pairs.both, pairs.second, pairs.first, pairs.neither)),
-            _points(pairs.difference),
-            "" if each.interval is None else f"{_points(each.interval[0])} to {_points(each.interval[1])}",
-            _format_probability(each.p_holm),
+            _as_points(pairs.difference),
+            "" if each.interval is None else f"{_as_points(each.interval[0])} to {_as_points(each.interval[1])}",
+            _format_p_value(each.p_holm),
         )
         for name, each in zip(against, compared, strict=True)
         for pairs in (each.pairs,)
     ]  # fmt: skip
     if rows:
-        text = f"{SAME_DRAWS} {'Counts of points, and no test.' if table.grid else TESTS}"
+        text = f"{COMMON_DRAWS_NOTE} {'Counts of points, and no test.' if table.grid else PAIRED_TEST_NOTE}"
         yield _card("Controllers on the same draws", PAIR_COLUMNS, rows, text, table.grid)
     for name, each in zip(against, compared, strict=True):
         differences = [
@@ -134,7 +134,7 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
                 metric.label, f"{found.draws:,}", _format_signed(metric.factor * found.median),
                 "" if found.interval is None
                 else " to ".join(_format_signed(metric.factor * end) for end in found.interval),
-                _format_probability(found.p), metric.unit,
+                _format_p_value(found.p), metric.unit,
             )
             for metric in table.metrics
             if (found := each.metrics.get(metric.name)) is not None
@@ -147,11 +147,11 @@ def comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]
 def ranking_cards(
     table: FlightTable, named: Sequence[str], rankings: Mapping[str, Sequence[Ranking | None]], is_correlated: bool
 ) -> Iterator[Card]:
-    """Yield the cards of what influences success and, folded, each metric."""
+    """Yield the cards that rank keys by their influence on success and, folded, on each metric."""
     labels = {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics}
     ranked = {name: ranking for name, ranking in rankings.items() if any(ranking)}
     if not ranked:
-        yield Card("What drives it", lines=[NOT_RANKED])
+        yield Card("What drives it", lines=[NO_RANKING_NOTE])
     for name, ranking in ranked.items():
         found = [(number, each) for number, each in enumerate(ranking) if each is not None]
         rows = [
@@ -171,14 +171,14 @@ def ranking_cards(
             for number, each in found
         )
         is_first = name == next(iter(ranked))
-        first = f"{FIRST_ORDER} {CORRELATED if is_correlated else ''}" if is_first else ""
+        first = f"{FIRST_ORDER_NOTE} {CORRELATED_KEYS_NOTE if is_correlated else ''}" if is_first else ""
         text = f"{counted}. The rest is effects of several keys together, and noise. {first}".strip()
         title = f"What drives it: {labels[name]}"
         yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
 
 
 def referee_cards(folder: Path) -> Iterator[Card]:
-    """Yield JSBSim's check of flights on arrays: differences of metrics and verdicts."""
+    """Yield the card of JSBSim's check of flights computed on arrays: differences of metrics and verdicts."""
     referee = read_referee(folder)
     if referee:
         columns = ("metric", "largest", "unit", "flight", "half within [%]", "nine of ten within [%]", "")
@@ -194,16 +194,16 @@ def metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
     rows = [
         (
             metric.label,
-            *(_spread_text(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
+            *(_show_spread(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
             metric.unit,
         )
         for metric in table.metrics
     ]
     figures = [f"metric-{number}" for number in range(len(rows))]
-    return Card("Metrics", ("metric", *named, "unit"), rows, SPREADS, figures) if rows else None
+    return Card("Metrics", ("metric", *named, "unit"), rows, SPREADS_NOTE, figures) if rows else None
 
 
-def _spread_text(found: Spread | None, factor: float) -> str:
+def _show_spread(found: Spread | None, factor: float) -> str:
     if found is None:
         return NONE
     none = f", {found.none:,} have none" if found.none else ""

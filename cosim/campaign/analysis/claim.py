@@ -48,10 +48,10 @@ class ClaimResult(NamedTuple):
     def lines(self) -> Iterator[str]:
         """Yield one sentence per controller, or one for the pair."""
         for name, verdict in self.verdicts.items():
-            yield f"{name}: {self._describe(verdict)}"
+            yield f"{name}: {self._describe_verdict(verdict)}"
 
-    def _describe(self, verdict: Verdict) -> str:
-        counted = self._counted(verdict)
+    def _describe_verdict(self, verdict: Verdict) -> str:
+        counted = self._describe_counts(verdict)
         if not self.is_finished and verdict.decision == "open":
             return f"{self.text} is not decided yet: {counted} so far"
         probability = "probability of success" if self.claim.pair is None else "share of these"
@@ -62,7 +62,7 @@ class ClaimResult(NamedTuple):
             f"{format_percent(low, up=False)} to {format_percent(high, up=True)}"
         )
 
-    def _counted(self, verdict: Verdict) -> str:
+    def _describe_counts(self, verdict: Verdict) -> str:
         if self.claim.pair is not None:
             won = verdict.flights - verdict.failures - verdict.not_flown
             told = f"{verdict.flights:,} draws that one of the two alone succeeds in, {won:,} of them the first"
@@ -82,21 +82,21 @@ def judge_claim(campaign: Campaign) -> ClaimResult | None:
         rule.add(int(number or 0), verdict_of(outcome, success))
     verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
     for name, (down, up) in campaign.referee.get("rates", {}).items():
-        if (verdict := verdicts.get(name)) is not None and (down or up):  # one wrong verdict makes others doubtful
+        if (verdict := verdicts.get(name)) is not None and (down or up):  # wrong verdicts leave the claim open
             bound, interval = max(0.0, verdict.bound - down), widen(verdict.interval, down, up)
             verdicts[name] = replace(verdict, decision="open", bound=bound, interval=interval)
     return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)
 
 
 def format_bound(verdict: Verdict) -> str:
-    """Return the bound of a verdict in words, rounded to the side of its error where the claim is open."""
+    """Return a verdict's bound of the success probability as text; of an undecided claim, rounded down."""
     if verdict.decision == "open":
         return f"at least {format_percent(verdict.bound, up=False)}"
     return f"at {'most' if verdict.decision == 'refuted' else 'least'} {100.0 * verdict.bound:.12g} %"
 
 
 def format_percent(probability: float, up: bool) -> str:
-    """Format a bound in %, rounded outwards, with two digits of its distance to 0 or 1."""
+    """Format a bound of a probability in %, rounded outwards, with two digits of its distance to 0 or 1."""
     rest = min(probability, 1.0 - probability)
     digits = 1 if rest <= 0.0 else max(1, 1 - floor(log10(100.0 * rest)))
     scale = 10.0 ** (digits + 2)

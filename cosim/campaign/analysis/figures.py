@@ -38,9 +38,6 @@ def campaign_figures(
     return figures | {f"metric-{number}": distribution(table, metric) for number, metric in enumerate(table.metrics)}
 
 
-# ---- figures of outcomes
-
-
 def outcomes(table: FlightTable) -> Figure:
     """Return the figure of how the flights of each controller ended, in percent of its flights."""
     counts = np.array(
@@ -62,10 +59,10 @@ def outcomes(table: FlightTable) -> Figure:
         for kind, name in enumerate(KINDS)
         if counts[:, kind].any()
     ]
-    layout = _layout(_rows_height(table)) | {"barmode": "stack"}
+    layout = _layout_with_legend(_figure_height(table)) | {"barmode": "stack"}
     layout["legend"]["traceorder"] = "normal"
     layout["xaxis"] = {"title": {"text": "of the flights [%]"}, "range": [0.0, 100.0]}
-    layout["yaxis"] = _names_axis()
+    layout["yaxis"] = _name_axis()
     return {"data": data, "layout": layout}
 
 
@@ -92,10 +89,10 @@ def probability(table: FlightTable, proportions: Sequence[Proportion]) -> Figure
         data.append(
             common | {"x": [value], "mode": "markers", "marker": marker, "hovertemplate": f"{text}<extra></extra>"}
         )
-    layout = _layout(_rows_height(table)) | {"showlegend": False}
+    layout = _layout_with_legend(_figure_height(table)) | {"showlegend": False}
     layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, proportions)}
     # A figure without flights has no points from which Plotly could make the axis.
-    layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
+    layout["yaxis"] = _name_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
 
@@ -112,11 +109,8 @@ def _percent_range(table: FlightTable, proportions: Sequence[Proportion]) -> lis
     return [max(low - margin, -1.0), min(high + margin, 101.0)]
 
 
-def _rows_height(table: FlightTable) -> int:
+def _figure_height(table: FlightTable) -> int:
     return 96 + 34 * len(table.controllers)
-
-
-# ---- figures of sensitivity
 
 
 def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Figure:
@@ -132,24 +126,24 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
         bar = bars(
             table.controllers[controller],
             [labels[path] for path in paths],
-            [_percent(effect.index) for effect in effects],
+            [_to_percent(effect.index) for effect in effects],
             marker={"color": run_colour(controller), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
             hovertemplate=f"%{{y}}, {table.controllers[controller]}: %{{x:.1f}} %<extra></extra>",
         )
         if not table.grid:
-            above = [max(0.0, _percent(effect.interval[1]) - _percent(effect.index)) for effect in effects]
-            below = [max(0.0, _percent(effect.index) - _percent(effect.interval[0])) for effect in effects]
-            bar["error_x"] = _error_bars(above, below, 3) | {"color": GREY}
+            above = [max(0.0, _to_percent(effect.interval[1]) - _to_percent(effect.index)) for effect in effects]
+            below = [max(0.0, _to_percent(effect.index) - _to_percent(effect.interval[0])) for effect in effects]
+            bar["error_x"] = _make_error_bars(above, below, 3) | {"color": GREY}
         data.append(bar)
-    floor = _percent(max(ranking.floor for _, ranking in ranked))
-    layout = _layout(96 + len(paths) * (16 + (14 if len(ranked) < 3 else 10) * len(ranked))) | {
+    floor = _to_percent(max(ranking.floor for _, ranking in ranked))
+    layout = _layout_with_legend(96 + len(paths) * (16 + (14 if len(ranked) < 3 else 10) * len(ranked))) | {
         "barmode": "group",
         "bargap": 0.25,
     }
     layout["legend"]["traceorder"] = "reversed"
     layout["showlegend"] = len(ranked) > 1
     top = max(
-        [*(_percent(effect.interval[1]) for effects in by_key.values() for effect in effects.values()), 2 * floor]
+        [*(_to_percent(effect.interval[1]) for effects in by_key.values() for effect in effects.values()), 2 * floor]
     )
     layout["xaxis"] = {
         "title": {"text": "of the variance [%]"},
@@ -157,11 +151,11 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
         "zeroline": True,
     }
     layout["yaxis"] = {"automargin": True, "ticksuffix": " "}
-    layout["shapes"] = [_shaded_region(0.0, floor)]
+    layout["shapes"] = [_make_shaded_region(0.0, floor)]
     return {"data": data, "layout": layout}
 
 
-def _percent(fraction: float) -> float:
+def _to_percent(fraction: float) -> float:
     return round(100.0 * max(fraction, 0.0), 3)
 
 
@@ -193,7 +187,7 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
         trace: Figure = {
             "type": "scatter",
             "name": name,
-            "x": _offset(middle, controller, table, key),
+            "x": _offset_marks(middle, controller, table, key),
             "y": round_digits(100.0 * fraction),
             "mode": "markers" if key.levels else "lines+markers",
             "line": {"color": run_colour(controller), "width": 1.6},
@@ -206,9 +200,9 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
         }
         if not table.grid:
             above, below = round_digits(100.0 * (high - fraction)), round_digits(100.0 * (fraction - low))
-            trace["error_y"] = _error_bars(above, below, 2)
+            trace["error_y"] = _make_error_bars(above, below, 2)
         data.append(trace)
-    layout = _layout(270) | {"showlegend": False}
+    layout = _layout_with_legend(270) | {"showlegend": False}
     layout["margin"] |= {"t": 30}
     layout["xaxis"] = key_axis(key)
     layout["yaxis"] = {"title": {"text": "success [%]"}, "range": [-3.0, 103.0]}
@@ -224,8 +218,8 @@ def group_medians(numbered: NDArray[np.integer[Any]], values: Array) -> Array:
     return np.array(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]), dtype=np.float64)
 
 
-def _offset(middle: Array, controller: int, table: FlightTable, key: KeyColumn) -> list[float]:
-    """Return the shift of a controller's marks, so that controllers do not hide each other."""
+def _offset_marks(middle: Array, controller: int, table: FlightTable, key: KeyColumn) -> list[float]:
+    """Return how far a controller's marks are moved along the axis, so that controllers do not hide each other."""
     apart = controller - 0.5 * (len(table.controllers) - 1)
     if key.levels:
         return round_digits(middle + 0.12 * apart)
@@ -253,11 +247,8 @@ def key_axis(key: KeyColumn) -> Figure:
     return axis | {"type": "log" if key.log else "linear", "zeroline": False}
 
 
-# ---- figures of metrics
-
-
 def distribution(table: FlightTable, metric: Metric) -> Figure:
-    """Return the figure of the percentage of all flights that completed with a metric up to x.
+    """Return the figure of a metric's cumulative distribution, in percent of all flights.
 
     A curve ends below 100 % where flights have no value of the metric.
     """
@@ -284,7 +275,7 @@ def distribution(table: FlightTable, metric: Metric) -> Figure:
                 "hovertemplate": f"{name}: %{{y:.1f}} % of the flights up to %{{x:.4~g}} {metric.unit}<extra></extra>",
             }
         )
-    layout = _layout(270) | {"showlegend": False}
+    layout = _layout_with_legend(270) | {"showlegend": False}
     layout["margin"] |= {"t": 30}
     layout["xaxis"] = {"title": {"text": f"{metric.label} [{metric.unit}]"}, "zeroline": False} | _metric_axis(
         table, metric
@@ -301,28 +292,25 @@ def _metric_axis(table: FlightTable, metric: Metric) -> Figure:
     return {"type": "log", "dtick": 1} if finite.size and finite.min() > 0.0 and high > 30.0 * low else {}
 
 
-# ---- shared parts of figures
-
-
 def round_digits(values: Array, digits: int = 4) -> list[Any]:
     """Round to significant digits, with None for what is not a number."""
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
-def _layout(height: int) -> Figure:
+def _layout_with_legend(height: int) -> Figure:
     legend = {"orientation": "h", "xref": "paper", "yref": "paper", "x": 0, "y": 1, **ABOVE}
     return layout(height, 60, 14, 36, 52, hovermode="closest", legend=legend)
 
 
-def _error_bars(above: Sequence[float], below: Sequence[float], width: int) -> Figure:
+def _make_error_bars(above: Sequence[float], below: Sequence[float], width: int) -> Figure:
     return {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "thickness": 1, "width": width}
 
 
-def _names_axis() -> Figure:
+def _name_axis() -> Figure:
     return {"automargin": True, "autorange": "reversed", "ticksuffix": " "}
 
 
-def _shaded_region(start: float, end: float) -> Figure:
+def _make_shaded_region(start: float, end: float) -> Figure:
     return {
         "type": "rect",
         **{"xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, "layer": "below"},

@@ -10,12 +10,12 @@ from math import isfinite
 
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import LIMITS_MARGIN, MARGIN_OF, Row, study_requirements
-from cosim.results.requirements import LOST, UNKNOWN, Lost, range_requirements
+from cosim.results.requirements import LOST, UNKNOWN, FailedFlight, range_requirements
 from cosim.spec.scenario import Range
 
 MARGIN = "margin"  # column of a row with the margin
-OWN_LIMITS = "the flight's own limits"  # name of the last requirement
-# A failed flight has a margin of at most minus this, whatever else is known of it.
+OWN_LIMITS = "the flight's own limits"  # name of the requirement on the limits
+# The margin of a failed flight is at most minus this, so that it is below 0.
 MIN_FAILED_MARGIN = 1e-9
 
 
@@ -29,34 +29,34 @@ def row_margin(row: Row, study: Study) -> float:
     """
     if not row["success"] and row["outcome"] != "completed":
         stated = row.get(MARGIN)
-        return -abs(_number(stated)) if stated is not None else _failure_margin(row, study)
+        return -abs(_to_finite_margin(stated)) if stated is not None else _failure_margin(row, study)
     stated = row.get(MARGIN)
-    margin = _number(stated) if stated is not None else success_margin(row, study.success)
+    margin = _to_finite_margin(stated) if stated is not None else success_margin(row, study.success)
     return max(margin, 0.0) if row["success"] else min(margin, -MIN_FAILED_MARGIN)
 
 
 def requirement_margins(study: Study) -> tuple[list[str], Callable[[Row], list[float]]]:
-    """Return the names of a study's requirements, and what returns the margin of each in a row, in scales.
+    """Return the names of a study's requirements, and a function that returns a row's margins over their scales.
 
     The last is :data:`OWN_LIMITS`, with the loss of the flight.  One at least is less than 0 where the row is no
     success, and none elsewhere.
     """
     scales = {requirement.name: requirement.divisor for requirement in study_requirements(study)}
 
-    def margins(row: Row) -> list[float]:
+    def read_margins(row: Row) -> list[float]:
         whole, success = row_margin(row, study), bool(row["success"])
         known = [(row.get(MARGIN_OF + name), scale) for name, scale in scales.items()] + [(row.get(LIMITS_MARGIN), 1.0)]
         if all(margin is None for margin, _ in known):
             return [UNKNOWN] * len(scales) + [whole]
         unknown = UNKNOWN if success else -UNKNOWN
-        found = [unknown if margin is None else _number(margin) / scale for margin, scale in known]
+        found = [unknown if margin is None else _to_finite_margin(margin) / scale for margin, scale in known]
         if known[-1][0] is None:
             found[-1] = UNKNOWN
         if success:
             return [max(margin, 0.0) for margin in found]
         return found if min(found) < 0.0 else [*found[:-1], min(whole, -MIN_FAILED_MARGIN)]
 
-    return [*scales, OWN_LIMITS], margins
+    return [*scales, OWN_LIMITS], read_margins
 
 
 def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -> float:
@@ -67,7 +67,7 @@ def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -
         if value is None:
             margins.append(-1.0)
             continue
-        number = _number(value)
+        number = _to_finite_margin(value)
         (requirement,) = range_requirements({name: allowed}, "success")
         if allowed.max is not None:
             margins.append((allowed.max - number) / requirement.divisor)
@@ -78,9 +78,9 @@ def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -
 
 def _failure_margin(row: Row, study: Study) -> float:
     flown = row.get("duration_s")
-    return -Lost(0.0 if flown is None else _number(flown), study.base().duration_s).scales
+    return -FailedFlight(0.0 if flown is None else _to_finite_margin(flown), study.base().duration_s).scales
 
 
-def _number(value: object) -> float:
+def _to_finite_margin(value: object) -> float:
     assert isinstance(value, (int, float))
     return float(value) if isfinite(value) else -LOST

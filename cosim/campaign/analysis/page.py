@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.campaign.study.study import Correlation, Study, Vary
 
-DESIGNS = {  # phrase for each sampling
+SAMPLING_PHRASES = {  # phrase for each sampling
     "grid": "a grid of every combination",
     "latin-hypercube": "a Latin hypercube",
     "random": "independent random draws",
     "sobol": "scrambled Sobol points",
 }
-INTERVALS = {  # note on intervals for each sampling
+INTERVAL_NOTES = {  # note on intervals for each sampling
     "random": "The draws are independent of each other, as both intervals suppose.",
     "latin-hypercube": (
         "Both intervals suppose independent draws. A Latin hypercube spreads its draws evenly over each key: as a rule "
@@ -67,14 +67,14 @@ INTERVALS = {  # note on intervals for each sampling
         "approximation, as a rule too wide."
     ),
 }
-STOPPED = (  # note for studies stopped by a rule
+STOPPED_NOTE = (  # note for studies stopped by a rule
     "Both suppose a number of flights that was fixed before. This study stops by its rule: what holds is what is said "
     "of its claim above."
 )
-CLASSES = "Classes of equal count, with 95 % intervals (Wilson)."  # note under curves of success
-CASES_SAY = "Each can be flown again alone and recorded in full, by its number or from its scenario file."
+CLASSES_NOTE = "Classes of equal count, with 95 % intervals (Wilson)."  # note under curves of success
+CASES_NOTE = "Each can be flown again alone and recorded in full, by its number or from its scenario file."
 NONE = "–"  # shown where there is no number
-MAP = Path(__file__).parent / "templates" / "stability_map.html"  # template of the stability map
+MAP_TEMPLATE = Path(__file__).parent / "templates" / "stability_map.html"  # template of the stability map
 
 
 def write_campaign_report(campaign: Campaign) -> Path:
@@ -107,21 +107,21 @@ def make_page(campaign: Campaign) -> Page:
     judged, confirmed = campaign.referee.get("says", []), campaign.referee.get("confirmed", True)
     named = [coloured(name, run_colour(n)) for n, name in enumerate(table.controllers)]
     claims = [] if claim is None else [f"{line}." for line in claim.lines()]
-    answers = [_answer(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)]
+    answers = [_success_sentence(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)]
     told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
     pages = [_unfinished_card()] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
         Card("Outcomes of the flights", figure="outcomes", is_half=True),
-        success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
+        success_card(table, named, fractions, STOPPED_NOTE if claims else INTERVAL_NOTES.get(study.design, "")),
         *referee_cards(campaign.folder),
-        Card("Stability map", content=_map()) if "map-tables" in figures else None,
+        Card("Stability map", content=_render_stability_map()) if "map-tables" in figures else None,
         *comparison_cards(table, named),
         *ranking_cards(table, named, rankings, bool(study.correlate)),
-        Card("Success over each key", text=f"All other keys as they come. {'' if table.grid else CLASSES}",
+        Card("Success over each key", text=f"All other keys as they come. {'' if table.grid else CLASSES_NOTE}",
              figure=[name for name in figures if name.startswith("key-")], lines=[Markup(" ").join(named)]),
         metrics_card(table, named),
         _reasons_card(campaign, table, named),
-        Card("Worst cases", CASE_COLUMNS, case_rows(campaign, table, named), CASES_SAY,
+        Card("Worst cases", CASE_COLUMNS, case_rows(campaign, table, named), CASES_NOTE,
              code=f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight NUMBER"),
     ]  # fmt: skip
     return Page(
@@ -143,14 +143,14 @@ def _unfinished_card() -> Card:
     return Card("Flights", lines=["No flight is finished yet: there is nothing to show."])
 
 
-def _map() -> Markup:
-    """Return the interactive map with a choice of keys and colour, which has a script of its own."""
+def _render_stability_map() -> Markup:
+    """Return the markup of the stability map, which has a choice of keys and colour, and a script of its own."""
     colours = json.dumps(KIND_COLOURS)
-    return Markup(read_text(MAP).replace("KIND_COLOURS", colours))
+    return Markup(read_text(MAP_TEMPLATE).replace("KIND_COLOURS", colours))
 
 
-def _answer(name: Markup, found: Proportion, is_grid: bool, stops: bool) -> Markup:
-    """Return how often a controller succeeds, in a sentence."""
+def _success_sentence(name: Markup, found: Proportion, is_grid: bool, stops: bool) -> Markup:
+    """Return a sentence on how often a controller succeeds."""
     if found.value is None:
         return Markup("{}: no flight yet.").format(name)
     share, counted = f"{100.0 * found.value:.1f} %", f"{found.hits:,} of {found.of:,}"
@@ -188,17 +188,14 @@ def _data_cards(campaign: Campaign) -> Iterator[Card]:
         yield Card("What the flights were made from", ("file", "version or hash"), rows)
 
 
-# ---- head of the page
-
-
 def head_rows(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
-    """Return name and value of what was flown, without anything of the machine."""
+    """Return name and value of each fact on what was flown, without any on the computer."""
     study = campaign.study
     wall = np.array([seconds or 0.0 for seconds in campaign.columns.get("wall_s", [])], dtype=np.float64)
     simulated, base = float(np.nansum(table.duration)), if_here(study.base)
     lines = [
         ("scenario", base.name if base else study.scenario),
-        ("design", DESIGNS[study.design]),
+        ("design", SAMPLING_PHRASES[study.design]),
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
         ("controllers", ", ".join(table.controllers)),
         ("seed", str(study.seed)),
@@ -233,7 +230,7 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
             {
                 "path": name,
                 "drawn": by_key.get(name, DRAWN_BY),
-                "nominal": NONE if varied is None or varied.nominal is None else _value_text(varied.nominal),
+                "nominal": NONE if varied is None or varied.nominal is None else _format_value(varied.nominal),
                 "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
             }
@@ -251,7 +248,7 @@ def _observed_range(key: KeyColumn) -> str:
 
 
 def describe_draws(vary: Vary) -> str:
-    """Describe a distribution."""
+    """Describe a varied key's distribution in words, such as ``uniform, 1 to 2, times the nominal value``."""
     relative = {"": "", "factor": ", times the nominal value", "offset": ", added to the nominal value"}[vary.relative]
     return _describe_distribution(vary) + relative
 
@@ -260,7 +257,7 @@ def _describe_distribution(vary: Vary) -> str:
     if vary.uncertainty:
         return DRAWN_BY
     if vary.values is not None:
-        return f"one of {', '.join(map(_value_text, vary.values))}"
+        return f"one of {', '.join(map(_format_value, vary.values))}"
     if vary.range is not None:
         span = f"{vary.range[0]:g} to {vary.range[1]:g}"
         if vary.levels is not None:
@@ -285,7 +282,7 @@ def _describe_bounds(low: float | None, high: float | None) -> str:
     return f", cut off below {low:g}" if high is None else f", cut off outside {low:g} to {high:g}"
 
 
-def _value_text(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -297,7 +294,7 @@ def describe_correlation(correlation: Correlation) -> str:
 
 
 def warnings(campaign: Campaign, table: FlightTable, stops: bool = False) -> list[str]:
-    """Return the reasons for which a reader should doubt a number of the report.
+    """Return warnings on the numbers of the report, such as failed or missing flights.
 
     ``stops``: by a rule of its study, so that missing flights are none.
     """
@@ -321,7 +318,7 @@ def warnings(campaign: Campaign, table: FlightTable, stops: bool = False) -> lis
 
 
 def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
-    """Return by name every version and file hash of aircraft and engines with which flights were computed."""
+    """Return all versions, and file hashes of aircraft and engines, that flights were computed with, by name."""
     sources: dict[str, list[str]] = {}
     for text in dict.fromkeys(campaign.columns.get("inputs", [])):
         for part in parse_json(str(text), "inputs", finite=False).values() if text else ():
@@ -329,9 +326,6 @@ def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
                 sources.setdefault(name, [])
                 sources[name] += [value] if value not in sources[name] else []
     return sources
-
-
-# ---- sensitivity
 
 
 def order_by_influence(table: FlightTable, rankings: Sequence[Ranking | None]) -> list[int]:
@@ -370,9 +364,6 @@ def strongest_pair(
 def _joint_effect(rows: Any, first: Array, second: Array, values: Array) -> float:
     some = int(np.sum(rows)) > 1 and np.ptp(values[rows]) > 0.0
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
-
-
-# ---- failed flights and raw data
 
 
 def reason_rows(campaign: Campaign, table: FlightTable, limit: int = 12) -> list[list[str]]:

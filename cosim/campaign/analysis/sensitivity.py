@@ -25,7 +25,7 @@ from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_class
 
 @dataclass(frozen=True)
 class KeyEffect:
-    """The effect of one key on one result."""
+    """Sensitivity of one result to one varied key."""
 
     key: str
     index: float  # first-order index, corrected for chance
@@ -33,7 +33,7 @@ class KeyEffect:
     real: bool  # True: index exceeds the noise floor
     rank: float | None  # Spearman's rank correlation, if numeric
     rank_interval: Interval | None
-    partial: float | None  # with other ranks held; None for choices
+    partial: float | None  # partial correlation; None for choices
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def rank_effects(keys: Mapping[str, Array], choices: Sequence[str], result: Arra
     None if there are too few flights, or if they all came out alike.
     """
     n = result.size
-    # With fewer flights, chance alone looks like an effect of a quarter.
+    # With fewer flights, chance alone gives first-order indices of a quarter.
     min_flights = 30
     if n < min_flights or not keys or np.ptp(result) == 0.0:
         return None
@@ -65,11 +65,11 @@ def rank_effects(keys: Mapping[str, Array], choices: Sequence[str], result: Arra
     numbers = [key for key in keys if key not in choices]
     ranks = rank_correlations([keys[key] for key in numbers], result)
     directions = dict(zip(numbers, ranks, strict=True))
-    effects = [_effect(key, numbered, result, floor, directions.get(key)) for key, numbered in classed.items()]
+    effects = [_estimate_effect(key, numbered, result, floor, directions.get(key)) for key, numbered in classed.items()]
     return Ranking(n, floor, sorted(effects, key=lambda effect: -effect.index))
 
 
-def _effect(
+def _estimate_effect(
     key: str, numbered: Counts, result: Array, floor: float, direction: tuple[float, float] | None
 ) -> KeyEffect:
     index, deviation = first_order(numbered, result)
@@ -135,7 +135,7 @@ def noise_floor(classed: Sequence[Counts], result: Array) -> float:
 
 
 def joint(first: Array, second: Array, result: Array) -> float:
-    """Return the fraction of a result's variance that two keys explain together in cells, corrected for chance."""
+    """Return the fraction of the variance of ``result`` that two keys explain together, corrected for chance."""
     count = max(2, int(sqrt(max_classes(result.size))) + 1)
     of_first, of_second = assign_classes(first, count), assign_classes(second, count)
     _, numbered = np.unique(of_first * (of_second.max() + 1) + of_second, return_inverse=True)

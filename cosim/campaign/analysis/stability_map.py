@@ -21,7 +21,7 @@ from cosim.results.wording import Metric
 # With fewer flights the interval of a cell's success rate is wider than 60 points.
 MIN_PER_CELL = 5
 MAX_MAP_KEYS = 6  # most influential keys that get maps
-MAX_POINTS = 400  # points drawn: successes, and others
+MAX_POINTS = 400  # points of successes, and of others
 
 
 def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], colour: str) -> Figure:
@@ -32,7 +32,7 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
     """
     chosen = [table.keys[key] for key in keys]
     pairs = list(combinations(range(len(chosen)), 2))
-    sides = [_sides(table, key, max(len(pairs), 1)) for key in chosen]
+    sides = [_divide_into_cells(table, key, max(len(pairs), 1)) for key in chosen]
     metrics = table.metrics[:6]
     fewest = 1 if table.grid else MIN_PER_CELL
     return {
@@ -51,19 +51,19 @@ def map_tables(table: FlightTable, keys: Sequence[int], pair: tuple[int, int], c
             }
             for key, (edges, _) in zip(chosen, sides, strict=True)
         ],
-        "metrics": [_metric_table(table, metric) for metric in metrics],
+        "metrics": [_describe_metric(table, metric) for metric in metrics],
         "cells": {
             f"{x},{y}": [
-                _cells(table, controller, sides[x], sides[y], metrics, fewest)
+                _summarise_cells(table, controller, sides[x], sides[y], metrics, fewest)
                 for controller in controller_indices(table)
             ]
             for x, y in pairs
         },
-        "points": [_points(table, controller, chosen, metrics) for controller in controller_indices(table)],
+        "points": [_sample_points(table, controller, chosen, metrics) for controller in controller_indices(table)],
     }
 
 
-def _metric_table(table: FlightTable, metric: Metric) -> Figure:
+def _describe_metric(table: FlightTable, metric: Metric) -> Figure:
     values = metric.factor * table.values[metric.name]
     low, high = np.nanquantile(values, [0.02, 0.98])
     return {
@@ -74,8 +74,8 @@ def _metric_table(table: FlightTable, metric: Metric) -> Figure:
     }
 
 
-def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
-    """Return the edges of a key's cells, levels or intervals of equal length, and each row's cell, -1 for none."""
+def _divide_into_cells(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Counts]:
+    """Return the edges of a key's cells, levels or intervals of equal length, and the cell of each row, or -1."""
     finite = np.isfinite(key.numbers)
     if key.levels:
         return np.arange(-0.5, len(key.levels)), np.where(finite, key.numbers, -1).astype(np.intp)
@@ -88,7 +88,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     levels = np.unique(numbers)
     scaled, back = (np.log(numbers), np.exp) if key.log else (numbers, np.array)
     if table.grid or 2 * levels.size <= 3 * count:
-        edges: Array = _around(np.unique(scaled))
+        edges: Array = _edges_around(np.unique(scaled))
     elif not key.log and np.all(levels % 1.0 == 0.0):  # equal number of integers in each cell
         wide = -(-(levels[-1] - levels[0] + 1.0) // count)
         edges = np.arange(levels[0] - 0.5, levels[-1] + wide, wide)
@@ -98,7 +98,7 @@ def _sides(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[Array, Count
     return back(edges), np.where(finite, cell, -1).astype(np.intp)
 
 
-def _around(levels: Array) -> Array:
+def _edges_around(levels: Array) -> Array:
     """Return the edges of cells around levels: half way between them, and as far again outside."""
     if levels.size < 2:
         middle = float(levels[0]) if levels.size else 0.0
@@ -107,7 +107,7 @@ def _around(levels: Array) -> Array:
     return np.concatenate(([2.0 * levels[0] - middles[0]], middles, [2.0 * levels[-1] - middles[-1]]))
 
 
-def _cells(
+def _summarise_cells(
     table: FlightTable,
     controller: int,
     across: tuple[Array, Counts],
@@ -122,11 +122,11 @@ def _cells(
     return {
         "n": np.bincount(cell, minlength=total).tolist(),
         "k": np.bincount(cell, table.success[rows], minlength=total).astype(int).tolist(),
-        "m": [_medians(cell, metric.factor * table.values[metric.name][rows], total, fewest) for metric in metrics],
+        "m": [_cell_median(cell, metric.factor * table.values[metric.name][rows], total, fewest) for metric in metrics],
     }
 
 
-def _medians(cell: Counts, values: Array, total: int, fewest: int) -> list[float | None]:
+def _cell_median(cell: Counts, values: Array, total: int, fewest: int) -> list[float | None]:
     finite = np.isfinite(values)
     cell, values = cell[finite], values[finite]
     counts = np.bincount(cell, minlength=total)
@@ -137,7 +137,7 @@ def _medians(cell: Counts, values: Array, total: int, fewest: int) -> list[float
     return round_digits(np.where(counts >= fewest, medians, np.nan))
 
 
-def _points(table: FlightTable, controller: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
+def _sample_points(table: FlightTable, controller: int, keys: Sequence[KeyColumn], metrics: Sequence[Metric]) -> Figure:
     generator = np.random.default_rng(1)
     flown = table.rows_of(controller)
     samples = []

@@ -48,7 +48,7 @@ def proportion(hits: int, of: int) -> Proportion:
 
 
 def widen(interval: Interval, down: float, up: float) -> Interval:
-    """Return an interval of a probability with its lower end lower and its upper end higher by so much."""
+    """Return a probability's interval with its lower end lowered by ``down`` and its upper end raised by ``up``."""
     return max(0.0, interval[0] - down), min(1.0, interval[1] + up)
 
 
@@ -118,7 +118,7 @@ def newcombe(pairs: Pairs) -> Interval | None:
     hits = np.array([pairs.both + pairs.second, pairs.both + pairs.first])
     (low, other_low), (high, other_high) = wilson(hits, np.array([n, n]))
     value, other = hits / n
-    phi = _phi(pairs)
+    phi = _phi_coefficient(pairs)
     below, above = value - low, other_high - other
     reach = sqrt(max(below**2 - 2.0 * phi * below * above + above**2, 0.0))
     further, nearer = high - value, other - other_low
@@ -126,7 +126,7 @@ def newcombe(pairs: Pairs) -> Interval | None:
     return max(difference - reach, -1.0), min(difference + rise, 1.0)
 
 
-def _phi(pairs: Pairs) -> float:
+def _phi_coefficient(pairs: Pairs) -> float:
     both, first, second, neither = map(float, pairs)
     product = both * neither - first * second
     if product > 0.0:

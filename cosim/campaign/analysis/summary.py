@@ -174,11 +174,8 @@ def unmet_criteria(table: FlightTable, row: int, success: Mapping[str, Range]) -
     return lines or ["no success"]
 
 
-# ---- the summary as data
-
-
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
-    """Return everything that a program may need of a campaign, ready for JSON; a fraction of nothing is null."""
+    """Return the statistics of a campaign as a table for JSON; a fraction of no flights is null."""
     table = read_flight_table(campaign)
     study = campaign.study
     claim = judge_claim(campaign)
@@ -194,25 +191,25 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
         "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
-            name: _controller(table, controller, proportion, fixed_sample=claim is None and not table.grid)
+            name: _controller_dict(table, controller, proportion, fixed_sample=claim is None and not table.grid)
             for controller, (name, proportion) in enumerate(
                 zip(table.controllers, success_fractions(table), strict=True)
             )
         },
         "not_flown": describe_not_flown(len(table.not_flown), table.not_flown[0]) if table.not_flown else None,
-        "comparisons": [_comparison(table, comparison) for comparison in compare_controllers(table)],
+        "comparisons": [_comparison_dict(table, comparison) for comparison in compare_controllers(table)],
         "reasons": {
             name: dict(count_reasons(table, table.rows_of(controller), study.success).most_common(10))
             for controller, name in enumerate(table.controllers)
         },
         "drives_success": {
-            name: _ranking(rank_keys(table, controller, SUCCESS)) for controller, name in enumerate(table.controllers)
+            name: _rank_dict(rank_keys(table, controller, SUCCESS)) for controller, name in enumerate(table.controllers)
         },
         "wall_s": float(np.nansum(np.array(campaign.columns.get("wall_s", []), dtype=np.float64))),
     }
 
 
-def _controller(table: FlightTable, controller: int, success: Proportion, fixed_sample: bool) -> dict[str, Any]:
+def _controller_dict(table: FlightTable, controller: int, success: Proportion, fixed_sample: bool) -> dict[str, Any]:
     spreads = {metric_spec.name: find_spread(table, controller, metric_spec.name) for metric_spec in table.metrics}
     return {
         "flights": success.of,
@@ -231,7 +228,7 @@ def _controller(table: FlightTable, controller: int, success: Proportion, fixed_
     }  # fmt: skip
 
 
-def _comparison(table: FlightTable, comparison: Comparison) -> dict[str, Any]:
+def _comparison_dict(table: FlightTable, comparison: Comparison) -> dict[str, Any]:
     return {
         "first": table.controllers[comparison.first],
         "second": table.controllers[comparison.second],
@@ -256,7 +253,7 @@ def _comparison(table: FlightTable, comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
+def _rank_dict(ranking: Ranking | None) -> dict[str, Any] | None:
     if ranking is None:
         return None
     return {
@@ -273,7 +270,7 @@ def _ranking(ranking: Ranking | None) -> dict[str, Any] | None:
 
 
 def with_referee(lines: Iterable[str], folder: Path) -> list[str]:
-    """Return lines with those on JSBSim's check added, first if it does not confirm the flights."""
+    """Return lines with those on JSBSim's check of the flights added; they come first if it failed."""
     referee = read_referee(folder)
     says = referee.get("says", [])
     return [*lines, *says] if referee.get("confirmed", True) else [*says, *lines]
@@ -301,14 +298,14 @@ def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
     if len(controllers) != 1:
         rows = [
             [metric(name).label, metric(name).unit]
-            + [_median(name, entry["metrics"].get(name)) for entry in controllers.values()]
+            + [_format_median(name, entry["metrics"].get(name)) for entry in controllers.values()]
             for name in names
         ]
         return ["median", "", *controllers], rows
     (only,) = controllers.values()
     titles = ["metric", "", "median", "5 %", "95 %"]
     return titles, [
-        [metric(name).label, metric(name).unit, _median(name, only["metrics"][name])]
+        [metric(name).label, metric(name).unit, _format_median(name, only["metrics"][name])]
         + [f"{metric(name).factor * only['metrics'][name][key]:.3g}" for key in ("p05", "p95")]
         for name in names
     ]
@@ -323,7 +320,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     max_pairs = 3  # pairs of controllers that are printed
     listed = pairs if len(pairs) <= max_pairs else [pair for pair in pairs if pair["first"] == pairs[0]["first"]]
     for pair in listed:
-        yield f"  {_comparison_line(pair)}"
+        yield f"  {_describe_comparison(pair)}"
     if len(listed) < len(pairs):
         yield f"  {len(pairs) - len(listed)} more pairs are in the report; each p is corrected for all {len(pairs)}"
     for name, entry in summary["drives_success"].items():
@@ -333,7 +330,7 @@ def comparison_lines(summary: Mapping[str, Any]) -> Iterator[str]:
             yield f"  {name}, what drives success: {strongest} of its variance"
 
 
-def _median(name: str, entry: Mapping[str, Any] | None) -> str:
+def _format_median(name: str, entry: Mapping[str, Any] | None) -> str:
     """Format a median, with its number of flights if some have no value."""
     if entry is None:
         return "–"
@@ -356,7 +353,7 @@ def _count_failures(outcomes: Mapping[str, int]) -> str:
     return f"; {', '.join(named)}" if named else ""
 
 
-def _comparison_line(entry: Mapping[str, Any]) -> str:
+def _describe_comparison(entry: Mapping[str, Any]) -> str:
     if entry["difference"] is None:
         return f"{entry['first']} and {entry['second']} have flown no draw in common"
     text = f"{entry['second']} against {entry['first']}: {100.0 * entry['difference']:+.1f} points"

@@ -60,7 +60,7 @@ class KeyColumn(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The title of an axis."""
+        """Title of an axis of the key: its label, and its unit in brackets."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
 
 
@@ -75,7 +75,7 @@ class FlightTable(NamedTuple):
     beyond: list[list[str]]  # metrics above the flight's own limits
     duration: Array  # flown time, s
     keys: list[KeyColumn]
-    metrics: list[Metric]  # the informative ones, the study's first
+    metrics: list[Metric]  # those shown, the study's own first
     values: dict[str, Array]  # SI values by name; NaN where none
     controllers: list[str]
     grid: bool  # True: every combination of a grid
@@ -95,7 +95,7 @@ class FlightTable(NamedTuple):
 
     @property
     def not_flown(self) -> list[str]:
-        """Why flights have no verdict, a reason each."""
+        """Reasons of the flights without a verdict, one each."""
         return [reason for kind, reason in zip(self.kind, self.reason, strict=True) if KINDS[kind] == "failed"]
 
     def rows_of(self, controller: int) -> Mask:

@@ -38,7 +38,7 @@ class Case(NamedTuple):
 
 
 def case_rows(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the worst flights of each controller, with a scenario file for each beside the report.
+    """Return table rows of each controller's worst flights, and write a scenario file for each beside the report.
 
     A row each, as :data:`CASE_COLUMNS` heads it; ``named``: the controllers.
     """
@@ -78,7 +78,7 @@ def worst_flights(study: Study, table: FlightTable, controller: int) -> list[Cas
 
 
 def eccentricity(table: FlightTable) -> Array:
-    """Return how far each flight's draws are from the middle: 0 if all are medians, 1 if all are extreme."""
+    """Return how extreme the drawn values of each flight are: 0 if all are medians, 1 if all are extreme."""
     size = max(table.flight.size, 1)
     squares = np.zeros(table.flight.size)
     count = 0
@@ -158,12 +158,12 @@ def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
     link = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"
     path = folder / link
     for file, content in files.items():
-        _write(path.with_name(file), content)
-    _write(path, toml_text(resolved.model_dump(mode="json", exclude_none=True)).encode())
+        _write_file(path.with_name(file), content)
+    _write_file(path, toml_text(resolved.model_dump(mode="json", exclude_none=True)).encode())
     return link.as_posix()
 
 
-def _write(path: Path, content: Path | bytes) -> None:
+def _write_file(path: Path, content: Path | bytes) -> None:
     with map_os_errors(FlightError, path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, content if isinstance(content, bytes) else read_file(content))

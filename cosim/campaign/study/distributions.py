@@ -16,7 +16,7 @@ from cosim.base.storage.toml import Model, Positive, Scalar, parse_value, valida
 
 T = TypeVar("T")  # type of a drawn value
 FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")  # keys that state a distribution
-UNCERTAIN = "engine"  # the key that "uncertainty" is for
+UNCERTAIN_KEY = "engine"  # only key with "uncertainty"
 CASE = "case"  # key for the study's named cases
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}  # operators of --vary
 USAGE = (  # how to write --vary, for messages
@@ -68,13 +68,13 @@ class Triangular(Model):
     max: float
 
     @model_validator(mode="after")
-    def _ordered(self) -> Triangular:
+    def _check_order(self) -> Triangular:
         if not (self.min < self.max and self.min <= self.mode <= self.max):
             raise ValueError(f"min {self.min:g}, mode {self.mode:g}, max {self.max:g}: must grow in this order")
         return self
 
 
-CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}  # written as calls
+CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}  # as normal(0,1)
 
 
 class Correlation(Model):
@@ -111,48 +111,48 @@ class Vary(Model):
     relative: Literal["", "factor", "offset"] = ""
 
     @model_validator(mode="after")
-    def _one_form(self) -> Vary:
+    def _check_single_form(self) -> Vary:
         forms = [form for form in FORMS if getattr(self, form) is not None]
         if len(forms) != 1:
-            allowed = ", ".join(form for form in FORMS if form != "uncertainty" or self.key == UNCERTAIN)
+            allowed = ", ".join(form for form in FORMS if form != "uncertainty" or self.key == UNCERTAIN_KEY)
             raise ValueError(f"{self.key}: give one of {allowed}; {' and '.join(forms) or 'none'} given")
         if self.values is not None and len(self.values) < (1 if self.key == CASE else 2):
             raise ValueError(f"{self.key}: values: needs at least 2")
         if self.range is None and (self.levels is not None or self.scale != "linear"):
             raise ValueError(f"{self.key}: levels and scale go with a range, not with {forms[0]}")
-        if self.uncertainty and (self.key != UNCERTAIN or self.relative):
+        if self.uncertainty and (self.key != UNCERTAIN_KEY or self.relative):
             raise ValueError(
                 f"{self.key}: only engine is drawn by its uncertainty, and neither as factor nor as offset"
             )
         return self
 
     @model_validator(mode="after")
-    def _bounds(self) -> Vary:
+    def _check_bounds(self) -> Vary:
         low, high = self.support
         if not self.values and low >= high:
-            raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is empty; the lower bound comes first")
+            raise ValueError(f"{self.key}: {_as_text(low)} to {_as_text(high)} is empty; the lower bound comes first")
         if low <= 0.0 and (self.scale == "log" or self.lognormal is not None):
             if self.scale == "log":
-                raise ValueError(f"{self.key}: a logarithmic range needs bounds above 0, not {_text(low)}")
+                raise ValueError(f"{self.key}: a logarithmic range needs bounds above 0, not {_as_text(low)}")
             if self.lognormal is not None and self.lognormal.min is not None:
                 raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
         for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
             # Beyond 8 standard deviations the inverse of the distribution loses digits.
             if form is not None and not (form.score(low) < 8.0 and form.score(high) > -8.0):
-                raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is too far out for this {name}")
+                raise ValueError(f"{self.key}: {_as_text(low)} to {_as_text(high)} is too far out for this {name}")
         return self
 
     @model_validator(mode="after")
-    def _values_of_one_kind(self) -> Vary:
+    def _check_value_kinds(self) -> Vary:
         values = self.values or []
         kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
         if len(kinds) > 1:
-            raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_text, values))}")
+            raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_as_text, values))}")
         repeated = first_repeated(values)
         if repeated is not None:
-            raise ValueError(f"{self.key}: {_text(repeated)} is there twice")
+            raise ValueError(f"{self.key}: {_as_text(repeated)} is there twice")
         if self.relative and kinds - {"number"}:
-            raise ValueError(f"{self.key}: a {self.relative} is a number, not {_text(values[0])}")
+            raise ValueError(f"{self.key}: a {self.relative} is a number, not {_as_text(values[0])}")
         return self
 
     @property
@@ -169,7 +169,7 @@ class Vary(Model):
 
     @property
     def discrete(self) -> bool:
-        """Whether it can be a side of a grid: values, or a range with levels."""
+        """Whether the key can be an axis of a grid: it has values, or a range with levels."""
         return self.values is not None or self.levels is not None
 
     @property
@@ -179,20 +179,20 @@ class Vary(Model):
 
     @property
     def text(self) -> str:
-        """The text of the command line, from which :func:`parse_vary` makes the same."""
+        """Text of the command line that :func:`parse_vary` parses to this distribution."""
         if self.uncertainty:
             return self.key
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
-        return f"{self.key}{sign}{self._form_text()}"
+        return f"{self.key}{sign}{self._format_form()}"
 
-    def _form_text(self) -> str:
+    def _format_form(self) -> str:
         if self.values is not None:
-            return ",".join(_text(value) for value in self.values)
+            return ",".join(_as_text(value) for value in self.values)
         if self.range is not None:
-            span = ":".join(_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
+            span = ":".join(_as_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
             return f"log({span})" if self.scale == "log" else span
         name = next(name for name in CALLS if getattr(self, name) is not None)
-        numbers = ["" if number is None else _text(number) for _, number in getattr(self, name)]
+        numbers = ["" if number is None else _as_text(number) for _, number in getattr(self, name)]
         return f"{name}({','.join(numbers if any(numbers[2:]) else numbers[:2])})"
 
 
@@ -201,14 +201,14 @@ def vary_tables(value: Any) -> Any:
     listed = [value] if isinstance(value, str) else value
     if not isinstance(listed, list):
         return value
-    tables = [_table_of(each) if isinstance(each, str) else each for each in listed]
+    tables = [_parse_to_table(each) if isinstance(each, str) else each for each in listed]
     return [
-        each | {"uncertainty": True} if isinstance(each, dict) and each == {"key": UNCERTAIN} else each
+        each | {"uncertainty": True} if isinstance(each, dict) and each == {"key": UNCERTAIN_KEY} else each
         for each in tables
     ]
 
 
-def _table_of(text: str) -> dict[str, Any]:
+def _parse_to_table(text: str) -> dict[str, Any]:
     try:
         return parse_vary(text).model_dump(mode="json", exclude_none=True)
     except InputError as error:
@@ -216,12 +216,12 @@ def _table_of(text: str) -> dict[str, Any]:
 
 
 def parse_vary(text: str) -> Vary:
-    """Read ``KEY=LO:HI`` and its relatives, see ``USAGE``.
+    """Parse a distribution such as ``KEY=LO:HI`` of the command line; ``USAGE`` lists all forms.
 
     Bounds of ``normal`` and ``lognormal`` may be left out, one of them or both.  Raises InputError: one line.
     """
-    if text.strip() == UNCERTAIN:
-        return Vary(key=UNCERTAIN, uncertainty=True)
+    if text.strip() == UNCERTAIN_KEY:
+        return Vary(key=UNCERTAIN_KEY, uncertainty=True)
     match = re.fullmatch(r"\s*([^=*+\s]+)\s*(\*=|\+=|=)\s*(.+?)\s*", text)
     if match is None:
         raise InputError(f"vary {text}: {USAGE}")
@@ -235,7 +235,7 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
     call = re.fullmatch(r"([A-Za-z]+)\s*\((.*)\)", form)
     if call is None:
         if ":" in form:
-            return _span(form, text)
+            return _parse_range(form, text)
         if "," in form:
             return {"values": [parse_value(part) for part in form.split(",")]}
         if ends := re.fullmatch(r"([\d.]+)\s*(?:-|\.\.|to)\s*([\d.]+)", form):
@@ -243,7 +243,7 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
         raise InputError(f"vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or settings {text}")
     name, argument_text = call.groups()
     if name == "log":
-        return {**_span(argument_text, text), "scale": "log"}
+        return {**_parse_range(argument_text, text), "scale": "log"}
     if name not in CALLS:
         raise InputError(f"vary {text}: unknown distribution {name!r}; {nearest(name, [*CALLS, 'log'])}")
     arguments, fields = [part.strip() for part in argument_text.split(",")], CALLS[name].model_fields
@@ -254,7 +254,7 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
     return {name: {key: parse_number(part, f"vary {text}") for key, part in stated.items()}}
 
 
-def _span(span: str, text: str) -> dict[str, Any]:
+def _parse_range(span: str, text: str) -> dict[str, Any]:
     numbers = span.split(":")
     if len(numbers) not in (2, 3):
         raise InputError(f"vary {text}: {USAGE}")
@@ -279,7 +279,7 @@ def first_repeated(values: Sequence[T]) -> T | None:
     return next((value for index, value in enumerate(values) if value in values[:index]), None)
 
 
-def _text(value: bool | int | float | str) -> str:
+def _as_text(value: bool | int | float | str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return number_text(value) if isinstance(value, float) else str(value)

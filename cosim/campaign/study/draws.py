@@ -27,7 +27,7 @@ from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
-# draws at once, a power of 2 for Sobol
+# Draws that are computed together: a power of 2, as Sobol's sequence needs.
 BLOCK = 1024
 POINTS, SEEDS = 0, 1  # indices of a seed's random streams
 
@@ -55,10 +55,10 @@ class LazySequence(Sequence[T]):
 
     def __getitem__(self, index: int | slice) -> T | list[T]:
         # An index past the end raises IndexError, which also ends a for loop over this object.
-        numbers = range(len(self))[index]
-        return self._make(numbers) if isinstance(numbers, int) else [self._make(number) for number in numbers]
+        chosen = range(len(self))[index]
+        return self._compute_item(chosen) if isinstance(chosen, int) else [self._compute_item(each) for each in chosen]
 
-    def _make(self, number: int) -> T:
+    def _compute_item(self, number: int) -> T:
         raise NotImplementedError
 
 
@@ -83,13 +83,13 @@ class Draws(LazySequence[Draw]):
     def __len__(self) -> int:
         return self._count
 
-    def _make(self, number: int) -> Draw:
+    def _compute_item(self, number: int) -> Draw:
         block, index = divmod(number, BLOCK)
         if self._block[0] != block:
-            self._block = (block, list(self._draw(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
+            self._block = (block, list(self._compute_draws(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
         return self._block[1][index]
 
-    def _draw(self, first: int, end: int) -> Iterator[Draw]:
+    def _compute_draws(self, first: int, end: int) -> Iterator[Draw]:
         points = self._points(first, end)
         columns = [column for bend in self._bend for column in bend(points)]
         for number, row in enumerate(zip(*columns, strict=True), start=first):
@@ -122,13 +122,13 @@ def _map_engine_sides(engine: EngineDraw, first: int) -> Callable[[Array], list[
 
 
 class Points(Protocol):
-    """The positions of the draws ``first`` to ``end - 1`` in their block: a row for each, a column a key."""
+    """Function that returns the points of draws ``first`` to ``end - 1`` of one block: a row a draw, a column a key."""
 
     def __call__(self, first: int, end: int) -> Array: ...
 
 
 class Grid:
-    """All combinations of levels, by index; the last key changes fastest, repeats start over.
+    """All combinations of the keys' levels, by index; the last key changes fastest, repeats start over.
 
     The sides of an uncertain engine are drawn for each point.
     """
@@ -140,18 +140,18 @@ class Grid:
     def __call__(self, first: int, end: int) -> Array:
         indices = np.unravel_index(np.arange(first, end) % prod(self._sides), self._sides)
         points = np.stack(indices, axis=1).astype(np.float64)
-        return np.hstack([points, _independent(self._seed, first, end, self._drawn)]) if self._drawn else points
+        return np.hstack([points, _independent_points(self._seed, first, end, self._drawn)]) if self._drawn else points
 
 
 class Random:
-    """Independent points; each block has its own generator, so that it can be made without those before it."""
+    """Independent random points; each block has its own generator, so that it is made without those before."""
 
     def __init__(self, study: Study, sides: int) -> None:
         self._seed, self._sides = study.seed, sides
-        self._correlate = _copula(study)
+        self._correlate = _make_copula(study)
 
     def __call__(self, first: int, end: int) -> Array:
-        return self._correlate(_independent(self._seed, first, end, self._sides))
+        return self._correlate(_independent_points(self._seed, first, end, self._sides))
 
 
 class Sobol:
@@ -159,12 +159,12 @@ class Sobol:
 
     def __init__(self, study: Study, sides: int) -> None:
         self._seed, self._sides = study.seed, sides
-        self._correlate = _copula(study)
-        self._engine, self._next = self._begin()
+        self._correlate = _make_copula(study)
+        self._engine, self._next = self._restart_sequence()
 
     def __call__(self, first: int, end: int) -> Array:
         if first < self._next:
-            self._engine, self._next = self._begin()
+            self._engine, self._next = self._restart_sequence()
         if first > self._next:
             self._engine.fast_forward(first - self._next)
         self._next = first + BLOCK
@@ -173,10 +173,10 @@ class Sobol:
         # Points have 30 bits and 0 is one of them: take the middle of the cell.
         return self._correlate(points + 2.0**-31)
 
-    def _begin(self) -> tuple[Any, int]:
+    def _restart_sequence(self) -> tuple[Any, int]:
         from scipy.stats import qmc
 
-        return qmc.Sobol(self._sides, scramble=True, bits=30, rng=_generator(self._seed)), 0
+        return qmc.Sobol(self._sides, scramble=True, bits=30, rng=_make_generator(self._seed)), 0
 
 
 class LatinHypercube:
@@ -189,7 +189,7 @@ class LatinHypercube:
     def __call__(self, first: int, end: int) -> Array:
         if self._points is None:
             study = self._study
-            points = latin_hypercube(_generator(study.seed), study.draws, self._sides)
+            points = latin_hypercube(_make_generator(study.seed), study.draws, self._sides)
             self._points = reorder_points(np.maximum(points, MIN_QUANTILE), study.correlations(self._sides))
         return self._points[first:end]
 
@@ -216,13 +216,13 @@ def latin_hypercube(generator: np.random.Generator, draws: int, sides: int) -> A
     return points
 
 
-def _independent(seed: int, first: int, end: int, sides: int) -> Array:
+def _independent_points(seed: int, first: int, end: int, sides: int) -> Array:
     """Return independent points of the block that begins with the draw ``first``."""
     random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS, first // BLOCK)))
     return np.maximum(random.random((end - first, sides)), MIN_QUANTILE)
 
 
-def _generator(seed: int) -> np.random.Generator:
+def _make_generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS,)))
 
 
@@ -231,13 +231,13 @@ def _correlated_keys(matrix: Array) -> list[int]:
     return [index for index, row in enumerate(matrix) if np.count_nonzero(row) > 1]
 
 
-def _copula(study: Study) -> Callable[[Array], Array]:
+def _make_copula(study: Study) -> Callable[[Array], Array]:
     """Return a function that gives independent points the requested correlations."""
     matrix = study.correlations()
     sides = _correlated_keys(matrix)
     lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
 
-    def correlate(points: Array) -> Array:
+    def correlate_points(points: Array) -> Array:
         if not sides:
             return points
         from scipy.special import ndtr, ndtri
@@ -250,7 +250,7 @@ def _copula(study: Study) -> Callable[[Array], Array]:
             points[:, side] = np.clip(ndtr(together), MIN_QUANTILE, 1.0 - MIN_QUANTILE * 2.0)
         return points
 
-    return correlate
+    return correlate_points
 
 
 def reorder_points(points: Array, matrix: Array) -> Array:
@@ -280,32 +280,32 @@ def reorder_points(points: Array, matrix: Array) -> Array:
 
 
 def level(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
-    """Map indices on a side of the grid to values."""
+    """Return a function from indices along a grid's axis to values of its key."""
     values = levels(vary, key)
     return lambda indices: [values[int(index)] for index in indices]
 
 
 def inverse(vary: Vary, key: Key) -> Callable[[Array], list[Value]]:
-    """Map points of a side (0 to 1) to values of its key."""
+    """Return a function from points between 0 and 1 to values of a key."""
     if vary.values is not None:
         ladder = levels(vary, key)
         return lambda quantiles: [ladder[min(int(quantile * len(ladder)), len(ladder) - 1)] for quantile in quantiles]
-    bend = _distribution(vary, *_bounds_of_draws(vary, key))
-    scale, shift = _relation(vary, key)
+    bend = _inverse_distribution(vary, *_bounds_of_draws(vary, key))
+    scale, shift = _affine_relation(vary, key)
     low, high = absolute_support(vary, key)
     stepped = quantum(key) is not None
 
-    def values(quantiles: Array) -> list[Value]:
+    def map_quantiles(quantiles: Array) -> list[Value]:
         numbers = bend(quantiles) * scale + shift
         if stepped:
             return [key.fit(value) for value in round_to_steps(numbers.tolist(), vary, key)]
         # Rounding may pass the bounds by one bit.
         return list(np.clip(numbers, low, high).tolist())
 
-    return values
+    return map_quantiles
 
 
-def _relation(vary: Vary, key: Key) -> tuple[float, float]:
+def _affine_relation(vary: Vary, key: Key) -> tuple[float, float]:
     """Return scale and shift of value = scale * drawn + shift."""
     nominal = float(key.nominal or 0.0)
     return {"": (1.0, 0.0), "factor": (nominal, 0.0), "offset": (1.0, nominal)}[vary.relative]
@@ -317,12 +317,12 @@ def _bounds_of_draws(vary: Vary, key: Key) -> tuple[float, float]:
     if step is None:
         return vary.support
     first, last = whole_bounds(*absolute_support(vary, key), step)
-    scale, shift = _relation(vary, key)
+    scale, shift = _affine_relation(vary, key)
     ends = [((end + half) * step - shift) / scale for end, half in ((first, -0.5), (last, 0.5))]
     return min(ends), max(ends)
 
 
-def _distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Array]:
+def _inverse_distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Array]:
     """Return the inverse of the cumulative distribution within bounds."""
     if vary.range is not None:
         if vary.scale == "log":

@@ -27,14 +27,14 @@ ENGINE = "engine"  # key of the drawn engine
 DRAWN_BY = "by the engine's [uncertainty]"
 # A quantile of 0 would be minus infinity under a normal distribution.
 MIN_QUANTILE = 2.0**-54
-HOW = (
+UNCERTAINTY_HINT = (
     "hexjet engine from-bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary "
     "single parameters, vary mismatch.engine_parameters.NAME=LO:HI"
 )
 
 
 @dataclass(frozen=True)
-class _Parameter:
+class _UncertainParameter:
     """One uncertain parameter: deviation and spread, its key for all engines, and keys for single stations."""
 
     deviation: float
@@ -44,13 +44,13 @@ class _Parameter:
 
 
 class EngineDraw:
-    """The draws of a scenario's engine.
+    """Draws of an engine's uncertain parameters.
 
     ``names``: the key that each of the numbers between 0 and 1 stands for that make one, ``sides`` of them; of
     correlated keys one stands for what those before it leave open.  ``keys``: what gets a value in each, in order.
     """
 
-    def __init__(self, table: Uncertainty, parameters: Sequence[_Parameter]) -> None:
+    def __init__(self, table: Uncertainty, parameters: Sequence[_UncertainParameter]) -> None:
         self._table, self._parameters = table, parameters
         self.keys = [key for of in parameters for key in (*([of.common] if of.deviation else []), *of.stations)]
         self.names = [of.common.path for of in parameters] + [key.path for of in parameters for key in of.stations]
@@ -65,8 +65,8 @@ class EngineDraw:
             f"source: {self._table.source or 'not stated'})"
         )
 
-    def named(self, name: str) -> dict[str, Value]:
-        """Return the draw of this name by key; the same on each machine."""
+    def draw_by_name(self, name: str) -> dict[str, Value]:
+        """Return the values that a name selects, by key; the same on each machine."""
         seed = int.from_bytes(sha256(name.encode()).digest())
         points = np.maximum(np.random.default_rng(seed).random((1, self.sides)), MIN_QUANTILE)
         return {key.path: column[0] for key, column in zip(self.keys, self.values(points), strict=True)}
@@ -81,10 +81,10 @@ class EngineDraw:
             centre = np.full(len(points), _nominal_value(of.common))
             drawn = cut_normal(quantiles, centre, of.deviation, of.common.low, of.common.high)
             if of.deviation:
-                columns.append(_fit(drawn, of.common))
+                columns.append(_fit_to_key(drawn, of.common))
             for key in of.stations:
                 centre = np.clip(drawn + (_nominal_value(key) - _nominal_value(of.common)), key.low, key.high)
-                columns.append(_fit(cut_normal(points[:, side], centre, of.spread, key.low, key.high), key))
+                columns.append(_fit_to_key(cut_normal(points[:, side], centre, of.spread, key.low, key.high), key))
                 side += 1
         return columns
 
@@ -94,7 +94,7 @@ def engine_draw(scenario: Scenario, source: EngineSource | None = None) -> Engin
     source = find_source(source or scenario.engine, scenario.folder)
     table = source.uncertainty
     if table is None:
-        raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {HOW}")
+        raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {UNCERTAINTY_HINT}")
     vehicle, _ = scenario.resolved_vehicle()
     keys = {key.path: key for key in flown_engine_keys(scenario, source, len(vehicle.jets))}
     stated = {number: station for number, station in scenario.stations.items() if station.engine is not None}
@@ -109,7 +109,7 @@ def engine_draw(scenario: Scenario, source: EngineSource | None = None) -> Engin
         own = [keys[f"{FLOWN_STATIONS}{number}.{name}"] for number in stations]
         # A station that states another value is drawn around that value.
         single = tuple(key for key in own if spread or key.nominal != common.nominal)
-        parameters.append(_Parameter(deviation, spread, common, single))
+        parameters.append(_UncertainParameter(deviation, spread, common, single))
     return EngineDraw(table, parameters)
 
 
@@ -155,7 +155,7 @@ def _nominal_value(key: Key) -> float:
     return float(key.nominal)
 
 
-def _fit(drawn: Array, key: Key) -> list[Value]:
+def _fit_to_key(drawn: Array, key: Key) -> list[Value]:
     """Return a drawn value in the key's type: integers within bounds for counts."""
     if key.kind != "int":
         return list(drawn.tolist())

@@ -56,7 +56,7 @@ NOT_VARIED = (  # keys that no study may vary
 )
 CUSTOM_PARAMETERS = "controller_parameters."  # keys of a custom controller
 FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stations."  # keys of flown parameters
-OF_ENGINE = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)  # prefixes of engines' keys
+ENGINE_KEYS = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)  # prefixes of engines' keys
 CUSTOM_TUNING = "vehicle.control.predictor.own."  # keys of predictors of plug-ins
 LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")  # index of an entry in a key
 
@@ -83,11 +83,11 @@ def find_key(scenario: Scenario, text: str) -> Key:
     if head in LISTS and head not in [path.split(".")[0] for path in keys]:
         raise InputError(f"{name}: scenario {scenario.name} has no [[{head}]]")
     meant = suggest_key(name) if head == "engine" or "delay" in head else None
-    raise InputError(f"unknown key {name!r}; {meant or _nearest(name, keys)}")
+    raise InputError(f"unknown key {name!r}; {meant or _suggest_keys(name, keys)}")
 
 
 def all_keys(scenario: Scenario) -> list[Key]:
-    """Return every key of a scenario with its aircraft and engines: its own first, then vehicle, engine, stations.
+    """Return every key of a scenario, its aircraft and engines: scenario first, then vehicle, engine, stations.
 
     Raises InputError if the aircraft or an engine is not usable.
     """
@@ -103,7 +103,7 @@ def all_keys(scenario: Scenario) -> list[Key]:
         *custom_keys(scenario),
         *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(CUSTOM_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
-        *_parameters("engine_parameters", source, scenario.engine_parameters),
+        *_parameter_keys("engine_parameters", source, scenario.engine_parameters),
         *flown_engine_keys(scenario, source, len(vehicle.jets)),
     ]
 
@@ -111,12 +111,12 @@ def all_keys(scenario: Scenario) -> list[Key]:
 def flown_engine_keys(scenario: Scenario, source: EngineSource, jets: int) -> Iterator[Key]:
     """Yield the keys of the true engine, unknown to controllers, and those of each of ``jets`` stations."""
     flown = {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}
-    yield from _parameters(FLOWN_PARAMETERS, source, flown)
+    yield from _parameter_keys(FLOWN_PARAMETERS, source, flown)
     yield from _station_keys(scenario, source, jets)
 
 
 def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
-    """Return the keys whose path or meaning has ``pattern``; with ``*`` or ``?`` those that it matches as a whole.
+    """Return the keys whose path or meaning contains ``pattern``; of one with ``*`` or ``?``, those that it matches.
 
     Raises InputError if there is none.
     """
@@ -126,7 +126,7 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
     else:
         selected = [key for key in listed if word in f"{key.path} {key.meaning}".lower()]
     if not selected:
-        raise InputError(f"no key matches {pattern!r}; {_nearest(pattern, [key.path for key in listed])}")
+        raise InputError(f"no key matches {pattern!r}; {_suggest_keys(pattern, [key.path for key in listed])}")
     return selected
 
 
@@ -139,11 +139,11 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
 
     Raises InputError for a value that the scenario does not take, and for keys that cannot hold together.
     """
-    values = _with_aircraft_engine(scenario, values)
+    values = _add_aircraft_engine(scenario, values)
     if "controller" in values:
         scenario, values = _select_parameters(scenario, values)
-    _check_together(scenario, values)
-    changes, values = _controller_file(scenario, values)
+    _refuse_conflicting_changes(scenario, values)
+    changes, values = _add_file_values(scenario, values)
     for path, value in values.items():
         *tables, last = split_key(path)
         change: dict[str, Any] = {last: value}
@@ -157,14 +157,14 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
     return Scenario.from_table(merge(table, changes), scenario.folder, where, scenario.origin or scenario)
 
 
-def _with_aircraft_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
+def _add_aircraft_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:
     aircraft = values.get("aircraft", scenario.aircraft)
     if aircraft == scenario.aircraft or "engine" in values:
         return values
     return {**values, "engine": engine_of(str(aircraft), scenario.folder) or scenario.engine}
 
 
-def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
+def _add_file_values(scenario: Scenario, values: Mapping[str, Value]) -> tuple[dict[str, Any], Mapping[str, Value]]:
     """Return the values from a controller file, overridden by these; unchanged for a built-in controller."""
     path = str(values.get("controller", ""))
     if not is_design(path):
@@ -183,7 +183,7 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
 
 
 def custom_keys(scenario: Scenario) -> list[Key]:
-    """Return the parameters of the scenario's user-supplied controller; none while files are only looked at."""
+    """Return the parameters of the scenario's user-supplied controller; none where user code may not run."""
     if is_design(scenario.controller):
         return []
     try:
@@ -202,7 +202,7 @@ def custom_keys(scenario: Scenario) -> list[Key]:
 
 
 def _select_parameters(scenario: Scenario, values: Mapping[str, Value]) -> tuple[Scenario, Mapping[str, Value]]:
-    """Return the scenario and values without the parameters that the controller of these values does not have."""
+    """Return scenario and values without parameters that the controller among the values does not have."""
     controller = str(values["controller"])
     changed = scenario.model_copy(update={"controller": controller, "controller_parameters": {}})
     names = {key.path.removeprefix(CUSTOM_PARAMETERS) for key in custom_keys(changed)}
@@ -218,11 +218,11 @@ def _select_parameters(scenario: Scenario, values: Mapping[str, Value]) -> tuple
     return scenario.model_copy(update=changes), selected
 
 
-def _check_together(scenario: Scenario, values: Mapping[str, Value]) -> None:
+def _refuse_conflicting_changes(scenario: Scenario, values: Mapping[str, Value]) -> None:
     """Refuse to change aircraft or engine together with values meant for the scenario's own."""
     rules: list[tuple[str, str, Mapping[str, Any], tuple[str, ...]]] = [
         ("aircraft", scenario.aircraft, scenario.vehicle, ("vehicle.",)),
-        ("engine", scenario.engine, scenario.engine_parameters, OF_ENGINE),
+        ("engine", scenario.engine, scenario.engine_parameters, ENGINE_KEYS),
     ]
     for path in [key for key in values if key.startswith("stations.") and key.endswith(".engine")]:
         station = scenario.stations.get(path.split(".")[1])
@@ -249,7 +249,7 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
     if name == "mismatch":
         value = value.model_copy(update={"engine_parameters": {}, "stations": {}})  # the engine has its own ones
     if name in ("aircraft", "engine", "controller"):
-        yield Key(name, "choice", value, choices=tuple(_names(name)))
+        yield Key(name, "choice", value, choices=tuple(_choice_names(name)))
     elif name == "sensors":
         yield Key(name, "choice", value or STATED, choices=tuple(profile_names()))
     elif name in LISTS:
@@ -260,7 +260,7 @@ def _scenario_keys(scenario: Scenario, name: str, field: FieldInfo) -> Iterator[
         yield from _value_keys(name, _restore_bounds(field), value)
 
 
-def _names(name: str) -> list[str]:
+def _choice_names(name: str) -> list[str]:
     if name == "controller":
         return [*PREDICTORS, *(name for name, _ in custom_controllers())]
     return aircraft_names() if name == "aircraft" else list_engine_names()
@@ -379,7 +379,7 @@ def _is_union(annotation: Any) -> bool:
     return get_origin(annotation) in (Union, UnionType)
 
 
-def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
+def _parameter_keys(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the engine's parameters that the simulation does not set itself."""
     nominals = {**resolve_parameters(source, {})[0], **values}
     known = UNKNOWN_TO_CONTROLLER if path.startswith("mismatch.") else PREDICTOR_KEEPS_MODEL
@@ -393,14 +393,14 @@ def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) ->
             f"{path}.{variable.name}",
             "int" if whole else "float",
             round(nominal) if whole else nominal,
-            _key_of_parameter(variable.name, variable.unit),
+            _parameter_unit(variable.name, variable.unit),
             -inf if low is None else low,
             inf if high is None else high,
             text="; ".join(filter(None, (variable.description, known))),
         )
 
 
-def _key_of_parameter(name: str, unit: str | None) -> str:
+def _parameter_unit(name: str, unit: str | None) -> str:
     return unit if unit and unit != "1" else unit_of(name)
 
 
@@ -415,25 +415,25 @@ def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) ->
         common = scenario.engine_parameters if engine is None else {}
         source = find_source(engine or common_source, scenario.folder)
         known = {**common, **values}
-        yield from _parameters(f"stations.{number}.parameters", source, known)
+        yield from _parameter_keys(f"stations.{number}.parameters", source, known)
         flown = scenario.mismatch.engine_parameters if engine is None else {}
         flown = {**known, **flown, **scenario.mismatch.stations.get(str(number), {})}
-        yield from _parameters(f"{FLOWN_STATIONS}{number}", source, flown)
+        yield from _parameter_keys(f"{FLOWN_STATIONS}{number}", source, flown)
 
 
-def _nearest(name: str, keys: Iterable[str], least: float = 0.6, span: float = 0.15) -> str:
-    """Return the keys that may be meant, up to four: at least ``least`` like it, and within ``span`` of the best."""
+def _suggest_keys(name: str, keys: Iterable[str], min_similarity: float = 0.6, max_gap: float = 0.15) -> str:
+    """Return a hint with up to four keys of the highest similarity to ``name``, within ``max_gap`` of the best."""
     # Keys that differ in list indices alone are similar to the same degree, so only the first is suggested.
     by_name = {LIST_INDEX.sub("#", path): path for path in reversed(list(keys))}
-    scored = sorted((-_likeness(name, path), len(path), path) for path in by_name.values())
-    close = [path for score, _, path in scored[:4] if -score >= max(least, -scored[0][0] - span)]
+    scored = sorted((-_similarity(name, path), len(path), path) for path in by_name.values())
+    close = [path for score, _, path in scored[:4] if -score >= max(min_similarity, -scored[0][0] - max_gap)]
     if close:
         return f"did you mean {' or '.join([', '.join(close[:-1]), close[-1]] if len(close) > 1 else close)}?"
     return "hexjet sweep SCENARIO --keys lists all of them"
 
 
-def _likeness(name: str, path: str) -> float:
-    """Return how like a name is to a path or its last parts, 0 to 1; indices of lists do not count."""
+def _similarity(name: str, path: str) -> float:
+    """Return the similarity, 0 to 1, of a name to a path or its last parts; list indices are ignored."""
     typed, parts = ([each for each in text.split(".") if not each.isdigit()] for text in (name, path))
     tail = parts[-len(typed) :]
     if name and len(tail) == len(typed) and all(want in part for want, part in zip(typed, tail, strict=True)):

@@ -14,12 +14,12 @@ from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
 from cosim.spec.scenario import Scenario, flown_parameters
 
-# keys that change no model and no vehicle
+# Prefixes of keys that change neither a model nor the vehicle.
 NOT_MODELLED = ("mismatch.", "command.", "controller_parameters.")
 
 
 def model_notes(study: Study) -> list[str]:
-    """Return at most one note: the flight at the ends of the ranges whose model deviates most.
+    """Return at most one note, on the flight at the ends of the ranges whose controller's model deviates most.
 
     Empty where all models are the vehicles', and where no controller believes one.  A flight that cannot be built is
     passed over: it is a row of the campaign, with the reason.
@@ -51,7 +51,7 @@ def model_notes(study: Study) -> list[str]:
 
 
 def nominal_model_notes(scenario: Scenario) -> list[str]:
-    """Return what is noteworthy of the models that a flight's controller believes, a line each."""
+    """Return notes on the models of a flight's controller that differ from the vehicle, one line each."""
     vehicle, _ = scenario.resolved_vehicle()
     agreements = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
     return [agreement.note for agreement in agreements if agreement.is_noteworthy]

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import trust_named_code
-from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_vary, vary_tables
+from cosim.campaign.study.distributions import UNCERTAIN_KEY, parse_number, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs, parse_claim
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names, vary_cases
@@ -23,7 +23,7 @@ from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
 
 class NothingVariesError(InputError):
-    """A study in which nothing varies."""
+    """Raised for a study without any varied key."""
 
 
 def open_study(
@@ -81,7 +81,7 @@ def open_study(
     data |= {"nominal_engine": True} if nominal_engine else {}
     data |= {"batch": True} if batch else {}
     if _is_engine_drawn(data, folder, where):
-        data["vary"] = [*data["vary"], {"key": UNCERTAIN, "uncertainty": True}]
+        data["vary"] = [*data["vary"], {"key": UNCERTAIN_KEY, "uncertainty": True}]
     if not data["vary"]:
         raise NothingVariesError(f"{where}: nothing varies; vary KEY=LO:HI says what does")
     if data.get("until") is not None:
@@ -95,11 +95,11 @@ def open_study(
 def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
     """Return whether the engine's uncertainty is drawn by default."""
     keys = [table.get("key", "") for table in data["vary"] if isinstance(table, dict)]
-    if UNCERTAIN in keys or data.get("nominal_engine"):
+    if UNCERTAIN_KEY in keys or data.get("nominal_engine"):
         return False
     left_out = ("correlate", "controllers", "repeats", "until")
     kept = {key: value for key, value in data.items() if key not in left_out}
-    study = Study.unchecked({**kept, "vary": [UNCERTAIN], "design": "random", "runs": 1}, folder, where)
+    study = Study.unchecked({**kept, "vary": [UNCERTAIN_KEY], "design": "random", "runs": 1}, folder, where)
     return default_draw(study.base(), False, [*keys, *study.case_keys])[0] is not None
 
 
@@ -113,7 +113,7 @@ def _add_success(data: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any
 
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
-    """Return a title of what flies, with the file's description marked as the file's."""
+    """Return a title that names what flies, and mark the description as that of the file."""
     changes = [*settings, *([f"controllers {', '.join(map(short_name, controllers))}"] if controllers else [])]
     listed = [*changes[:3], *([f"{len(changes) - 3} more changes"] if len(changes) > 3 else [])]
     summary = ", ".join(listed) or "with options of its own"

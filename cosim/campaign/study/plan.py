@@ -62,7 +62,7 @@ class _Flights(LazySequence[Flight]):
     def __len__(self) -> int:
         return len(self._draws) * len(self._controllers)
 
-    def _make(self, number: int) -> Flight:
+    def _compute_item(self, number: int) -> Flight:
         draw_number, controller = divmod(number, len(self._controllers))
         draw = self._draws[draw_number]
         return Flight(number, draw.number, self._controllers[controller], draw.seed, draw.values)

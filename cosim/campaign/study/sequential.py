@@ -64,11 +64,11 @@ def parse_claim(text: str, name: str = "until =") -> Claim:
             "or CONTROLLER>CONTROLLER@CONFIDENCE%"
         )
     # Two controllers that are alike each win half of the draws in which they differ.
-    probability = 0.5 if match[1] is None else _percentage(match[1], 1.0, f"{name} {text}")
+    probability = 0.5 if match[1] is None else _parse_percentage(match[1], 1.0, f"{name} {text}")
     pair = None if match[1] is not None else (match[2], match[3])
     if pair is not None and pair[0] == pair[1]:
         raise InputError(f"{name} {text}: compares {pair[0]} with itself")
-    return Claim(probability, _percentage(match[4], 50.0, f"{name} {text}"), pair)
+    return Claim(probability, _parse_percentage(match[4], 50.0, f"{name} {text}"), pair)
 
 
 def default_runs(text: str) -> int:
@@ -77,7 +77,7 @@ def default_runs(text: str) -> int:
     return min(10 * parse_claim(text).fewest, MAX_TESTED)
 
 
-def _percentage(text: str, least: float, where: str) -> float:
+def _parse_percentage(text: str, least: float, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -137,18 +137,18 @@ class SequentialTest:
     def close(self) -> None:
         """Decide by all of the error, now that the study has no more flights."""
         if self.decision == "open" and self.flights:
-            if self._highest(self.claim.error) <= self._failing:
+            if self._upper_failure_bound(self.claim.error) <= self._failing:
                 self.decision = "shown"
-            elif self._least(self.claim.error) > self._failing:
+            elif self._lower_failure_bound(self.claim.error) > self._failing:
                 self.decision = "refuted"
 
     def lower_end(self) -> float:
         """Return the lower end of the probability of success, one-sided, at the claim's confidence."""
-        return 1.0 - self._highest(self.claim.error)
+        return 1.0 - self._upper_failure_bound(self.claim.error)
 
     def interval(self) -> tuple[float, float]:
         """Return the two-sided interval of 95 % of the probability of success."""
-        return 1.0 - self._highest(0.025), 1.0 - self._least(0.025)
+        return 1.0 - self._upper_failure_bound(0.025), 1.0 - self._lower_failure_bound(0.025)
 
     def _advance(self) -> None:
         """Advance all possible courses of a study by one flight, and end those that crossed a boundary."""
@@ -158,55 +158,55 @@ class SequentialTest:
         going[1:] += self._going * self._failing
         error, failures = self.claim.error, self._refuted_from
         if self._spent["refuted"] + going[-1] <= error * failures / (failures + 1):
-            self._end("refuted", failures, going[-1])
+            self._record_ending("refuted", failures, going[-1])
             going = going[:-1]
         else:
             self._refuted_from += 1
         while going.size and self._spent["shown"] + going[0] <= error * (self._lowest + 1) / (self._lowest + 2):
-            self._end("shown", self._lowest, going[0])
+            self._record_ending("shown", self._lowest, going[0])
             self._lowest, going = self._lowest + 1, going[1:]
         self._going = going
 
-    def _end(self, decision: Decision, failures: int, probability: float) -> None:
+    def _record_ending(self, decision: Decision, failures: int, probability: float) -> None:
         self._spent[decision] += probability
         self._ends[decision].append((self.flights, failures, probability))
 
-    # ---- Intervals. Endings from best to worst: shown (sooner is better), open (by failures), refuted (later is
+    # Intervals order the endings from best to worst: shown (sooner is better), open (by failures), refuted (later is
     # better). At a bound this ending and all better, or all worse, ones have the probability ``error``.
 
-    def _highest(self, error: float) -> float:
+    def _upper_failure_bound(self, error: float) -> float:
         """Return the largest failure probability at which an ending as good as this has the probability ``error``."""
         if self.failures == self.flights and self._crossed != "shown":
             return 1.0
         return self._find_root(lambda failing: self._probability_as_good(failing) - error)
 
-    def _least(self, error: float) -> float:
+    def _lower_failure_bound(self, error: float) -> float:
         """Return the smallest failure probability at which an ending as bad as this has the probability ``error``."""
         if self.failures == 0:
             return 0.0
         return self._find_root(lambda failing: error - self._probability_as_bad(failing))
 
     def _probability_as_good(self, failing: float) -> float:
-        shown = self._probability(self._ends["shown"], failing)
+        shown = self._ends_probability(self._ends["shown"], failing)
         if self._crossed == "shown":
             return shown
         if self._crossed == "open":
-            return shown + self._probability(self._open(range(self._lowest, self.failures + 1)), failing)
-        return 1.0 - self._probability(self._ends["refuted"][:-1], failing)
+            return shown + self._ends_probability(self._open_ends(range(self._lowest, self.failures + 1)), failing)
+        return 1.0 - self._ends_probability(self._ends["refuted"][:-1], failing)
 
     def _probability_as_bad(self, failing: float) -> float:
-        refuted = self._probability(self._ends["refuted"], failing)
+        refuted = self._ends_probability(self._ends["refuted"], failing)
         if self._crossed == "refuted":
             return refuted
         if self._crossed == "open":
-            return refuted + self._probability(self._open(range(self.failures, self._refuted_from)), failing)
-        return 1.0 - self._probability([end for end in self._ends["shown"] if end[1] < self.failures], failing)
+            return refuted + self._ends_probability(self._open_ends(range(self.failures, self._refuted_from)), failing)
+        return 1.0 - self._ends_probability([end for end in self._ends["shown"] if end[1] < self.failures], failing)
 
-    def _open(self, failures: range) -> list[tuple[int, int, float]]:
+    def _open_ends(self, failures: range) -> list[tuple[int, int, float]]:
         return [(self.flights, count, float(self._going[count - self._lowest])) for count in failures]
 
-    def _probability(self, ends: list[tuple[int, int, float]], failing: float) -> float:
-        """Return how probable the ends are with another probability of failure: their likelihood ratio times theirs."""
+    def _ends_probability(self, ends: list[tuple[int, int, float]], failing: float) -> float:
+        """Return the probability of endings if flights fail with probability ``failing``, by likelihood ratios."""
         if not ends:
             return 0.0
         flights, failures, probability = (np.array(column) for column in zip(*ends, strict=True))

@@ -50,7 +50,7 @@ ROW_COLUMNS = {  # columns of a row that no key may have
 }
 
 
-def _without_repeats(names: list[str]) -> list[str]:
+def _refuse_repeats(names: list[str]) -> list[str]:
     repeated = first_repeated(names)
     if repeated is not None:
         raise ValueError(f"{repeated} is there twice")
@@ -65,7 +65,7 @@ class Study(Model):
     description: str = ""
     scenario: str  # name, or file relative to the study
     settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario, by dotted key
-    controllers: Annotated[list[str], AfterValidator(_without_repeats)] = Field(
+    controllers: Annotated[list[str], AfterValidator(_refuse_repeats)] = Field(
         default_factory=list
     )  # empty: the scenario's controller
     design: Design
@@ -111,7 +111,7 @@ class Study(Model):
 
     @property
     def controller_names(self) -> list[str]:
-        """The names in rows of who flies: the controllers, or the autopilot in their place."""
+        """Controllers as rows name them, or the autopilot that flies in their place."""
         return self.tried if self.autopilot is None else [self.autopilot.name]
 
     def base(self, case: str | None = None) -> Scenario:
@@ -184,7 +184,7 @@ class Study(Model):
 
     @property
     def drawn(self) -> list[str]:
-        """The keys that get a value in each draw, in the order of a row's columns: an uncertain engine has several."""
+        """Keys that get a value in each draw, in the order of the columns: an uncertain engine has several."""
         if self._drawn is None:
             engine = self.engine_draw()
             of_engine = {} if engine is None else {key.path: key for key in engine.keys}
@@ -294,7 +294,7 @@ class Study(Model):
         return vary_cases(data) if isinstance(data, Mapping) else data
 
     @model_validator(mode="after")
-    def _autopilot_flies_alone(self) -> Study:
+    def _check_autopilot(self) -> Study:
         """Refuse controllers together with an autopilot."""
         if self.autopilot is not None and self.controllers:
             raise ValueError(
@@ -304,7 +304,7 @@ class Study(Model):
         return self
 
     @model_validator(mode="after")
-    def _design_fits(self) -> Study:
+    def _check_design(self) -> Study:
         """Refuse a grid with a number of runs, and other samplings without one or with levels."""
         if self.design != "grid":
             for vary in self.vary:
@@ -332,7 +332,7 @@ class Study(Model):
         return self
 
     @model_validator(mode="after")
-    def _claim_fits(self) -> Study:
+    def _check_claim(self) -> Study:
         """Refuse a claim that this study cannot prove, or whose error probability would be wrong."""
         if self.until is None:
             return self
@@ -352,7 +352,7 @@ class Study(Model):
         return self
 
     @model_validator(mode="after")
-    def _correlations_fit(self) -> Study:
+    def _check_correlations(self) -> Study:
         """Refuse repeated pairs, keys without an order, and inconsistent correlations."""
         by_key = {vary.key: vary for vary in self.vary}
         pairs: set[frozenset[str]] = set()
@@ -425,7 +425,7 @@ def check(study: Study, where: str) -> None:
                 check_vary(vary, study.key(vary.key))
         for controller in study.tried:  # check that files exist and fit the model
             with_values(study.base(), {"controller": controller})
-        _check_together(study)
+        _check_engine_conflicts(study)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
 
@@ -481,7 +481,7 @@ def _count_levels(vary: Vary) -> int:
     return len(vary.values) if vary.values is not None else vary.levels or 1
 
 
-def _check_together(study: Study) -> None:
+def _check_engine_conflicts(study: Study) -> None:
     """Refuse to draw an aircraft or engine together with keys of the present one."""
     nominal = {vary.key: study.key(vary.key).nominal for vary in study.vary}
     values = {name: value for name, value in nominal.items() if value is not None}

@@ -56,12 +56,12 @@ def levels(vary: Vary, key: Key) -> list[Value]:
         numbers = [float(value) for value in vary.values]
     else:
         assert vary.range is not None
-        numbers = _between(*vary.range, vary.levels or 2, vary.scale == "log")
+        numbers = _space_evenly(*vary.range, vary.levels or 2, vary.scale == "log")
     return [key.fit(value) for value in round_to_steps([to_absolute(value, vary, key) for value in numbers], vary, key)]
 
 
-def _between(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
-    """Return ``count`` numbers from ``low`` to ``high``, those between rounded to 12 digits."""
+def _space_evenly(low: float, high: float, count: int, in_ratio: bool) -> list[float]:
+    """Return ``count`` numbers from ``low`` to ``high``, evenly or in ratio, inner ones rounded to 12 digits."""
     fractions = [number / (count - 1) for number in range(1, count - 1)]
     inner = [
         low * exp(fraction * log(high / low)) if in_ratio else low + fraction * (high - low) for fraction in fractions
@@ -79,7 +79,7 @@ def round_to_steps(values: list[float], vary: Vary, key: Key) -> list[float]:
 
 
 def quantum(key: Key) -> float | None:
-    """Return the step of a key: 1 for integers, the control step for times, else None."""
+    """Return the step that values of a key are multiples of: 1 for integers, the control step for times, or None."""
     return 1.0 if key.kind == "int" else key.grid
 
 
@@ -106,7 +106,7 @@ def absolute_support(vary: Vary, key: Key) -> tuple[float, float]:
 
 
 def _is_allowed(low: float, high: float, key: Key) -> bool:
-    """Return whether all values between are allowed, a bound that is never reached aside."""
+    """Return whether a key allows all values between two bounds; bounds that are never reached do not count."""
     above = low > key.low if key.open_low and isfinite(low) else low >= key.low
     below = high < key.high if key.open_high and isfinite(high) else high <= key.high
     return above and below

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-# s for a scheduler to answer
 MAX_CONNECT_S = 4.0  # s until a scheduler must have answered
 MAX_FIRST_WORKER_S = 10.0  # s until the scheduler has a worker
 CHECK_INTERVAL_S = 1.0  # s between counts of the workers
@@ -100,12 +99,12 @@ class DaskWorkers:
             try:
                 return self._import_dask.Client(scheduler, timeout=MAX_CONNECT_S, set_as_default=False, name="hexjet")
             except (OSError, ValueError, TypeError) as error:
-                raise InputError(f"cluster {address}: {_single_line(error)}") from error
+                raise InputError(f"cluster {address}: {_first_line(error)}") from error
 
     def _check_workers(self) -> None:
-        """Refuse workers that would fly something else."""
+        """Refuse workers whose versions differ from those of this machine."""
         end = monotonic() + MAX_FIRST_WORKER_S
-        while not (workers := self._threads.look()):
+        while not (workers := self._threads.query_scheduler()):
             if monotonic() > end:
                 option = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
                 raise InputError(f"cluster {self._where}: has no workers; one is started with: dask worker {option}")
@@ -119,7 +118,7 @@ class DaskWorkers:
             except TimeoutError:
                 continue
             except Exception as error:
-                raise InputError(f"cluster {self._where}: worker {name}: {_describe(error)}") from error
+                raise InputError(f"cluster {self._where}: worker {name}: {_describe_error(error)}") from error
             differences = list_differences(remote_versions, installed_versions())
             if differences:
                 raise InputError(f"cluster {self._where}: worker {name} has {', '.join(differences)}")
@@ -127,27 +126,27 @@ class DaskWorkers:
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
         limit = time_limit(study) if self._time_limit is None else self._time_limit
-        tasks = _Tasks(self._client, study, self._packed(study), flights, limit)
+        tasks = _Tasks(self._client, study, self._pack_study(study), flights, limit)
         try:
             while not tasks.is_done:
                 # One task per thread runs and one waits.
-                tasks.hand_out(2 * self._threads.count)
+                tasks.hand_out(2 * self._threads.thread_count)
                 yield from tasks.collect()
-                self._need_cluster()
+                self._require_worker()
         finally:
             tasks.cancel()
 
-    def _packed(self, study: Study) -> FrozenStudy:
-        """Return everything that flying ``study`` elsewhere takes."""
+    def _pack_study(self, study: Study) -> FrozenStudy:
+        """Return the study with all files that another machine needs to fly it."""
         if self._frozen is None or self._frozen[0] is not study:
             self._frozen = study, freeze(study)
         return self._frozen[1]
 
-    def _need_cluster(self) -> None:
+    def _require_worker(self) -> None:
         """Raise FlightError if no worker is left that could fly."""
         if self._client.status in ("closing", "closed"):
             raise FlightError(f"{self._where}: the scheduler is lost")
-        without = self._threads.without_s
+        without = self._threads.time_without_workers_s
         # A batch system may take a machine away in the middle of a campaign and bring another later.
         max_without_s = 120.0
         if without > max_without_s:
@@ -176,7 +175,7 @@ class DaskWorkers:
 
 
 class _Threads:
-    """Number of flights that the cluster can fly at a time, updated now and then."""
+    """Number of flights that the cluster can fly at a time, updated every ``CHECK_INTERVAL_S``."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -185,18 +184,18 @@ class _Threads:
         self._last_worker_at = monotonic()  # when a worker was last connected
 
     @property
-    def count(self) -> int:
+    def thread_count(self) -> int:
         if monotonic() > self._counted_at + CHECK_INTERVAL_S:
-            self.look()
+            self.query_scheduler()
         return sum(self._by_worker.values())
 
     @property
-    def without_s(self) -> float:
-        """Time since the last worker, s."""
+    def time_without_workers_s(self) -> float:
+        """Time for which no worker has been connected, s."""
         return 0.0 if self._by_worker else monotonic() - self._last_worker_at
 
-    def look(self) -> dict[str, int]:
-        """Ask for the number of threads by worker."""
+    def query_scheduler(self) -> dict[str, int]:
+        """Ask the scheduler for the number of threads of each worker."""
         with suppress(OSError, TimeoutError):
             self._by_worker = dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=MAX_CONNECT_S))
         self._counted_at = monotonic()
@@ -232,7 +231,7 @@ class _Tasks:
     def hand_out(self, count: int) -> None:
         """Keep ``count`` tasks running while there are flights."""
         while len(self._pending) < count and self._client.status == "running":
-            batch = self._returned.popleft() if self._returned else self._next(count)
+            batch = self._returned.popleft() if self._returned else self._next_batch(count)
             if not batch:
                 return
             self._submit_batch(batch)
@@ -242,7 +241,7 @@ class _Tasks:
         with suppress(Empty):
             future = self._finished.get(timeout=CHECK_INTERVAL_S)
             while True:
-                yield from self._rows(future)
+                yield from self._take_rows(future)
                 future = self._finished.get_nowait()
 
     def cancel(self) -> None:
@@ -253,7 +252,7 @@ class _Tasks:
             with suppress(OSError, TimeoutError):
                 self._client.cancel(futures, force=True)
 
-    def _next(self, tasks: int) -> list[Flight]:
+    def _next_batch(self, tasks: int) -> list[Flight]:
         """Return the flights of the next of ``tasks``: one until a flight's duration is known, and fewer at the end."""
         task_s = 0.5  # s of work per task; hand-out takes 5 ms
         size = 1 if self._mean_s is None else min(MAX_IN_TASK, max(1, round(task_s / max(self._mean_s, 1e-3))))
@@ -282,7 +281,7 @@ class _Tasks:
         self._pending[str(future.key)] = future, batch
         future.add_done_callback(self._finished.put)
 
-    def _rows(self, future: Any) -> Iterator[Row]:
+    def _take_rows(self, future: Any) -> Iterator[Row]:
         pending = self._pending.pop(str(future.key), None)
         if pending is None:
             return
@@ -294,7 +293,7 @@ class _Tasks:
         try:
             rows: list[Row] = future.result(timeout=MAX_CONNECT_S)
         except _import_dask().KilledWorker as error:
-            yield from self._after_losses(batch, error)
+            yield from self._retry_singly(batch, error)
         except (TimeoutError, CancelledError):
             # The worker left with its rows, so Dask has the flights flown again.
             self._pending[str(future.key)] = pending
@@ -302,12 +301,12 @@ class _Tasks:
         except (FlightError, InputError) as error:
             raise FlightError(str(error)) from error
         except Exception as error:
-            raise FlightError(f"a worker cannot fly: {_describe(error)}") from error
+            raise FlightError(f"a worker cannot fly: {_describe_error(error)}") from error
         else:
             self._note_durations(rows)
             yield from rows
 
-    def _after_losses(self, batch: list[Flight], error: Any) -> Iterator[Row]:
+    def _retry_singly(self, batch: list[Flight], error: Any) -> Iterator[Row]:
         """Fly each flight again alone after Dask gave up a batch that lost several workers."""
         if len(batch) > 1:
             self._returned.extend([flight] for flight in batch)
@@ -365,18 +364,18 @@ def _scheduler_at(address: str) -> str:
         try:
             scheduler = str(read_json(Path(address))["address"])
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"cluster {address}: no scheduler file: {_single_line(error)}") from error
+            raise InputError(f"cluster {address}: no scheduler file: {_first_line(error)}") from error
     else:
         scheduler = address
     answer: list[BaseException | dict[str, Any]] = []
 
-    def ask() -> None:
+    def connect() -> None:
         try:
-            answer.append(asyncio.run(asyncio.wait_for(_identity(scheduler), MAX_CONNECT_S)))
+            answer.append(asyncio.run(asyncio.wait_for(_read_identity(scheduler), MAX_CONNECT_S)))
         except Exception as error:
             answer.append(error)
 
-    asking = Thread(target=ask, daemon=True)  # a notebook already runs an event loop
+    asking = Thread(target=connect, daemon=True)  # a notebook already runs an event loop
     asking.start()
     asking.join()
     if isinstance(answer[0], (OSError, TimeoutError)):
@@ -385,13 +384,13 @@ def _scheduler_at(address: str) -> str:
         ) from answer[0]
     if isinstance(answer[0], BaseException):
         hint = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
-        raise InputError(f"cluster {address}: {_single_line(answer[0])}{hint}") from answer[0]
+        raise InputError(f"cluster {address}: {_first_line(answer[0])}{hint}") from answer[0]
     if answer[0].get("type") != "Scheduler":
         raise InputError(f"cluster {address}: is a {answer[0].get('type')}, not a scheduler")
     return scheduler
 
 
-async def _identity(address: str) -> dict[str, Any]:
+async def _read_identity(address: str) -> dict[str, Any]:
     dask = _import_dask()
     arguments = dask.Security().get_connection_args("client")
     async with dask.rpc(address, connection_args=arguments) as scheduler:
@@ -399,14 +398,14 @@ async def _identity(address: str) -> dict[str, Any]:
         return identity
 
 
-def _describe(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Describe a worker's error in one line."""
     if isinstance(error, ModuleNotFoundError) and str(error.name).split(".")[0] == "cosim":
         return "hexjet-cosim is not installed there"
-    return f"{type(error).__name__}: {_single_line(error)}"
+    return f"{type(error).__name__}: {_first_line(error)}"
 
 
-def _single_line(error: BaseException) -> str:
+def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 

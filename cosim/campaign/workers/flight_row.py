@@ -26,8 +26,8 @@ from cosim.results.log.columns import logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
 from cosim.results.requirements import (
+    FailedFlight,
     FlightSignals,
-    Lost,
     Requirement,
     RequirementResult,
     range_requirements,
@@ -46,13 +46,13 @@ Value = float | int | str | bool | None
 Row = dict[str, Value]
 Kinds = dict[str, type[Value]]
 
-_FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}  # columns before the varied keys
+_IDS: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}  # columns that identify a flight
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
 KEY = "key"  # column: hash of what was flown
-MARGIN_OF = "margin_"  # prefix of columns of margins
+MARGIN_OF = "margin_"  # prefix of requirements' margins
 # Column with the smallest scaled margin of the flight's own limits and expectations.
 LIMITS_MARGIN = "limits_margin"
-_LAST: Kinds = {  # columns after the metrics
+_ORIGIN: Kinds = {  # columns on the origin of a row
     "controller_sha256": str,
     "controller_repeatable": bool,
     "log_sha256": str,
@@ -62,12 +62,12 @@ _LAST: Kinds = {  # columns after the metrics
     "worker": str,
     KEY: str,
 }
-# The rule for flights that cannot be flown, for example because there is no such vehicle.
+# Sentence on flights that cannot be flown, for example because the drawn vehicle has no equilibrium.
 NOT_FLOWN = (
     "what cannot be flown is no success wherever flights are counted, refutes no claim, and is no failure that a "
     "search finds"
 )
-_KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}  # column type of each kind of key
+_COLUMN_TYPES: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}  # column type of each kind of key
 
 
 def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
@@ -80,7 +80,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     measured = dict.fromkeys([*metric_names(), *(custom_metric_names(study) if custom is None else custom)], float)
     flown = {"autopilot": str, **study.autopilot.columns} if study.autopilot is not None else {}
     by: Kinds = {"by": str} if study.batch else {}
-    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | by | _plugin_kinds(study) | flown
+    return _IDS | varied | _OUTCOME | _margin_kinds(study) | measured | _ORIGIN | by | _plugin_kinds(study) | flown
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -98,10 +98,10 @@ def fly_one(study: Study, flight: Flight) -> Row:
             with temporary("autopilot-") as folder:
                 outcome, _ = with_autopilot(study, scenario, folder / "run", case_of(flight.values), page=False)
         else:
-            sink = _sink(scenario)
+            sink = _make_metric_sink(scenario)
             outcome = outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
-        trouble = _machine_trouble(error)
+        trouble = _find_resource_error(error)
         if trouble is not None:
             raise FlightError(f"{worker_name()}: {trouble.strerror}") from error
         expected = isinstance(error, (InputError, FlightError))
@@ -113,7 +113,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
 def with_autopilot(
     study: Study, scenario: Scenario, folder: Path, case: str | None = None, page: bool = True
 ) -> tuple[Row, Run]:
-    """Fly with the study's autopilot as the case states, into ``folder``; return values of the row and the run.
+    """Fly a case with the study's autopilot into ``folder``; return the autopilot's values of the row and the run.
 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
@@ -153,10 +153,10 @@ def study_requirements(study: Study) -> list[Requirement]:
     return [*stated_requirements(study.base()), *range_requirements(study.success, "success")]
 
 
-def _margins(study: Study, run: Run) -> Row:
+def _flight_margins(study: Study, run: Run) -> Row:
     """Return the margins of a flight: each requirement's own, and the smallest of all, in scales."""
     summary = run.summary
-    lost = None if summary.outcome == "completed" else Lost(summary.duration_s, summary.planned_s)
+    lost = None if summary.outcome == "completed" else FailedFlight(summary.duration_s, summary.planned_s)
     flight = FlightSignals(run.log, summary.step_s, summary.flat_metrics, {})
     success = [
         RequirementResult.of(requirement.assess(flight, lost))
@@ -170,8 +170,8 @@ def _margins(study: Study, run: Run) -> Row:
     return smallest | {MARGIN_OF + result.name: result.margin for result in named}
 
 
-def _sink(scenario: Scenario) -> DigestSink:
-    """Return a sink that keeps what metrics read: everything if a custom metric does not name its columns."""
+def _make_metric_sink(scenario: Scenario) -> DigestSink:
+    """Return a sink that keeps what metrics read: all columns if a custom metric does not name its own."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
     custom = load_metrics(scenario)
@@ -200,7 +200,7 @@ def describe_not_flown(flights: int, reason: str) -> str:
 
 
 def inputs(run: Run) -> str:
-    """Return as JSON what a run was made from: versions of packages, hashes of the files of aircraft and engines."""
+    """Return the inputs of a run as JSON: versions of packages, and hashes of the files of aircraft and engines."""
     summary = run.summary
     files = {name: value for name, value in summary.sha256.items() if not name.endswith(" as flown")}
     return json.dumps({"versions": summary.versions, "sha256": files}, sort_keys=True)
@@ -213,7 +213,7 @@ def inputs_sha256(run: Run) -> str:
 
 
 def outcome_row(study: Study, run: Run, digest: str) -> Row:
-    """Return the values of a row that a finished flight has; ``digest`` is of its log."""
+    """Return the columns of a row that a finished flight determines; ``digest`` is its log's hash."""
     summary, controller = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
     return {
@@ -226,7 +226,7 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
         "beyond": " ".join(summary.beyond),
         "steps": summary.steps,
         "duration_s": summary.duration_s,
-        **_margins(study, run),
+        **_flight_margins(study, run),
         **measured,
         "controller_sha256": None if controller is None else controller.sha256,
         "controller_repeatable": None if controller is None else controller.repeatable,
@@ -246,10 +246,10 @@ def _column_type(study: Study, key: str) -> type[Value]:
     if key.startswith(CUSTOM_PARAMETERS):
         return float
     varied = study.key(key)
-    return type(varied.choices[0]) if varied.kind == "choice" and varied.choices else _KINDS[varied.kind]
+    return type(varied.choices[0]) if varied.kind == "choice" and varied.choices else _COLUMN_TYPES[varied.kind]
 
 
-def _machine_trouble(error: BaseException | None) -> OSError | None:
+def _find_resource_error(error: BaseException | None) -> OSError | None:
     """Return the operating system's error behind another, if it means a lack of resources."""
     while error is not None and not (isinstance(error, OSError) and error.errno in RESOURCE_ERRNOS):
         error = error.__cause__ or error.__context__
@@ -258,5 +258,5 @@ def _machine_trouble(error: BaseException | None) -> OSError | None:
 
 @cache
 def worker_name() -> str:
-    """Return the machine and the process that a row names."""
+    """Return the name of the machine and the process, as rows record it."""
     return f"{gethostname()}:{os.getpid()}"

@@ -51,7 +51,7 @@ _COMMAND = "from cosim.campaign.workers.local import serve; serve(int(sys.argv[1
 
 
 class LocalWorkers:
-    """``count`` processes of this machine; ``time_limit_s`` per flight depends on the study by default.
+    """Workers that fly in ``count`` local processes; each flight has at most ``time_limit_s``, by default of the study.
 
     ``fly`` makes the row of a flight in the processes, which import it by its name, and ``failed`` that of one of which
     only the reason is known.  The processes start with the first flights, at most one a flight, and stay for further
@@ -74,15 +74,15 @@ class LocalWorkers:
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
         # Processes that are still busy fly what is no longer needed.
-        self._end_busy()
+        self._end_busy_processes()
         limit = time_limit(study) if self._time_limit is None else self._time_limit
-        waiting = _Waiting(flights)
+        waiting = _WaitingFlights(flights)
         ahead = _QueueDepth()
         try:
             while self._hand_out(study, waiting, ahead.flights, limit):
                 yield from self._collect(study, waiting, ahead, limit)
         finally:
-            self._end_busy()
+            self._end_busy_processes()
 
     def close(self) -> None:
         while self._processes:
@@ -94,51 +94,51 @@ class LocalWorkers:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _hand_out(self, study: Study, waiting: _Waiting, ahead: int, limit: float) -> bool:
+    def _hand_out(self, study: Study, waiting: _WaitingFlights, ahead: int, limit: float) -> bool:
         """Give each process its next flights, one each before any gets two; return False if none are left."""
         for depth in range(1 + ahead):
             if depth == 0:
-                self._start_missing(waiting)
+                self._start_processes(waiting)
             for process in self._processes:
                 if len(process.queued) == depth and (flight := waiting.next()) is not None:
-                    process.give(study, flight, limit)
+                    process.send_flight(study, flight, limit)
         return any(process.queued for process in self._processes)
 
-    def _start_missing(self, waiting: _Waiting) -> None:
+    def _start_processes(self, waiting: _WaitingFlights) -> None:
         idle = sum(not process.queued for process in self._processes)
         while len(self._processes) < self._count and waiting.has_more_than(idle):
             self._processes.append(_Process(self._fly))
             idle += 1
 
-    def _collect(self, study: Study, waiting: _Waiting, ahead: _QueueDepth, limit: float) -> Iterator[Row]:
+    def _collect(self, study: Study, waiting: _WaitingFlights, ahead: _QueueDepth, limit: float) -> Iterator[Row]:
         """Wait for an event and yield the resulting rows."""
         by_connection = {process.connection: process for process in self._processes}
         for connection in wait(list(by_connection), self._next_timeout(limit)):
             process = by_connection[connection]  # type: ignore[index]
             message = process.receive()
             if message is None:
-                yield from self._after_loss(study, process, waiting)
+                yield from self._retry_lost_flights(study, process, waiting)
             elif isinstance(message, FlightError):
                 raise message
             elif message == READY:
                 self._starts = 0
             else:
-                ahead.learn(process.last_duration_s)
+                ahead.record_duration(process.last_duration_s)
                 yield message
         for process in list(self._processes):
-            if process.is_late(limit):
+            if process.exceeds_limit(limit):
                 flight, *rest = self._end(process)
                 waiting.put_back(rest)
                 yield self._failed(study, flight, describe_timeout(limit)) | process.worker_columns(limit)
             elif not process.is_alive:
-                yield from self._after_loss(study, process, waiting)
+                yield from self._retry_lost_flights(study, process, waiting)
 
     def _next_timeout(self, limit: float) -> float:
         busy = [process for process in self._processes if process.queued]
         ends = [process.active_since + limit for process in busy if process.active_since is not None]
         return max(0.0, min([CHECK_INTERVAL_S, *(end - time.monotonic() for end in ends)]))
 
-    def _after_loss(self, study: Study, process: _Process, waiting: _Waiting) -> Iterator[Row]:
+    def _retry_lost_flights(self, study: Study, process: _Process, waiting: _WaitingFlights) -> Iterator[Row]:
         """Queue the flights of a lost process again; yield a failed row for a flight that has crashed too many."""
         was_ready, ending = process.active_since is not None, process.describe_end()
         queued = self._end(process)
@@ -148,11 +148,11 @@ class LocalWorkers:
                 raise FlightError(
                     f"{MAX_FAILED_STARTS} processes in a row ended before they could fly; the last {ending}"
                 )
-        elif queued and waiting.lose(queued[0]) >= MAX_LOSSES:
+        elif queued and waiting.count_loss(queued[0]) >= MAX_LOSSES:
             yield self._failed(study, queued.pop(0), describe_loss(ending)) | process.worker_columns()
         waiting.put_back(queued)
 
-    def _end_busy(self) -> None:
+    def _end_busy_processes(self) -> None:
         for process in [worker for worker in self._processes if worker.queued]:
             self._end(process)
 
@@ -163,7 +163,7 @@ class LocalWorkers:
         return list(process.queued)
 
 
-class _Waiting:
+class _WaitingFlights:
     """Flights that wait for a process; those of lost processes come first."""
 
     def __init__(self, flights: Iterable[Flight]) -> None:
@@ -172,6 +172,7 @@ class _Waiting:
         self._losses: Counter[int] = Counter()
 
     def next(self) -> Flight | None:
+        """Return the next flight, and remove it; None if no flight waits."""
         return self._first.popleft() if self.has_more_than(0) else None
 
     def has_more_than(self, count: int) -> bool:
@@ -184,9 +185,10 @@ class _Waiting:
         return True
 
     def put_back(self, flights: Iterable[Flight]) -> None:
+        """Put the flights of a lost process first."""
         self._first.extendleft(reversed(list(flights)))
 
-    def lose(self, flight: Flight) -> int:
+    def count_loss(self, flight: Flight) -> int:
         """Count a process lost with this flight, and return the count."""
         self._losses[flight.number] += 1
         return self._losses[flight.number]
@@ -199,7 +201,8 @@ class _QueueDepth:
         self.flights = 0
         self._mean_s: float | None = None  # mean duration of a flight
 
-    def learn(self, seconds: float) -> None:
+    def record_duration(self, seconds: float) -> None:
+        """Adapt the depth to the duration of one more flight."""
         self._mean_s = update_mean(self._mean_s, seconds)
         ahead_s = 0.25  # s of work queued in a process
         max_flights = 8  # flights per message
@@ -238,7 +241,7 @@ class _Process:
             return False
         return self._process.poll() is None or self.connection.poll()
 
-    def give(self, study: Study, flight: Flight, limit: float) -> None:
+    def send_flight(self, study: Study, flight: Flight, limit: float) -> None:
         if self._study is not study:
             self._send((study, limit, decision()))
             self._study = study
@@ -260,8 +263,8 @@ class _Process:
         self.active_since = now
         return message
 
-    def is_late(self, limit: float) -> bool:
-        """Return whether it is past its limit, and has not just reported its result."""
+    def exceeds_limit(self, limit: float) -> bool:
+        """Return whether the process exceeds its time limit and has not just reported a result."""
         is_busy = self.active_since is not None and self.queued
         return bool(is_busy) and time.monotonic() > (self.active_since or 0.0) + limit and not self.connection.poll()
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
-# processes that a flight may crash
+# Processes that one flight may crash before it counts as failed.
 MAX_LOSSES = 3
 
 
@@ -53,7 +53,7 @@ def update_mean(mean: float | None, seconds: float) -> float:
 
 
 def describe_loss(end: str) -> str:
-    """Return the reason of a flight that was given up; ``end`` describes its last process's end."""
+    """Return the reason of a flight that was given up because its processes ended; ``end`` describes the last end."""
     return f"the process was lost in this flight {MAX_LOSSES} times; the last {end}"
 
 

@@ -26,7 +26,7 @@ _studies: RecentCache[Study] = RecentCache(4)
 _unpacking = Lock()
 
 
-class _Processes:
+class _IdleProcesses:
     """Idle processes; each is used by one thread at a time."""
 
     def __init__(self) -> None:
@@ -34,6 +34,7 @@ class _Processes:
         self._lock = Lock()
 
     def take(self, limit: float) -> LocalWorkers:
+        """Return idle workers with this time limit, or new ones."""
         with self._lock:
             idle = next((workers for workers, (its_limit, _) in self._idle.items() if its_limit == limit), None)
             if idle is None:
@@ -43,28 +44,30 @@ class _Processes:
         return idle
 
     def give_back(self, workers: LocalWorkers, limit: float) -> None:
+        """Keep workers for the next task, and end them after a minute without one."""
         idle_s = 60.0  # s until an idle process ends
-        timer = Timer(idle_s, self._end, (workers,))
+        timer = Timer(idle_s, self._close_idle, (workers,))
         timer.daemon = True
         with self._lock:
             self._idle[workers] = limit, timer
         timer.start()
 
     def end_idle(self) -> None:
+        """End all idle workers."""
         with self._lock:
             idle, self._idle = self._idle, {}
         for workers, (_, timer) in idle.items():
             timer.cancel()
             workers.close()
 
-    def _end(self, workers: LocalWorkers) -> None:
+    def _close_idle(self, workers: LocalWorkers) -> None:
         with self._lock:
             if self._idle.pop(workers, None) is None:
                 return  # another thread took it already
         workers.close()
 
 
-_processes = _Processes()
+_processes = _IdleProcesses()
 atexit.register(_processes.end_idle)
 
 
@@ -91,7 +94,7 @@ def end_idle() -> None:
 
 
 def _unpack(frozen: FrozenStudy, folder: Path) -> None:
-    """Write the study's files unless they are there, as someone may have deleted them."""
+    """Write the study's files into a folder, unless they are there."""
     if not (folder / STUDY).is_file():  # the study file is written last
         folder.mkdir(parents=True, exist_ok=True)
         frozen.write(folder)

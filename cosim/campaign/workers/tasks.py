@@ -14,7 +14,9 @@ R = TypeVar("R")  # type of the results
 
 
 @dataclass(frozen=True)
-class _Task:
+class _NumberedTask:
+    """An argument of a function, with its index."""
+
     number: int
     argument: Any
 
@@ -25,10 +27,10 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     The processes import ``act`` by its name.  Raises what ``act`` raises, and FlightError for an argument with which
     three processes were lost.
     """
-    tasks: Any = [_Task(number, argument) for number, argument in enumerate(arguments)]
+    tasks: Any = [_NumberedTask(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act
     limit_s = 86_400.0  # s, a day: no task is endless
-    with LocalWorkers(workers, limit_s, _answer, _lost_task) as pool:
+    with LocalWorkers(workers, limit_s, _run_task, _report_lost_task) as pool:
         for row in pool.fly(study, tasks):
             result: dict[str, Any] = dict(row)
             if "error" in result:
@@ -36,12 +38,12 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
             yield result["number"], result["value"]
 
 
-def _answer(act: Any, task: Any) -> dict[str, Any]:
+def _run_task(act: Any, task: Any) -> dict[str, Any]:
     try:
         return {"number": task.number, "value": act(task.argument)}
     except Exception as error:
         return {"number": task.number, "error": error}
 
 
-def _lost_task(act: Any, task: Any, reason: str) -> dict[str, Any]:
+def _report_lost_task(act: Any, task: Any, reason: str) -> dict[str, Any]:
     return {"number": task.number, "error": FlightError(reason)}

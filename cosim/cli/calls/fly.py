@@ -58,7 +58,7 @@ def fly(
         The run's folder; by default a new one in runs/.
     """
     from cosim.flight import new_folder
-    from cosim.results.run import finish_killed
+    from cosim.results.run import recover_killed_run
     from cosim.spec.controller_name import folder_name, short_name
 
     if flight is not None:
@@ -72,7 +72,7 @@ def fly(
         return RepeatedResult(fly_again(campaign, flight, folder))
     if realtime and realtime_factor is not None:
         raise InputError("realtime and realtime_factor (--rtf): give one of them")
-    finish_killed(Path(scenario))
+    recover_killed_run(Path(scenario))
     chosen = {name: choices.pop(name) for name in _LOAD_ARGUMENTS if name in choices}
     loaded = load(scenario, progress=progress, **chosen)
     label = short_name(chosen["controller"]) if "controller" in chosen else loaded.controller

@@ -66,13 +66,13 @@ class PilotRecord:
 
     def observe(self, sample: Sample) -> None:
         """Write the pilot's state after a step.  Raises FlightError if the file cannot be written."""
-        self.look(sample.k)
+        self.write_changes(sample.k)
 
-    def look(self, k: int) -> None:
-        """Write all changes since the last call."""
+    def write_changes(self, k: int) -> None:
+        """Write all changes since the last call, before step ``k``."""
         pilot = self._pilot
-        self._messages()
-        self._parameters(k)
+        self._write_messages()
+        self._write_parameters(k)
         state: Line = {
             "mode": pilot.mode.value,
             "armed": pilot.armed,
@@ -80,51 +80,51 @@ class PilotRecord:
             "engines": pilot.engines.value,
             "failsafe": pilot.failsafe,
         }
-        self._changed("state", k, state)
+        self._write_changed("state", k, state)
         mission = pilot.mission
         if mission.items or "mission" in self._last:
             count = len(mission.items)
-            self._changed("mission", k, {"count": count, "current": mission.current, "reached": mission.reached})
+            self._write_changed("mission", k, {"count": count, "current": mission.current, "reached": mission.reached})
         if pilot.home is not None:
-            self._changed("home", k, pilot.home._asdict())
+            self._write_changed("home", k, pilot.home._asdict())
         if k % self._every == 0:
-            self._write("estimate", k, **_estimate(pilot.status))
+            self._append("estimate", k, **_describe_estimate(pilot.status))
 
     def close(self) -> None:
         """Write the messages since the last step and close the file; may be called twice."""
         if self._file.number >= 0:
             try:
-                self._messages()
+                self._write_messages()
                 self._flush()
             finally:
                 self._file.close()
 
-    def _messages(self) -> None:
+    def _write_messages(self) -> None:
         messages = self._pilot.messages
         if messages and messages[-1].number > self._said:
             for message in messages:
                 if message.number > self._said:
-                    self._write("message", message.k, severity=int(message.severity), text=message.text)
+                    self._append("message", message.k, severity=int(message.severity), text=message.text)
             self._said = messages[-1].number
 
-    def _parameters(self, k: int) -> None:
+    def _write_parameters(self, k: int) -> None:
         table, values = self._pilot.parameters.table, self._pilot.parameters.values
         if not self._values:
             self._values = dict(values)
             numbers = {name: int(value) if table[name].kind == "int" else value for name, value in values.items()}
-            self._write("parameters", k, values=numbers)
+            self._append("parameters", k, values=numbers)
         elif values != self._values:
             for name, value in values.items():
                 if value != self._values[name]:
-                    self._write("parameter", k, name=name, value=int(value) if table[name].kind == "int" else value)
+                    self._append("parameter", k, name=name, value=int(value) if table[name].kind == "int" else value)
             self._values = dict(values)
 
-    def _changed(self, kind: str, k: int, now: Line) -> None:
+    def _write_changed(self, kind: str, k: int, now: Line) -> None:
         if self._last.get(kind) != now:
             self._last[kind] = now
-            self._write(kind, k, **now)
+            self._append(kind, k, **now)
 
-    def _write(self, kind: str, k: int, **fields: Any) -> None:
+    def _append(self, kind: str, k: int, **fields: Any) -> None:
         line = (json.dumps({"k": k, "kind": kind, **fields}, allow_nan=False) + "\n").encode()
         self._waiting.append(line)
         self._size += len(line)
@@ -139,15 +139,15 @@ class PilotRecord:
 
 
 def read_pilot_record(folder: Path) -> list[Line]:
-    """Return every line of a run's file in the order of its steps; none where the run has no autopilot, or is older.
+    """Return every line of a run's autopilot file in the order of steps; none where there is no file.
 
     A last line that is torn is left out.  Raises InputError for a file that :class:`PilotRecord` does not write.
     """
     path = folder / AUTOPILOT
-    return list(_lines(path, read_text(path))) if path.exists() else []
+    return list(_parse_lines(path, read_text(path))) if path.exists() else []
 
 
-def _lines(path: Path, text: str) -> Iterator[Line]:
+def _parse_lines(path: Path, text: str) -> Iterator[Line]:
     for number, line in enumerate(text.split("\n")[:-1], 1):
         entry = parse_json(line, f"{path}, line {number}")
         if not isinstance(entry, dict) or not isinstance(entry.get("k"), int) or not isinstance(entry.get("kind"), str):
@@ -155,7 +155,7 @@ def _lines(path: Path, text: str) -> Iterator[Line]:
         yield entry
 
 
-def _estimate(status: Status) -> Line:
+def _describe_estimate(status: Status) -> Line:
     fix, seen, quality = status.fix, status.seen, status.quality
     deviations = {
         "place_m": quality.position_m,

@@ -61,14 +61,14 @@ def read_requests(path: Path) -> list[Entry]:
     """
     entries: list[Entry] = []
     for number, line in enumerate(read_text(path).split("\n")[:-1], 1):
-        entry = _entry(line, f"{path}, line {number}")
+        entry = _parse_entry(line, f"{path}, line {number}")
         if entries and entry.step < entries[-1].step:
             raise InputError(f"{path}, line {number}: step {entry.step} comes after step {entries[-1].step}")
         entries.append(entry)
     return entries
 
 
-def _entry(line: str, where: str) -> Entry:
+def _parse_entry(line: str, where: str) -> Entry:
     data = parse_json(line, where)
     if not isinstance(data, dict):
         raise InputError(f"{where}: must be a JSON object")
@@ -84,7 +84,7 @@ def _entry(line: str, where: str) -> Entry:
 
 
 class Replay:
-    """Repeats recorded requests to an autopilot; called before each step."""
+    """Repeats recorded requests to an autopilot, each before the step at which it came."""
 
     def __init__(self, pilot: Autopilot, entries: Sequence[Entry]) -> None:
         self.pilot = pilot

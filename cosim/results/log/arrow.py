@@ -51,7 +51,7 @@ class StreamSink:
         with map_os_errors(InputError, path):
             self._file = AppendedFile(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
         try_lock(self._file.number)
-        self._file.append(_schema(columns, note).serialize().to_pybytes())
+        self._file.append(_make_schema(columns, note).serialize().to_pybytes())
 
     def write(self, table: Array) -> None:
         """Append a record batch.  Raises FlightError if it cannot be written; then nothing is."""
@@ -88,7 +88,7 @@ class ParquetLog(Columnar):
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file: Any = None  # the open file, or None
-        with _parquet(self._path) as file:
+        with _open_or_refuse(self._path) as file:
             self.described = _columns_of_schema(file.schema_arrow)
             self.columns = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
@@ -107,9 +107,9 @@ class ParquetLog(Columnar):
     def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, at most ``rows`` rows at a time."""
         chosen = [require(name, self.columns) for name in names]
-        with self._opened() as file:
+        with self._open_file() as file:
             for batch in file.iter_batches(batch_size=rows, columns=chosen, use_threads=False):
-                yield {name: _numbers(batch.column(name)) for name in names}
+                yield {name: _to_numpy(batch.column(name)) for name in names}
 
     @contextmanager
     def keep_open(self) -> Iterator[None]:
@@ -117,7 +117,7 @@ class ParquetLog(Columnar):
         if self._file is not None:
             yield
             return
-        with _readable(self._path):
+        with _map_read_errors(self._path):
             file = _open_parquet(self._path)
         with file:
             self._file = file
@@ -128,12 +128,12 @@ class ParquetLog(Columnar):
         _return_memory()
 
     @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        with _readable(self._path), nullcontext(self._file) if self._file else _open_parquet(self._path) as file:
+    def _open_file(self) -> Iterator[Any]:
+        with _map_read_errors(self._path), nullcontext(self._file) if self._file else _open_parquet(self._path) as file:
             yield file
 
 
-def _numbers(column: pa.Array) -> Array:
+def _to_numpy(column: pa.Array) -> Array:
     return np.asarray(np.from_dlpack(column), np.float64)
 
 
@@ -168,7 +168,7 @@ def _convert_stream(stream: Path, parquet: Path) -> int:
     try:
         with (
             closing(pa.OSFile(str(stream))) as file,
-            _open(file) as reader,
+            _open_stream(file) as reader,
             replace_on_success(parquet) as temporary,
             _log_writer(temporary, reader.schema.remove_metadata()) as writer,
         ):
@@ -208,24 +208,24 @@ def write_log(
     """
     import pyarrow as pa
 
-    schema = _schema(columns).with_metadata(dict(note))
+    schema = _make_schema(columns).with_metadata(dict(note))
     try:
         with _log_writer(path, schema) as writer:
             for block in blocks:
-                arrays = [_of_numbers(block[name]) for name in schema.names]
+                arrays = [_to_arrow(block[name]) for name in schema.names]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=ROWS_PER_GROUP)
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{path}: {one_line(error)}") from error
 
 
-def _of_numbers(values: Array) -> pa.Array:
+def _to_arrow(values: Array) -> pa.Array:
     import pyarrow as pa
 
     numbers = np.ascontiguousarray(values, np.float64)
     return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
 
-def _schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
+def _make_schema(columns: Sequence[Column], note: str = "") -> pa.Schema:
     import pyarrow as pa
 
     fields = [
@@ -246,14 +246,14 @@ def _columns_of_schema(schema: pa.Schema) -> tuple[Column, ...]:
     return tuple(columns)
 
 
-def _open(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
+def _open_stream(file: pa.OSFile) -> pa.ipc.RecordBatchStreamReader:
     """Open a stream; a stream torn before its schema counts as empty."""
     import pyarrow as pa
 
     try:
         return pa.ipc.open_stream(file)
     except pa.ArrowInvalid:
-        return pa.ipc.open_stream(_schema(COLUMNS).serialize().to_pybytes() + _END_OF_STREAM)
+        return pa.ipc.open_stream(_make_schema(COLUMNS).serialize().to_pybytes() + _END_OF_STREAM)
 
 
 def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.RecordBatch]:
@@ -303,7 +303,7 @@ def write_table(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = {name: _array(name, values, (kinds or {}).get(name)) for name, values in columns.items()}
+    arrays = {name: _make_array(name, values, (kinds or {}).get(name)) for name, values in columns.items()}
     table = pa.table(arrays).replace_schema_metadata(dict(note or {}) or None)
     try:
         with replace_on_success(path) as temporary:
@@ -323,7 +323,7 @@ def read_table(
     columns: dict[str, list[Value]] = {}
     rows = 0
     for path in [paths] if isinstance(paths, Path) else paths:
-        with _parquet(path) as file:
+        with _open_or_refuse(path) as file:
             names_there = file.schema_arrow.names
             table = file.read([name for name in names_there if names is None or name in names], use_threads=False)
             length = file.metadata.num_rows
@@ -339,49 +339,49 @@ def read_table(
     return columns if names is None else {require(name, columns, "table"): columns[name] for name in names}
 
 
-class Sorted(NamedTuple):
-    """Columns of a table: numbers with NaN if missing, among them former times in seconds; and texts."""
+class ByType(NamedTuple):
+    """Columns of a table by type: numbers, NaN if missing; names of those that were times, now in seconds; texts."""
 
     numbers: dict[str, Array]
     times: set[str]
     texts: dict[str, list[str | None]]
 
 
-def read_numbers(path: Path) -> Sorted:
+def read_numbers(path: Path) -> ByType:
     """Return the columns of a Parquet file.
 
     Raises InputError for what cannot be read, and for two columns of one name.
     """
-    with _parquet(path) as file:
-        table = _arrow(path, lambda: file.read(use_threads=False))
+    with _open_or_refuse(path) as file:
+        table = _map_arrow_errors(path, lambda: file.read(use_threads=False))
     return _sort_columns(path, table)
 
 
-def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: str, decimal: str) -> tuple[Sorted, int]:
+def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: str, decimal: str) -> tuple[ByType, int]:
     """Return the columns of ``rows`` of text from ``path``, and how many rows have not a cell for each name."""
     import pyarrow as pa
     from pyarrow import csv
 
     odd = 0
 
-    def leave_out(_: object) -> str:
+    def skip_row(_: object) -> str:
         nonlocal odd
         odd += 1
         return "skip"
 
     options = {
         "read_options": csv.ReadOptions(column_names=names, use_threads=False, block_size=len(rows) + 1),
-        "parse_options": csv.ParseOptions(delimiter=separator, invalid_row_handler=leave_out),
+        "parse_options": csv.ParseOptions(delimiter=separator, invalid_row_handler=skip_row),
         "convert_options": csv.ConvertOptions(decimal_point=decimal, null_values=_NULLS, strings_can_be_null=True),
     }
-    table = _arrow(path, lambda: csv.read_csv(pa.BufferReader(rows), **options))
+    table = _map_arrow_errors(path, lambda: csv.read_csv(pa.BufferReader(rows), **options))
     return _sort_columns(path, table), odd
 
 
 _NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]  # texts without a value
 
 
-def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
+def _map_arrow_errors(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
     import pyarrow as pa
 
     try:
@@ -390,13 +390,13 @@ def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
         raise InputError(f"{path}: {one_line(error)}") from error
 
 
-def _sort_columns(path: Path, table: pa.Table) -> Sorted:
+def _sort_columns(path: Path, table: pa.Table) -> ByType:
     import pyarrow as pa
 
     names = table.column_names
     if doubled := [name for name in names if names.count(name) > 1]:
         raise InputError(f"{path}: two columns are called {doubled[0]!r}")
-    result = Sorted({}, set(), {})
+    result = ByType({}, set(), {})
     for name in names:
         column, kind, unit = table.column(name), table.column(name).type, 1.0
         if pa.types.is_timestamp(kind) or pa.types.is_time(kind):
@@ -406,14 +406,14 @@ def _sort_columns(path: Path, table: pa.Table) -> Sorted:
             result.times.add(name)
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or kind in (pa.bool_(), pa.null()):
             chunks = column.cast(pa.float64(), safe=False).chunks
-            values = np.concatenate([np.empty(0), *map(_with_nan, chunks)])
+            values = np.concatenate([np.empty(0), *map(_fill_nan, chunks)])
             result.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a signalling NaN would warn
         else:
             result.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
     return result
 
 
-def _with_nan(column: pa.Array) -> Array:
+def _fill_nan(column: pa.Array) -> Array:
     """Return floats, NaN for what is missing.
 
     With ``fill_null`` or ``to_numpy`` pyarrow would load pandas, which takes longer than to read most tables.
@@ -421,11 +421,11 @@ def _with_nan(column: pa.Array) -> Array:
     import pyarrow as pa
 
     values = np.full(len(column), np.nan)
-    values[_numbers(column.is_valid().cast(pa.uint8())) > 0.0] = _numbers(column.drop_null())
+    values[_to_numpy(column.is_valid().cast(pa.uint8())) > 0.0] = _to_numpy(column.drop_null())
     return values
 
 
-def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> pa.Array:
+def _make_array(name: str, values: Sequence[Value], expected: type[Value] | None) -> pa.Array:
     import pyarrow as pa
 
     types = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
@@ -438,14 +438,14 @@ def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> 
         allowed = f"{kind.__name__} or None" if expected else "one of float, int, bool and str in a column, or None"
         raise InputError(f"column {name!r}: {kinds_there}; allowed: {allowed}")
     try:
-        buffers = _buffers([kind() if value is None else value for value in values], kind)
+        buffers = _make_buffers([kind() if value is None else value for value in values], kind)
     except OverflowError as error:
         raise InputError(f"column {name!r}: {one_line(error)}") from error
     present = np.packbits(np.array([value is not None for value in values], np.bool_), bitorder="little")
     return pa.Array.from_buffers(types[kind], len(values), [pa.py_buffer(part) for part in (present, *buffers)])
 
 
-def _buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
+def _make_buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
     """Return the buffers of an Arrow array of these values, after the validity buffer."""
     if kind is str:
         texts = [value.encode() for value in values]
@@ -457,8 +457,8 @@ def _buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[Any]:
-    with _readable(path), _open_parquet(path) as file:
+def _open_or_refuse(path: Path) -> Iterator[Any]:
+    with _map_read_errors(path), _open_parquet(path) as file:
         yield file
 
 
@@ -469,7 +469,7 @@ def _open_parquet(path: Path) -> Any:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
+def _map_read_errors(path: Path) -> Iterator[None]:
     """Convert pyarrow's errors about a file to InputError."""
     import pyarrow as pa
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 RATES = ("p", "q", "r")  # names of body rates
 _XYZ = ("x", "y", "z")  # body axes
 _NED = ("north", "east", "down")  # axes of NED
-_EULER = "body to NED"  # frame of attitude angles
+EULER = "body to NED"  # frame of attitude angles
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}  # unit of each rate loop's output
 _ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # describes the unit of commands
 
@@ -42,7 +42,7 @@ _ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # describes the u
 def _cols(
     names: Sequence[str], pattern: str, unit: str, frame: str, meaning: str, source: str, first: int = 0
 ) -> list[Column]:
-    """Return one column per name, which replaces ``{}`` in pattern, meaning and source; ``{n}`` is its index."""
+    """Return a column for each name, which replaces ``{}`` in pattern, meaning and source; ``{n}`` is its index."""
     return [
         Column(pattern.format(name), unit, frame, meaning.format(name), source.format(name, n=n))
         for n, name in enumerate(names, first)
@@ -80,30 +80,28 @@ HEXJET = LoggedVehicle()  # columns of six jets in two banks
 
 
 @lru_cache(64)
-def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
+def _make_columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
     jets, servos = vehicle.jets, vehicle.servos
     banks = servos == SERVOS and not vehicle.accelerations
     moved = (*servos, *vehicle.surfaces)
     numbers = [str(jet) for jet in range(1, max(jets, JETS) + 1)]
 
-    def of_jets(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
+    def per_jet(pattern: str, unit: str, frame: str, meaning: str, source: str) -> list[Column]:
         columns = _cols(numbers, pattern, unit, frame, meaning, source)
         return [column if n < jets else column._replace(source="") for n, column in enumerate(columns)]
 
     return (
         Column("time_s", "s", "", "start of the step", "time"),
-        *_cols(AXES, "{}_rad", "rad", _EULER, "true {} angle", "state.euler.{n}"),
+        *_cols(AXES, "{}_rad", "rad", EULER, "true {} angle", "state.euler.{n}"),
         *_cols(
             AXES,
             "{}_setpoint_rad",
             "rad",
-            _EULER,
+            EULER,
             "commanded {} angle; NaN while rates are commanded instead",
             "command.attitude.{n} unless command.rate",
         ),
-        *_cols(
-            AXES, "{}_measured_rad", "rad", _EULER, "{} angle of the measured quaternion", "{} of measured.attitude"
-        ),
+        *_cols(AXES, "{}_measured_rad", "rad", EULER, "{} angle of the measured quaternion", "{} of measured.attitude"),
         *_cols(RATES, "rate_{}_rad_s", "rad/s", "body", "true angular rate {}", "state.rate.{n}"),
         *_cols(
             RATES,
@@ -144,8 +142,8 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "actuation.unallocated.collective",
         ),
         Column("collective", "throttle", "", "commanded mean throttle, 0 to 1", "control.collective"),
-        *of_jets("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
-        *of_jets("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
+        *per_jet("throttle_{}", "throttle", "", "throttle of jet {}, 0 to 1", "actuation.throttle.{n}"),
+        *per_jet("thrust_{}_N", "N", "along the jet", "thrust that jet {} delivers", "engines.thrust.{n}"),
         *_cols(
             servos,
             "tilt_{}_rad",
@@ -243,7 +241,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
         *_torques(
             "disturbance_torque_{}",
             "added to torque_{}, unknown to the controller",
-            # Before and after the added delay. Neither is ever -0, so that adding zeros changes nothing.
+            # Commands before and after the added delay; as neither is ever -0, adding zeros keeps their bits.
             "disturbance.torque_output.{n} + disturbance.torque_command.{n}",
             vehicle.accelerations,
         ),
@@ -257,21 +255,21 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "disturbance.payload.{n}",
             first=1,
         ),
-        *of_jets(
+        *per_jet(
             "spool_speed_{}_rad_s",
             "rad/s",
             "",
             "rotor speed of engine {}; NaN where it does not say",
             "engines.spool_speed.{n}",
         ),
-        *of_jets(
+        *per_jet(
             "exhaust_temperature_{}_K",
             "K",
             "",
             "exhaust temperature {}; NaN where the engine does not say",
             "engines.exhaust_temperature.{n}",
         ),
-        *of_jets(
+        *per_jet(
             "fuel_flow_{}_kg_s",
             "kg/s",
             "",
@@ -287,7 +285,7 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
             "moment of the rotors' spin about {}; NaN where not modelled",
             "spool_moment.{n}",
         ),
-        *of_jets("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
+        *per_jet("health_{}", "1", "", "share of its command that jet {} gives, as the monitor believes", "health.{n}"),
         *_cols(numbers, "fault_jet_{}", "0/1", "", "a fault acts on jet {}", "faults.{n}"),
         *_cols(moved, "fault_servo_{}", "0/1", "", "a fault acts on the {} servo", "faults.{n}", first=len(numbers)),
         *_cols(SENSORS, "fault_{}", "0/1", "", "a fault acts on the {}", "faults.{n}", first=len(numbers) + len(moved)),
@@ -295,12 +293,12 @@ def _columns(vehicle: LoggedVehicle) -> tuple[Column, ...]:
 
 
 def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) -> tuple[Column, ...]:
-    """Return the log's columns for a vehicle whose blocks show ``custom``.
+    """Return the log's columns for a vehicle, and behind them ``custom``, those of its own blocks.
 
     At least six of everything that a jet has, so that the logs of all vehicles can be laid side by side.  Raises
     InputError for a column of a block's own that cannot be one.
     """
-    columns = list(_columns(vehicle))
+    columns = list(_make_columns(vehicle))
     names = {column.name for column in columns}
     for n, column in enumerate(custom):
         if not column.name.isidentifier() or not column.name.isascii():
@@ -314,7 +312,7 @@ def log_columns(vehicle: LoggedVehicle = HEXJET, custom: Sequence[Column] = ()) 
     return tuple(columns)
 
 
-COLUMNS = log_columns()  # columns of six jets, without blocks' own
+COLUMNS = log_columns()  # columns of six jets, without custom ones
 NAMES: tuple[str, ...] = tuple(column.name for column in COLUMNS)  # names of COLUMNS
 
 
@@ -333,34 +331,34 @@ def logged_vehicle(vehicle: Vehicle) -> LoggedVehicle:
 
 def servos_in(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the names of the banks and hinges that a log has columns of, in their order."""
-    return _named(r"tilt_(.+)_command_rad", columns)
+    return _match_names(r"tilt_(.+)_command_rad", columns)
 
 
 def surfaces_in(columns: Iterable[str]) -> tuple[str, ...]:
     """Return the names of the surfaces that a log has columns of, in their order."""
-    return _named(r"deflection_(.+)_command", columns)
+    return _match_names(r"deflection_(.+)_command", columns)
 
 
-def _named(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
-    return _matching(pattern, tuple(columns))
+def _match_names(pattern: str, columns: Iterable[str]) -> tuple[str, ...]:
+    return _find_matches(pattern, tuple(columns))
 
 
 @lru_cache(64)
-def _matching(pattern: str, columns: tuple[str, ...]) -> tuple[str, ...]:
+def _find_matches(pattern: str, columns: tuple[str, ...]) -> tuple[str, ...]:
     matches = [re.fullmatch(pattern, name) for name in columns]
     return tuple([match[1] for match in matches if match])
 
 
 def logged_vehicle_of(columns: Iterable[str]) -> LoggedVehicle:
-    """Return the vehicle that a log with these columns was flown by, as far as their names tell."""
+    """Return jets, servos and surfaces of a logged vehicle, as far as the names of its columns tell."""
     names = tuple(columns)
     return LoggedVehicle(jets_in(names), servos_in(names), surfaces_in(names))
 
 
 def custom_columns(columns: Iterable[Column]) -> list[Column]:
-    """Return the columns that not every flight with as many engines has: of blocks that show their own."""
+    """Return the columns that a flight's own blocks add to those of the vehicle."""
     columns = tuple(columns)
-    names = {column.name for column in _columns(logged_vehicle_of(column.name for column in columns))}
+    names = {column.name for column in _make_columns(logged_vehicle_of(column.name for column in columns))}
     return [column for column in columns if column.name not in names]
 
 

@@ -86,17 +86,17 @@ class Recorder:
         run = program(columns)
         self._blocks = _Blocks(sink, len(columns), run)
         rows = max(1, round(1.0 / step_s))
-        self._rows = Rows(rows, MAX_FLUSH_INTERVAL_S, self._blocks.hand_on, run.width, run.nodes, run.reads)
+        self._rows = Rows(rows, MAX_FLUSH_INTERVAL_S, self._blocks.write_rows, run.width, run.nodes, run.reads)
         self.observe: Observe = self._rows.add  # the method itself, for speed
 
     @property
     def steps(self) -> int:
         """Rows recorded so far."""
-        return self._blocks.handed_on + len(self._rows)
+        return self._blocks.row_count + len(self._rows)
 
     def flush(self) -> None:
         """Pass the remaining rows on.  Raises FlightError if they cannot be written."""
-        self._blocks.hand_on(self._rows)
+        self._blocks.write_rows(self._rows)
 
 
 class _Blocks:
@@ -105,9 +105,9 @@ class _Blocks:
     def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
         self._columns, self._angles = columns, run.angles
-        self.handed_on = 0  # rows passed to the sink so far
+        self.row_count = 0  # rows passed to the sink so far
 
-    def hand_on(self, rows: Rows) -> None:
+    def write_rows(self, rows: Rows) -> None:
         count = len(rows)
         if count:
             memory = np.asarray(rows)[:, :count]
@@ -115,7 +115,7 @@ class _Blocks:
             for angle in self._angles:
                 table[angle.column] = angle.law(*memory[angle.of : angle.of + 4])
             self._sink.write(table)
-            self.handed_on += count
+            self.row_count += count
         rows.clear()
 
 
@@ -138,14 +138,14 @@ class MemorySink:
 
 
 class OneRow:
-    """Row of the log for one sample, for programs that step a flight."""
+    """Converter of one sample to a row of the log, for programs that step a flight."""
 
     def __init__(self, columns: Sequence[Column] = COLUMNS) -> None:
-        self._recorder = Recorder(1.0, self, columns)  # blocks of one row: one row per second
+        self._recorder = Recorder(1.0, self, columns)  # a step of 1 s makes blocks of one row
         self.names = tuple(column.name for column in columns)
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """Do nothing, as the columns are known."""
+        """Do nothing, as the columns are those given at the start."""
 
     def write(self, table: Array) -> None:
         self._table = table.copy()
@@ -169,30 +169,30 @@ class BackgroundSink:
         self._sink = sink
         self._blocks: Queue[Array | None] = Queue(self.max_blocks)
         self._error: FlightError | None = None
-        self._thread = Thread(target=self._work, name="recorder", daemon=True)
+        self._thread = Thread(target=self._write_blocks, name="recorder", daemon=True)
         self._thread.start()
 
     def write(self, table: Array) -> None:
         """Queue a block.  Raises FlightError if an earlier one failed, or too many wait."""
-        self._complain()
+        self._raise_error()
         try:
             self._blocks.put_nowait(table.copy())
         except Full:
             raise FlightError(f"the log is {self.max_blocks} blocks behind: the disk is too slow") from None
 
     def settle(self) -> None:
-        """Wait until all is written; then nothing more may be.  Raises FlightError."""
+        """Wait until all blocks are written, after which no more may be.  Raises FlightError."""
         if self._thread.is_alive():
             self._blocks.put(None)
             self._thread.join()
-        self._complain()
+        self._raise_error()
 
-    def _complain(self) -> None:
+    def _raise_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error
 
-    def _work(self) -> None:
+    def _write_blocks(self) -> None:
         while (table := self._blocks.get()) is not None:
             if self._error is None:
                 try:
@@ -215,16 +215,16 @@ class MemoryLog(Columnar):
         return sum(table.shape[1] for table in self._tables)
 
     def __getitem__(self, name: str) -> Array:
-        index = self._index(name)
+        index = self._column_index(name)
         return np.concatenate([np.empty(0), *[table[index] for table in self._tables]])
 
-    def _index(self, name: str) -> int:
+    def _column_index(self, name: str) -> int:
         if name not in self._indices:
             require(name, self.columns)
         return self._indices[name]
 
     def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns block by block; ``rows`` is ignored."""
-        indices = [self._index(name) for name in names]
+        indices = [self._column_index(name) for name in names]
         for table in self._tables:
             yield {name: table[index] for name, index in zip(names, indices, strict=True)}

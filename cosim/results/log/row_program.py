@@ -53,7 +53,7 @@ ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _rol
 
 
 class Angle(NamedTuple):
-    """A column computed from four others, by blocks."""
+    """A column with an angle that is computed from the four elements of a quaternion, by blocks."""
 
     column: int
     of: int  # index of the first of the four
@@ -61,7 +61,7 @@ class Angle(NamedTuple):
 
 
 class Program(NamedTuple):
-    """Converts a sample to a row of ``width`` numbers: log columns, then the inputs of angles.
+    """Plan that flattens a sample into ``width`` numbers: the log columns, then the quaternions of angles.
 
     ``nodes``: the tuples to open, each by its name, the node it is in (-1: it is the sample) and its place there, how
     many elements it has (negative: at least), and whether it may be None.  ``reads``: from a node, from an element on,
@@ -76,12 +76,12 @@ class Program(NamedTuple):
 
 
 def program(columns: Sequence[Column]) -> Program:
-    """Return the sources of the columns.  Raises InputError for one that a sample lacks."""
-    return _compile(tuple(columns))
+    """Return the plan for these columns.  Raises InputError for a column whose source a sample lacks."""
+    return _compile_program(tuple(columns))
 
 
 @lru_cache(16)
-def _compile(columns: tuple[Column, ...]) -> Program:
+def _compile_program(columns: tuple[Column, ...]) -> Program:
     compiled = _Compiler()
     angles: list[Angle] = []
     quaternions: dict[str, int] = {}
@@ -93,7 +93,7 @@ def _compile(columns: tuple[Column, ...]) -> Program:
             if quaternion not in quaternions:
                 quaternions[quaternion] = width
                 for element in range(4):
-                    compiled.read(f"{quaternion}.{element}", width + element)
+                    compiled.add_read(f"{quaternion}.{element}", width + element)
                 width += 4
             if law not in ANGLES:
                 raise InputError(f"column {column.name!r}: no angle {law!r}; allowed: {', '.join(ANGLES)}")
@@ -101,24 +101,24 @@ def _compile(columns: tuple[Column, ...]) -> Program:
         elif place:
             for k, part in enumerate(place.split(" + ")):
                 try:
-                    compiled.read(part, n, other, k > 0)
+                    compiled.add_read(part, n, other, k > 0)
                 except InputError:
                     raise
                 except ValueError:
                     raise InputError(f"column {column.name!r}: no place of a sample: {part!r}") from None
-    return Program(width, *compiled.finished(), angles)
+    return Program(width, *compiled.get_plan(), angles)
 
 
 class _Compiler:
-    """Places of a sample to nodes and reads."""
+    """Collects the nodes of a sample and the reads that fetch the columns' sources from them."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, tuple[int, int, int]] = {}  # node number, its parent's, index in it
         self._sizes: dict[str, int] = {}
         self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
-        self._open("")
+        self._add_node("")
 
-    def read(self, source: str, column: int, other: str = "", add: bool = False) -> None:
+    def add_read(self, source: str, column: int, other: str = "", add: bool = False) -> None:
         node, element = self._find(source)
         unless = self._find(other) if other else (-1, 0)
         last = self._reads[-1] if self._reads else None
@@ -127,7 +127,7 @@ class _Compiler:
         else:
             self._reads.append((node, element, 1, column, *unless, add))
 
-    def finished(self) -> tuple[list[tuple[str, int, int, int, bool]], list[tuple[int, int, int, int, int, int, bool]]]:
+    def get_plan(self) -> tuple[list[tuple[str, int, int, int, bool]], list[tuple[int, int, int, int, int, int, bool]]]:
         nodes = [
             (name or "it", parent, element, self._sizes[name] * (-1 if name in _AT_LEAST else 1), name in _OPTIONAL)
             for name, (_, parent, element) in self._nodes.items()
@@ -137,7 +137,7 @@ class _Compiler:
     def _find(self, source: str) -> tuple[int, int]:
         """Return the node that holds a source, and its index there."""
         parent, _, element = source.rpartition(".")
-        node = self._open(parent)
+        node = self._add_node(parent)
         if parent in _RECORDS:
             fields: tuple[str, ...] = _RECORDS[parent]._fields  # type: ignore[attr-defined]
             index = int(element) if element.isdigit() else fields.index(require(element, fields, f"record {parent!r}"))
@@ -146,7 +146,7 @@ class _Compiler:
             self._sizes[parent] = max(self._sizes[parent], index + 1)
         return node, index
 
-    def _open(self, name: str) -> int:
+    def _add_node(self, name: str) -> int:
         if name not in self._nodes:
             parent, element = self._find(name) if name else (-1, 0)
             self._nodes[name] = (len(self._nodes), parent, element)

@@ -93,7 +93,7 @@ class Columnar(NamedColumns[Array]):
         return f"<{type(self).__name__}: {len(self)} steps, {len(self.columns)} columns: {first}{more}>"
 
     def _ipython_key_completions_(self) -> list[str]:
-        """Return what completes ``log["``: the columns."""
+        """Return the column names that complete ``log["`` in a notebook."""
         return list(self.columns)
 
     def table(self, *names: str) -> Any:

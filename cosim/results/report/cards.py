@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 
 from cosim.results.report.page import TEMPLATES, Flights, render
 
-_NUMBER = re.compile(r"[<>≥≤+−–-]?\s*\d|[–-]?$")
+_NUMBER_CELL = re.compile(r"[<>≥≤+−–-]?\s*\d|[–-]?$")
 
 
 class Card(NamedTuple):
@@ -22,36 +22,36 @@ class Card(NamedTuple):
     """
 
     title: str
-    # Of a table: what heads its columns, and its rows.
+    # The titles of a table's columns, and its rows.
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
-    # Small print.
+    # A note in small print.
     text: str = ""
-    # One or several of the page's figures, by name.
+    # The names of one or several of the page's figures.
     figure: str | Sequence[str] = ""
-    # A list; one line alone is a sentence.
+    # Lines of text, shown as a list; a single line is shown as a sentence.
     lines: Sequence[str] = ()
     code: str = ""
-    # Beside the next card where the window is wide enough.
+    # Whether the card stands beside the next one where the window is wide enough.
     is_half: bool = False
-    # Only its title is seen until it is clicked.
+    # Whether only the title is shown until it is clicked.
     is_folded: bool = False
-    # Markup of its own, where a card needs more than these.
+    # HTML that the card shows as well, for what the other fields cannot express.
     content: str = ""
 
     @property
     def figures(self) -> Sequence[str]:
-        """The names of its figures."""
+        """Names of the figures that the card shows."""
         return [name for name in ([self.figure] if isinstance(self.figure, str) else self.figure) if name]
 
     @property
     def alignments(self) -> list[str]:
-        """The class of each column of the table: numbers are to the right, texts to the left."""
-        return [_alignment(column) for column in zip(*self.rows, strict=True)]
+        """CSS class of each column of the table: numbers are aligned to the right, texts to the left."""
+        return [_choose_alignment(column) for column in zip(*self.rows, strict=True)]
 
 
-def _alignment(cells: Sequence[str], max_number: int = 30, min_wrapped: int = 16, min_long: int = 40) -> str:
-    """Return the class of a column of a table.
+def _choose_alignment(cells: Sequence[str], max_number: int = 30, min_wrapped: int = 16, min_long: int = 40) -> str:
+    """Return the CSS class that aligns a column of a table with these cells.
 
     ``max_number``: a cell of more characters is a text though it begins with a digit.  Cells of texts are broken into
     lines from ``min_wrapped`` characters on, and are at least a third of a narrow window wide, or more from
@@ -59,34 +59,34 @@ def _alignment(cells: Sequence[str], max_number: int = 30, min_wrapped: int = 16
     """
     texts = [cell.striptags() if isinstance(cell, Markup) else cell for cell in cells]
     longest = max(map(len, texts))
-    if sum(_NUMBER.match(text) is not None for text in texts) > len(texts) // 2 and longest < max_number:
+    if sum(_NUMBER_CELL.match(text) is not None for text in texts) > len(texts) // 2 and longest < max_number:
         return "nowrap"
     return "left nowrap" if longest < min_wrapped else "left" if longest < min_long else "left long"
 
 
 @dataclass(frozen=True)
 class Page:
-    """A page: what is found is at its head, its cards are below, and where it is from stands at its foot."""
+    """Page with the result at its head, cards below, and the origin of the numbers at its foot."""
 
-    # Of what it is a page ("margins measured in flight"), and of which vehicle, engine or scenario.
+    # The kind of result ("margins measured in flight"), and the vehicle, engine or scenario that it is of.
     kind: str
     heading: str
-    # In the order in which they are shown; an entry of None is left out.
+    # The cards in the order in which they are shown; an entry of None is left out.
     cards: Sequence[Card | None]
-    # Figures of Plotly's schema that cards name.
+    # Figures in Plotly's schema by the names that cards use.
     figures: Mapping[str, Any] = field(default_factory=dict)
     # The verdict in one or two words, and its colour: met, unmet, failed (a warning) or none.
     verdict: str = ""
     badge: str = "none"
-    # Lines: the result, why it may not be used, what was done, what the verdict is from, what to look out for.
+    # Lines of text: the result, why it may not be used, what was done, the evidence, and warnings.
     answer: Sequence[str] = ()
     problems: Sequence[str] = ()
     summary: Sequence[str] = ()
     evidence: Sequence[str] = ()
     notes: Sequence[str] = ()
-    # Names and values.
+    # Facts about the result, as names and values.
     facts: Sequence[tuple[str, str]] = ()
-    # Where it is from.
+    # The origin of the result: program, version and command.
     source: str = ""
     # Flights that are replayed in three dimensions, with their strips.
     flights: Flights | None = None
@@ -94,18 +94,18 @@ class Page:
     are_figures_linked: bool = True
 
     def write(self, path: Path) -> None:
-        """Write it.  Raises FlightError if the file cannot be written."""
+        """Write the page.  Raises FlightError if the file cannot be written."""
         several = self.flights is not None and len(self.flights.runs) > 1
         render(TEMPLATES / "page.html", path, dict(self.figures), self.flights, page=self, two=several)
 
 
 def code(text: str) -> Markup:
-    """Return a text in the letters of a program."""
+    """Return a text in a monospaced font."""
     return Markup("<code>{}</code>").format(text)
 
 
 def coloured(text: str, colour: str) -> Markup:
-    """Return a text behind a swatch of a colour, ``"#rrggbb"``."""
+    """Return a text behind a swatch of the colour ``"#rrggbb"``."""
     return Markup('<span class="swatch" style="background:{}"></span>{}').format(colour, text)
 
 
@@ -115,7 +115,7 @@ def link(text: str, address: str) -> Markup:
 
 
 def sentence(text: str) -> str:
-    """Return a line as a sentence: with a capital first and a full stop last."""
+    """Return a line of text with a capital first letter and a full stop at its end."""
     return f"{text[:1].upper()}{text[1:]}."
 
 

@@ -39,7 +39,7 @@ STRIPS = (
     ("height", "Height", "Above the ground."),
     ("track", "Track", "Seen from above, both axes to one scale; from the open circle to the filled one."),
 )
-MARKED = (
+METRICS_NOTE = (
     "True angles against the set-point. Overshoot is stated in percent of each step, the worst step counts; settled is "
     "within 5 % of the step for good; – means that there is none. Where all fly the same "
     "scenario, the least is green among the flights that completed"
@@ -47,7 +47,7 @@ MARKED = (
 
 
 def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path) -> None:
-    """Write the page of flights and of what :func:`cosim.results.comparison.compare_with_first` says of them.
+    """Write the page of flights that :func:`cosim.results.comparison.compare_with_first` compared.
 
     Raises FlightError if the file cannot be written.
     """
@@ -77,18 +77,18 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
         "comparison",
         title,
         cards,
-        answer=[_answer(flight, name, path) for flight, name in zip(flights, named, strict=True)],
+        answer=[_describe_outcome(flight, name, path) for flight, name in zip(flights, named, strict=True)],
         flights=Flights("comparison", data, strips),
     )
     page.write(path)
 
 
-def _answer(flight: ComparedFlight, name: Markup, path: Path) -> Markup:
-    """Return how a flight ended, and where its own page is."""
+def _describe_outcome(flight: ComparedFlight, name: Markup, path: Path) -> Markup:
+    """Return how a flight ended, with a link to its own page."""
     if flight.run is None:
         return Markup("{} a log without a run: it has no metrics.").format(name)
     badge, word = verdict_badge(flight.run.summary)
-    own = link("full report", _link(flight.run, path)) if _link(flight.run, path) else ""
+    own = link("full report", _report_link(flight.run, path)) if _report_link(flight.run, path) else ""
     sentence = verdict(flight.run.summary)
     return Markup("{} {} {} {}").format(name, marked(word, f"badge {badge}"), sentence, marked(own, "small"))
 
@@ -110,7 +110,7 @@ def _metrics_card(summaries: Sequence[Summary | None], named: Sequence[Markup]) 
     rows = comparison_rows(summaries)
     done = [name for name, each in zip(named, summaries, strict=True) if each and each.outcome == "completed"]
     few = Markup(": here {} alone did, so nothing is.").format(done[0]) if done else ": here none did."
-    text = MARKED + ("." if len(done) > 1 else few)
+    text = METRICS_NOTE + ("." if len(done) > 1 else few)
     cells = [[marked(cell["text"], "best") if cell["best"] else cell["text"] for cell in row["cells"]] for row in rows]
     listed = [(row["axis"], row["title"], *texts, row["unit"]) for row, texts in zip(rows, cells, strict=True)]
     return Card("Metrics", ("axis", "metric", *named, "unit"), listed, text) if rows else None
@@ -125,7 +125,7 @@ def _requirements_card(summaries: Sequence[Summary | None], named: Sequence[str]
 
 
 def _pair_cards(pair: LogComparison, colour: str, inputs: Sequence[tuple[str, str, str]]) -> Iterator[Card]:
-    """Yield what two flights have alike, which inputs differ, and which signals do."""
+    """Yield cards on what two flights have in common, and on inputs and signals that differ."""
     name = f"{pair.second} against {pair.first}"
     unlike = [signal_cells(signal) for signal in by_time(pair.signals)]
     alike = [signal.name for signal in pair.signals if signal.same]
@@ -228,14 +228,14 @@ def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]
                 "axis": axis if axis in AXES else "whole flight",
                 "title": title[0].upper() + title[1:],
                 "unit": of.unit,
-                "cells": _mark(texts, [each.get(name) for each in flat], judged),
+                "cells": _mark_least(texts, [each.get(name) for each in flat], judged),
             }
         )
     return rows
 
 
-def _mark(texts: Sequence[str], values: Sequence[float | None], judged: Sequence[bool]) -> list[dict[str, Any]]:
-    """Return cells of a row, the least value of those that are judged marked unless they all read the same."""
+def _mark_least(texts: Sequence[str], values: Sequence[float | None], judged: Sequence[bool]) -> list[dict[str, Any]]:
+    """Return the cells of a row, the least of the judged values marked unless all of them read the same."""
     cells = list(zip(texts, values, judged, strict=True))
     least = min((value for _, value, among in cells if among and value is not None), default=None)
     differ = len({text for text, _, among in cells if among}) > 1
@@ -257,7 +257,7 @@ def run_labels(summaries: Sequence[Summary]) -> list[str]:
     return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
 
 
-def _link(run: Run, path: Path) -> str:
+def _report_link(run: Run, path: Path) -> str:
     """Return the relative path from a page to the run's own report, or an empty string."""
     if run.folder is None or not (run.folder / REPORT).is_file():
         return ""

@@ -12,7 +12,7 @@ from cosim.results.report.cards import Card, Page, marked
 from cosim.results.report.plot import BLUE, HOVER, ORANGE, Figure, panels, trace
 from cosim.results.run import REPORT
 
-WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
+MOVES = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
 
 
 def write_check(report: CheckReport, folder: Path) -> Path:
@@ -56,24 +56,24 @@ def make_page(report: CheckReport) -> Page:
 
 
 def check_figures(report: CheckReport) -> dict[str, Figure]:
-    """Return the figures of what was found: thrust over throttle, thrust over time."""
+    """Return the figures of a checked engine: thrust over throttle, and thrust over time."""
     figures = {}
     if report.throttle is not None and report.thrust is not None:
         figures["curve"] = {
-            "data": [_trace("thrust at rest", ORANGE, report.throttle, report.thrust, "lines+markers")],
-            "layout": _layout("throttle", ".2f"),
+            "data": [_make_trace("thrust at rest", ORANGE, report.throttle, report.thrust, "lines+markers")],
+            "layout": _make_layout("throttle", ".2f"),
         }
     courses = [
         (label, colour, getattr(report, f"course_{way}"), getattr(report, f"course_step_{way}"))
-        for way, label, colour in WAYS
+        for way, label, colour in MOVES
     ]
     complete = [(label, colour, course, step) for label, colour, course, step in courses if course and step]
     if complete:
-        layout = _layout("time since the throttle was moved [s]", ".3f")
-        layout["shapes"] = [_mark(report, way, colour) for way, _, colour in WAYS if _delay(report, way)]
+        layout = _make_layout("time since the throttle was moved [s]", ".3f")
+        layout["shapes"] = [_delay_line(report, way, colour) for way, _, colour in MOVES if _delay_s(report, way)]
         figures["response"] = {
             "data": [
-                _trace(label, colour, [k * step for k in range(len(course))], course, "lines")
+                _make_trace(label, colour, [k * step for k in range(len(course))], course, "lines")
                 for label, colour, course, step in complete
             ],
             "layout": layout,
@@ -81,23 +81,23 @@ def check_figures(report: CheckReport) -> dict[str, Figure]:
     return figures
 
 
-def _delay(report: CheckReport, way: str) -> float:
+def _delay_s(report: CheckReport, way: str) -> float:
     return float(getattr(report, f"delay_samples_{way}") or 0) * report.step
 
 
-def _mark(report: CheckReport, way: str, colour: str) -> Figure:
-    """Return a dotted line where the delay ends."""
-    at = _delay(report, way)
+def _delay_line(report: CheckReport, way: str, colour: str) -> Figure:
+    """Return a dotted vertical line at the time at which the delay ends."""
+    at = _delay_s(report, way)
     line = {"color": colour, "width": 1.2, "dash": "dot"}
     return {"type": "line", "x0": at, "x1": at, "yref": "paper", "y0": 0.0, "y1": 1.0, "line": line}
 
 
-def _trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -> Figure:
+def _make_trace(label: str, colour: str, x: list[float], y: list[float], mode: str) -> Figure:
     says, marker = f"{label}: %{{y:.5~g}} N<extra></extra>", {"color": colour, "size": 5}
     return trace(label, colour, x, y, mode=mode, marker=marker, hovertemplate=says, showlegend=mode == "lines")
 
 
-def _layout(title: str, form: str) -> Figure:
+def _make_layout(title: str, form: str) -> Figure:
     figure_layout = panels(360, title, ["thrust [N]"], log=False) | HOVER
     figure_layout["xaxis"]["hoverformat"] = form
     figure_layout["yaxis"]["rangemode"] = "tozero"

@@ -18,7 +18,7 @@ from cosim.results.report.panels import make_rest_columns
 from cosim.results.report.plot import BLUE
 from cosim.results.report.requirements import (
     SOURCES,
-    ZERO,
+    ZERO_COLUMN,
     allowed_range,
     by_margin,
     deciding_events,
@@ -32,7 +32,7 @@ from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES, NOTHING_EXPECTED
 from cosim.results.wording import DIGITS, NONE, metric, show_value
 
-KINDS = {
+EVENT_KINDS = {
     "fault": "fault",
     "monitor": "engine monitor",
     "disturbance": "from outside",
@@ -48,10 +48,10 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
     ``shared_assets``: what draws it goes into one folder for all runs, beside that of this one.
     """
     with run.log.keep_open():
-        _write(run, path, shared_assets)
+        _write_page(run, path, shared_assets)
 
 
-def _write(run: Run, path: Path, shared_assets: bool) -> None:
+def _write_page(run: Run, path: Path, shared_assets: bool) -> None:
     summary = run.summary
     events = sorted([*list_events(run), *deciding_events(summary)], key=lambda event: event.time_s)
     phases = list_phases(run)
@@ -59,7 +59,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
     if summary.steps:
         flight = describe_run(run, summary.controller_shown, BLUE, events)._replace(
             derived=make_rest_columns(run.log, summary) | margin_columns(margins, len(run.log)),
-            made=[ZERO, *(margin.column for margin in margins)],
+            made=[ZERO_COLUMN, *(margin.column for margin in margins)],
             upsets=Reader(run.log, summary.step_s).upsets(),
             phases=phases,
         )
@@ -75,7 +75,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         strips=strips,
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
         events=events,
-        kinds=KINDS,
+        kinds=EVENT_KINDS,
         grave=3,  # errors and above stand out
         phases=list(dict.fromkeys(phase.name for phase in phases)),
         refused=any(
@@ -128,11 +128,11 @@ def verdict(summary: Summary) -> str:
 
 def axis_sentences(summary: Summary) -> list[str]:
     """Return a sentence on each commanded axis, or on the largest attitude error where none was commanded."""
-    commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
-    return [text for text in commanded or [_worst_error(summary)] if text]
+    commanded = [_describe_axis(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
+    return [text for text in commanded or [_describe_worst_error(summary)] if text]
 
 
-def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:
+def _describe_axis(axis: str, metrics: AxisMetrics) -> str:
     clauses = []
     if metrics.overshoot_percent is not None:
         clauses.append(f"{metrics.overshoot_percent:.0f} % overshoot")
@@ -145,7 +145,7 @@ def _axis_verdict(axis: str, metrics: AxisMetrics) -> str:
     return f"{axis.capitalize()}: {', '.join(clauses)}." if clauses else ""
 
 
-def _worst_error(summary: Summary) -> str:
+def _describe_worst_error(summary: Summary) -> str:
     errors = [(metrics.max_abs_error_rad, axis) for axis, metrics in summary.metrics.items()]
     finite = [(error, axis) for error, axis in errors if error is not None]
     if not finite:
@@ -155,7 +155,7 @@ def _worst_error(summary: Summary) -> str:
 
 
 def found_values(summary: Summary) -> dict[str, str]:
-    """Return the metrics of a flight that are known by name, its own ones last: texts without their unit."""
+    """Return a flight's metrics by label, those of the user last: texts without units."""
     flat = summary.flat_metrics
     texts = {name: show_value(flat.get(name), metric(name).factor, digits) for name, digits in DIGITS.items()}
     for axis, metrics in summary.metrics.items():
@@ -167,7 +167,7 @@ def found_values(summary: Summary) -> dict[str, str]:
 
 
 class AxisLedger(NamedTuple):
-    """The delay ledger of axes that have the same rows; ``total`` in samples, None if an element does not say."""
+    """Delay ledger of axes with equal rows; ``total`` in samples, or None if a row has no number."""
 
     axes: str
     rows: list[DelayRow]
@@ -175,7 +175,7 @@ class AxisLedger(NamedTuple):
 
 
 def ledgers(summary: Summary) -> list[AxisLedger]:
-    """Return the delay ledger by axis, those together that are the same."""
+    """Return the delay ledgers, one for all axes with equal rows."""
     axes_of: dict[tuple[DelayRow, ...], list[str]] = {}
     for axis in dict.fromkeys(row.axis for row in summary.delay_ledger):
         rows = tuple([row.model_copy(update={"axis": ""}) for row in summary.delay_ledger if row.axis == axis])

@@ -21,9 +21,9 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.panels import (
     ATTITUDE,
     DEG,
+    DISTURBANCES,
     EFFORT,
     HEIGHT,
-    OUTSIDE,
     POSITION,
     RATE,
     Panel,
@@ -38,20 +38,20 @@ from cosim.results.report.plot import BLUE, Figure, run_colour
 from cosim.results.report.requirements import MarginOverTime, margin_panels
 from cosim.results.summary import Summary
 
-# Of a flight less another: subtract_first().
-_LESS = "_less"
-LESS_NAMES = (*(f"{axis}_rad{_LESS}" for axis in AXES), f"altitude_m{_LESS}", "apart_m")
-LESS_COLUMNS = (
+# Columns and panels of a flight's difference from the first flight, see subtract_first.
+_SUFFIX = "_less"
+DIFF_NAMES = (*(f"{axis}_rad{_SUFFIX}" for axis in AXES), f"altitude_m{_SUFFIX}", "apart_m")
+DIFF_COLUMNS = (
     *(
-        Column(name, name.split("_")[1], "", f"{name.removesuffix(_LESS)} less the first flight's")
-        for name in LESS_NAMES[:-1]
+        Column(name, name.split("_")[1], "", f"{name.removesuffix(_SUFFIX)} less the first flight's")
+        for name in DIFF_NAMES[:-1]
     ),
     Column("apart_m", "m", "", "distance from the first flight, level"),
 )
-LESS = (
-    *(Panel(axis.capitalize(), "deg", [Trace(name, axis)], DEG) for axis, name in zip(AXES, LESS_NAMES, strict=False)),
-    Panel("Altitude", "m", [Trace(LESS_NAMES[-2], "altitude")]),
-    Panel("Apart, level", "m", [Trace(LESS_NAMES[-1], "apart")]),
+DIFF_PANELS = (
+    *(Panel(axis.capitalize(), "deg", [Trace(name, axis)], DEG) for axis, name in zip(AXES, DIFF_NAMES, strict=False)),
+    Panel("Altitude", "m", [Trace(DIFF_NAMES[-2], "altitude")]),
+    Panel("Apart, level", "m", [Trace(DIFF_NAMES[-1], "apart")]),
 )
 
 
@@ -82,7 +82,7 @@ def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = 
         reader.has_values(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"
     ):
         figures["place"] = strips(reader, POSITION)
-    outside = [panel for panel in OUTSIDE if any(reader.is_moving(trace.column) for trace in panel.traces)]
+    outside = [panel for panel in DISTURBANCES if any(reader.is_moving(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = strips(reader, outside)
     custom = [column for column in custom_columns(log.described) if reader.has_values(column.name)]
@@ -97,7 +97,7 @@ def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = 
 
 
 def first_panel(reader: Reader, metrics: Mapping[str, AxisMetrics]) -> Panel:
-    """Return the panel that a page begins with: the commanded axis of the largest error.
+    """Return the panel that a page shows first: that of the commanded axis with the largest error.
 
     Where no axis is commanded it is the height, if its set-point moves, or else the axis of the largest error.
     """
@@ -129,18 +129,18 @@ def first_answer(reader: Reader, summary: Summary, min_step_rad: float = 0.02) -
     around = max(end - begin, 0.05)
     rows = slice(row - 1, row + int(2.5 * around / step_s))
 
-    def movement(panel: Panel) -> float:
+    def measure_movement(panel: Panel) -> float:
         command = panel.traces[0].column
         values = (rest[command]() if command in rest else log[command])[rows]
         return float(np.ptp(values)) * panel.scale / panel.least_span
 
-    panel = max([*thrust_panels(summary), *tilt_panels(log)], key=movement)
+    panel = max([*thrust_panels(summary), *tilt_panels(log)], key=measure_movement)
     window = {"from": begin - around, "to": begin + 2.5 * around}
     return {"panels": [_strip(panel, [(0, each) for each in panel.traces]) | {"window": window, "spans": spans}]}
 
 
 def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
-    """Return panels as ``assets/strips.js`` draws them, without signals that never move where their trace says so."""
+    """Return the data of panels for ``assets/strips.js``; omit traces marked ``only_if_moving`` that never move."""
     return {
         "panels": [
             _strip(
@@ -153,7 +153,7 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
 
 
 def _strip(panel: Panel, traces: Sequence[tuple[int, Trace]]) -> dict[str, Any]:
-    """Return a panel with these traces, each of the run of that number."""
+    """Return the data of a panel for strips; each trace is given with the number of its run."""
     return {
         "title": panel.title,
         "unit": panel.unit,
@@ -198,7 +198,7 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
     }
     figures["height"] = overlay_panels(readers, labels, height, "true")
     figures["difference"] = []
-    for panel in LESS:
+    for panel in DIFF_PANELS:
         name = panel.traces[0].column
         apart = [
             (len(flights) + n, Trace(name, labels[number], run_colour(number), width=1.4))
@@ -228,7 +228,7 @@ def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     """
     first, differences = flights[0].log, {}
     level = ("north_m", "east_m")
-    sources = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
+    sources = [((name.removesuffix(_SUFFIX),), name) for name in DIFF_NAMES[:-1]] + [(level, DIFF_NAMES[-1])]
     for number, flight in enumerate(flights[1:], 1):
         base = make_time_base(first, flight.log)
         common = {*first.columns} & {*flight.log.columns}
@@ -238,7 +238,7 @@ def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
                 apart = [difference(first, flight.log, one, base) for one in names]
                 columns[name] = apart[0] if len(apart) == 1 else np.hypot(*apart)
         if base.times.size > 1 and len(columns) > 1:
-            differences[number] = MemoryLog([np.stack(list(columns.values()))], tuple(columns), LESS_COLUMNS)
+            differences[number] = MemoryLog([np.stack(list(columns.values()))], tuple(columns), DIFF_COLUMNS)
     return differences
 
 
@@ -263,7 +263,7 @@ def overlay_panels(
             continue
         for setpoint in (trace for trace in panel.traces if trace.label == "set-point" and which == "true"):
             having = [run for run, reader in enumerate(readers) if reader.has_values(setpoint.column)]
-            if having and all(_asks_as(readers[run], readers[longest], setpoint.column) for run in having):
+            if having and all(_has_same_setpoint(readers[run], readers[longest], setpoint.column) for run in having):
                 traces.append((longest, setpoint))
             else:
                 traces += [
@@ -274,8 +274,8 @@ def overlay_panels(
     return overlaid
 
 
-def _asks_as(reader: Reader, other: Reader, column: str) -> bool:
-    """Return whether a log asks for the same as a longer one as long as it lasts."""
+def _has_same_setpoint(reader: Reader, other: Reader, column: str) -> bool:
+    """Return whether a set-point column equals that of a longer log for this log's duration."""
     if reader is other:
         return True
     if column not in other.log.columns or reader.step_s != other.step_s:

@@ -15,7 +15,7 @@ from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
 from cosim.results.report.plot import Figure
 
-_UPSETS = (
+_DISTURBANCE_COLUMNS = (
     *(f"disturbance_force_{x}_N" for x in "xyz"),
     *(f"disturbance_moment_{x}_N_m" for x in "xyz"),
     *(f"disturbance_torque_{axis}" for axis in AXES),
@@ -24,7 +24,7 @@ _UPSETS = (
 
 
 class Reader:
-    """The columns of a log as Plotly wants them, thinned out where there are more rows than can be seen."""
+    """Columns of a log in the form that Plotly needs, with fewer rows where they are more than can be seen."""
 
     def __init__(self, log: Log, step_s: float, times: Array | None = None) -> None:
         self.log = log
@@ -33,7 +33,7 @@ class Reader:
 
     @classmethod
     def of(cls, flight: ComparedFlight) -> Reader:
-        """Return a reader of a flight that is compared."""
+        """Return a reader of a compared flight."""
         if flight.run is not None:
             return cls(flight.log, flight.run.summary.step_s)
         times = flight.log[TIME]
@@ -60,7 +60,7 @@ class Reader:
     def upsets(self) -> list[tuple[float, float]]:
         """Return the intervals [s] in which something disturbs the vehicle, wind apart."""
         disturbed = np.zeros(len(self.log), dtype=bool)
-        for column in _UPSETS:
+        for column in _DISTURBANCE_COLUMNS:
             disturbed |= self.log[column] != 0.0
         return self.stretches(disturbed)
 

@@ -19,7 +19,7 @@ _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
 
 
 def parts_of(page: str, where: Path | str) -> dict[str, str]:
-    """Return what stands between the marks of a page, by name.  Raises InputError where they do not come in pairs."""
+    """Return the text between each pair of marks of a page, by name.  Raises InputError for an unpaired mark."""
     parts = dict(_PART.findall(page))
     if len(_MARK.findall(page)) != 2 * len(parts):
         raise InputError(
@@ -29,17 +29,17 @@ def parts_of(page: str, where: Path | str) -> dict[str, str]:
 
 
 def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
-    """Return the page with ``parts`` (whole lines) between the marks of their names; other marks stay as they are.
+    """Return the page with ``parts`` (whole lines) between the marks of their names; other marks are unchanged.
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
     _refuse_unknown(Path(where), parts, parts_of(page, where))
 
-    def part(match: re.Match[str]) -> str:
+    def replace_part(match: re.Match[str]) -> str:
         name = match.group(1)
         return f"<!-- measured: {name} -->\n{parts.get(name, match.group(2))}<!-- end -->"
 
-    return _PART.sub(part, page)
+    return _PART.sub(replace_part, page)
 
 
 def page_parts(path: Path) -> dict[str, str]:
@@ -47,16 +47,16 @@ def page_parts(path: Path) -> dict[str, str]:
 
     Raises InputError if one of them cannot be read, or its marks do not come in pairs or have a name twice.
     """
-    return _merged(_by_page(path))
+    return _merge_parts(_read_parts(path))
 
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
-    """Check that a page or its data page has all these marks and can be written: before hours of measuring.
+    """Check that a page or its data page has these marks and can be written, before hours of measurements.
 
     Raises InputError where this is not so.
     """
-    pages = _by_page(path)
-    _refuse_unknown(path, names, _merged(pages))
+    pages = _read_parts(path)
+    _refuse_unknown(path, names, _merge_parts(pages))
     for page in pages:
         if not os.access(page, os.W_OK):
             raise InputError(f"{page}: cannot be written to")
@@ -68,15 +68,15 @@ def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     Raises InputError for marks that do not come in pairs, for a part that has no mark, and if a file cannot be
     written.
     """
-    pages = _by_page(path)
-    _refuse_unknown(path, parts, _merged(pages))
+    pages = _read_parts(path)
+    _refuse_unknown(path, parts, _merge_parts(pages))
     for page, marked in pages.items():
         new = {name: text for name, text in parts.items() if name in marked}
         if new or page == path:
             write_whole(page, filled(read_text(page), new, page), InputError)
 
 
-def _by_page(path: Path) -> dict[Path, dict[str, str]]:
+def _read_parts(path: Path) -> dict[Path, dict[str, str]]:
     """Return the parts of the page, then those of its data page where there is one."""
     data = path.parent / "tables" / path.name
     found: dict[Path, dict[str, str]] = {}
@@ -88,7 +88,7 @@ def _by_page(path: Path) -> dict[Path, dict[str, str]]:
     return found
 
 
-def _merged(pages: Mapping[Path, Mapping[str, str]]) -> dict[str, str]:
+def _merge_parts(pages: Mapping[Path, Mapping[str, str]]) -> dict[str, str]:
     return {name: text for parts in pages.values() for name, text in parts.items()}
 
 
@@ -98,7 +98,7 @@ def _refuse_unknown(path: Path, names: Iterable[str], marked: Mapping[str, str])
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a table in Markdown, its first ``left`` columns to the left and the others to the right."""
+    """Return a table in Markdown, its first ``left`` columns aligned to the left and the others to the right."""
     rules = ["---" if n < left else "---:" for n in range(len(columns))]
     return "".join(f"{line}\n" for line in (row(columns), row(rules), *map(row, rows)))
 
@@ -109,5 +109,5 @@ def row(cells: Iterable[str]) -> str:
 
 
 def cell(text: str) -> str:
-    """Return a text as Markdown shows it unchanged."""
+    """Return a text escaped so that Markdown shows it unchanged."""
     return re.sub(r"([\\`*_|<>])", r"\\\1", text)

@@ -24,23 +24,23 @@ from cosim.base.storage.files import one_line, write_whole
 
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 ASSETS = Path(__file__).resolve().parent / "assets"
-# What Jinja made of the templates is kept with the modules: compiling the flight's takes 0.15 s, all else of it less.
-KEPT = Path(__file__).resolve().parent / "__pycache__"
+# Cache of compiled Jinja templates: compiling the flight's takes 0.15 s, more than the rest of its page.
+TEMPLATE_CACHE = Path(__file__).resolve().parent / "__pycache__"
 STYLES = ("vendor/uPlot.min.css", "strips.css")
 SCENE = "scene.js"
 SCRIPTS = ("vendor/uPlot.iife.min.js", "signals.js", "strips.js", "strip_files.js", "workbench.js", SCENE, "replay.js")
 THREE = "vendor/three.iife.min.js"
 FIGURES = ("figure_axes.js", "figure_marks.js", "figures.js")
 FIGURE_STYLE = "figures.css"
-# The licences of what others wrote, by what a page holds of it: each asks that its text goes with every copy.
+# Licences of third-party scripts, by the file that a page embeds: each must go with every copy of it.
 NOTICES = {"vendor/uPlot.iife.min.js": ("uPlot",), THREE: ("three",)}
-SHARED = "assets-"  # and a hash: folder shared by pages
+SHARED_PREFIX = "assets-"  # of the folder that pages share
 
 
 class Flights(NamedTuple):
-    """What strips and replay of a page draw: see ``signals_data``."""
+    """Data that the strips and the replay of a page draw: see ``signals_data``."""
 
-    name: str  # of files that are saved from it
+    name: str  # of files saved from the page
     runs: list[tuple[dict[str, Any], dict[str, str]]]
     figures: dict[str, Any]
 
@@ -62,18 +62,18 @@ def render(
     """
     from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
 
-    is_kept = KEPT.is_dir() and os.access(KEPT, os.W_OK) and not sys.dont_write_bytecode
+    is_kept = TEMPLATE_CACHE.is_dir() and os.access(TEMPLATE_CACHE, os.W_OK) and not sys.dont_write_bytecode
     environment = Environment(
         loader=FileSystemLoader([template.parent, TEMPLATES]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        bytecode_cache=FileSystemBytecodeCache(str(KEPT)) if is_kept else None,
+        bytecode_cache=FileSystemBytecodeCache(str(TEMPLATE_CACHE)) if is_kept else None,
     )
     page = environment.get_template(template.name).generate(
         figures={name: figure_json(figure) for name, figure in figures.items()},
-        drawing=(_asset(FIGURE_STYLE), "".join(map(_asset, FIGURES))) if figures else None,
+        drawing=(_read_asset(FIGURE_STYLE), "".join(map(_read_asset, FIGURES))) if figures else None,
         notices=notices(*((*SCRIPTS, THREE) if flights is not None else ())),
         flights=flight_parts(flights, path, shared) if flights is not None else None,
         **values,
@@ -82,15 +82,15 @@ def render(
 
 
 def notices(*held: str) -> str:
-    """Return the copyright and permission notices of what a page holds of others, as text of an HTML comment."""
+    """Return the licences of third-party code on a page, as text of an HTML comment."""
     parts = [part for name in held for part in NOTICES.get(name, ())]
-    texts = [f"{part}: {_asset(licence_file(part)).strip()}" for part in parts]
+    texts = [f"{part}: {_read_asset(licence_file(part)).strip()}" for part in parts]
     text = "\n\n".join(["This page holds work of others, under these licences.", *texts])
     return text.replace("--", "- -") if texts else ""
 
 
 def licence_file(part: str) -> str:
-    """Return where among the assets the licence of a part of others is."""
+    """Return the path, among the assets, of the licence of a third-party part."""
     return f"vendor/{part}-LICENSE.txt"
 
 
@@ -106,19 +106,19 @@ def flight_parts(flights: Flights, path: Path, shared: Path | None) -> dict[str,
         styles, scripts = ([f"{place}/{Path(name).name}" for name in names] for names in (STYLES, SCRIPTS))
         links = {"place": place, "styles": styles, "scripts": scripts, "three": f"{place}/{Path(THREE).name}"}
         return parts | {"shared": links}
-    style, *scripts = ("".join(map(_asset, names)) for names in (STYLES, *((name,) for name in SCRIPTS)))
+    style, *scripts = ("".join(map(_read_asset, names)) for names in (STYLES, *((name,) for name in SCRIPTS)))
     return parts | {"style": style, "scripts": scripts, "three": deflate(ASSETS / THREE)}
 
 
 def shared_assets(folder: Path) -> Path:
-    """Return the folder within ``folder`` that has what pages share, by its hash; what is not there is written.
+    """Return the folder, named by a hash, of the files that pages in ``folder`` share; write missing ones.
 
     Raises FlightError if that is not possible.
     """
     licences = [licence_file(part) for name in (*SCRIPTS, THREE) for part in NOTICES.get(name, ())]
     held = {Path(name).name: (ASSETS / name).read_bytes() for name in (*STYLES, *SCRIPTS, THREE, *licences)}
     name = sha256(b"".join(key.encode() + value for key, value in held.items())).hexdigest()[:12]
-    place = folder.resolve() / f"{SHARED}{name}"
+    place = folder.resolve() / f"{SHARED_PREFIX}{name}"
     try:
         place.mkdir(parents=True, exist_ok=True)
         for key, value in held.items():
@@ -129,7 +129,7 @@ def shared_assets(folder: Path) -> Path:
     return place
 
 
-def _asset(name: str) -> str:
+def _read_asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
@@ -140,7 +140,7 @@ def deflate(path: Path) -> str:
 
 
 def as_plotly(figure: dict[str, Any]) -> Any:
-    """Return a figure as Plotly's own, which a notebook draws.  Raises InputError where Plotly is not installed."""
+    """Return a figure as an object of Plotly, which a notebook draws.  Raises InputError where Plotly is missing."""
     try:
         from plotly.graph_objects import Figure
     except ImportError:
@@ -150,11 +150,11 @@ def as_plotly(figure: dict[str, Any]) -> Any:
 
 def figure_json(figure: dict[str, Any]) -> str:
     """Return a figure as JSON that may stand in a script element; arrays in Plotly's base64 form, bit for bit."""
-    text = json.dumps(figure, default=_array_json, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(figure, default=_encode_array, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _array_json(value: Any) -> dict[str, str]:
+def _encode_array(value: Any) -> dict[str, str]:
     if not isinstance(value, np.ndarray):
         raise TypeError(f"{type(value).__name__} in a figure")
     codes = {np.dtype(np.float32): "f4", np.dtype(np.float64): "f8"}

@@ -19,7 +19,7 @@ from cosim.results.summary import Summary
 
 DEG = degrees(1.0)
 AT_REST = "thrust_{}_at_rest_N"
-JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right
+HEXJET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right
 
 
 class Trace(NamedTuple):
@@ -35,35 +35,35 @@ class Trace(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """One pair of axes; columns times ``scale`` come to ``unit``."""
+    """Panel with one pair of axes; columns times ``scale`` are in ``unit``."""
 
     title: str
     unit: str
     traces: Sequence[Trace]
     scale: float = 1.0
-    least_span: float = 0.0  # noise does not fill the panel
+    least_span: float = 0.0  # keeps noise from filling the panel
 
 
-def _setpoint(column: str) -> Trace:
+def _setpoint_trace(column: str) -> Trace:
     return Trace(column, "set-point", GREY, "dash", 1.5, is_staircase=True)
 
 
 def _tracking_panel(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
-    """Return the panel of a quantity and its set-point: measured, true, and asked for; its columns end with ``si``."""
+    """Return the panel of a set-point and the quantity that follows it, measured and true; columns end with ``si``."""
     traces = [
         Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
         Trace(f"{name}_{si}", "true", BLUE),
-        _setpoint(f"{name}_setpoint_{si}"),
+        _setpoint_trace(f"{name}_setpoint_{si}"),
     ]
     return Panel(name.capitalize(), unit, traces, scale, least_span)
 
 
-def _demand(column: str, label: str) -> Trace:
+def _demand_trace(column: str, label: str) -> Trace:
     """Return the trace of a demand of a controller: noisy, so a thin line behind the others."""
     return Trace(column, label, GREY, width=1.1, is_staircase=True)
 
 
-def _effort(name: str) -> list[Trace]:
+def _effort_traces(name: str) -> list[Trace]:
     return [
         Trace(f"torque_{name}", "asked for", BLUE, width=1.5, is_staircase=True),
         Trace(f"disturbance_torque_{name}", "disturbance", MAGENTA, "dot", is_staircase=True, only_if_moving=True),
@@ -71,7 +71,7 @@ def _effort(name: str) -> list[Trace]:
     ]
 
 
-def _vector(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
+def _axis_traces(pattern: str, names: tuple[str, str, str]) -> list[Trace]:
     return [
         Trace(pattern.format(name), name, colour) for name, colour in zip(names, (BLUE, ORANGE, GREEN), strict=True)
     ]
@@ -83,7 +83,7 @@ RATE = [
         f"{axis.capitalize()} rate",
         "deg/s",
         [
-            _demand(f"rate_{rate}_setpoint_rad_s", "set-point"),
+            _demand_trace(f"rate_{rate}_setpoint_rad_s", "set-point"),
             Trace(f"rate_{rate}_measured_rad_s", "measured", ORANGE, width=1.5),
             Trace(f"rate_{rate}_predicted_rad_s", "predicted", BLUE, width=1.5),
         ],
@@ -103,15 +103,15 @@ def tilt_panels(log: Log) -> list[Panel]:
 
 
 def _servo_panel(name: str, column: str, end: str, unit: str, scale: float, least_span: float) -> Panel:
-    traces = [_demand(f"{column}_command{end}", "commanded"), Trace(f"{column}{end}", "actual", width=1.4)]
+    traces = [_demand_trace(f"{column}_command{end}", "commanded"), Trace(f"{column}{end}", "actual", width=1.4)]
     return Panel(name.capitalize().replace("_", " "), unit, traces, scale, least_span)
 
 
 def effort_panels(log: Log) -> list[Panel]:
-    """Return the panels of what the loops ask for, in the units of the vehicle's allocation."""
+    """Return the panels of what the loops command, in the units of the vehicle's allocation."""
     if not any(column.name == "torque_roll" and column.unit == "rad/s^2" for column in log.described):
         return EFFORT
-    return [EFFORT[0], *(Panel(axis.capitalize(), "rad/s²", _effort(axis), least_span=0.5) for axis in AXES)]
+    return [EFFORT[0], *(Panel(axis.capitalize(), "rad/s²", _effort_traces(axis), least_span=0.5) for axis in AXES)]
 
 
 EFFORT = [
@@ -124,20 +124,20 @@ EFFORT = [
         ],
         least_span=0.2,
     ),
-    Panel("Roll", "throttle", _effort("roll"), least_span=0.05),
-    Panel("Pitch", "deg of tilt", _effort("pitch"), DEG, least_span=2.0),
-    Panel("Yaw", "deg of tilt", _effort("yaw"), DEG, least_span=2.0),
+    Panel("Roll", "throttle", _effort_traces("roll"), least_span=0.05),
+    Panel("Pitch", "deg of tilt", _effort_traces("pitch"), DEG, least_span=2.0),
+    Panel("Yaw", "deg of tilt", _effort_traces("yaw"), DEG, least_span=2.0),
 ]
 HEIGHT = [
     _tracking_panel("altitude", "m", "m", 1.0, 2.0),
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
 POSITION = [_tracking_panel(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
-# A panel is left out where it is 0 throughout, and one of engines where no engine reports it.
-OUTSIDE = [
-    Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
-    Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
-    Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
+# Panels that are 0 throughout are left out, as are those of engines where no engine reports the quantity.
+DISTURBANCES = [
+    Panel("Force", "N", _axis_traces("disturbance_force_{}_N", ("x", "y", "z"))),
+    Panel("Moment", "N m", _axis_traces("disturbance_moment_{}_N_m", ("x", "y", "z"))),
+    Panel("Wind", "m/s", _axis_traces("wind_{}_m_s", ("north", "east", "down"))),
     Panel("Payload", "kg", [Trace("payload_kg", "mass", is_staircase=True)]),
 ]
 ENGINES = (
@@ -145,7 +145,7 @@ ENGINES = (
     ("Exhaust temperature", "K", "exhaust_temperature_{}_K", 1.0),
     ("Fuel flow", "g/s", "fuel_flow_{}_kg_s", 1e3),
 )
-SPOOLS = Panel("Moment of the spools", "N m", _vector("spool_moment_{}_N_m", ("x", "y", "z")))
+SPOOLS = Panel("Moment of the spools", "N m", _axis_traces("spool_moment_{}_N_m", ("x", "y", "z")))
 TANK = Panel("Fuel on board", "kg", [Trace("fuel_kg", "fuel", BLUE)])
 
 
@@ -175,7 +175,7 @@ def thrust_panels(summary: Summary) -> list[Panel]:
             f"Jet {jet}",
             "N",
             [
-                *([_demand(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
+                *([_demand_trace(AT_REST.format(jet), "commanded")] if curves[jet - 1] else []),
                 Trace(f"thrust_{jet}_N", "delivered", width=1.5),
             ],
             least_span=1.0,
@@ -186,16 +186,16 @@ def thrust_panels(summary: Summary) -> list[Panel]:
 
 
 def make_rest_columns(log: Log, summary: Summary) -> dict[str, Callable[[], Array]]:
-    """Return what makes the columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
+    """Return functions that compute columns for the page: each engine's thrust at rest for its throttle."""
     columns: dict[str, Callable[[], Array]] = {}
     for jet, curve in enumerate(thrust_curves(summary), 1):
         if curve and f"throttle_{jet}" in log.columns:
             throttle, thrust = np.array(curve, dtype=float).T
-            columns[AT_REST.format(jet)] = partial(_interpolated, log, f"throttle_{jet}", throttle, thrust)
+            columns[AT_REST.format(jet)] = partial(_interpolate, log, f"throttle_{jet}", throttle, thrust)
     return columns
 
 
-def _interpolated(log: Log, column: str, x: Array, y: Array) -> Array:
+def _interpolate(log: Log, column: str, x: Array, y: Array) -> Array:
     return np.interp(log[column], x, y)
 
 
@@ -208,12 +208,12 @@ def thrust_curves(summary: Summary) -> list[list[tuple[float, float]]]:
 def jet_rows(jets_m: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
     """Return jet numbers from front to back, (left, right), by their positions in the body frame if these are known."""
     if not jets_m:
-        return JET_ROWS
+        return HEXJET_ROWS
     ordered = sorted((-x, y, number) for number, (x, y, _) in enumerate(jets_m, start=1))
     port = [number for _, y, number in ordered if y < 0.0]
     starboard = [number for _, y, number in ordered if y >= 0.0]
     if len(port) == len(starboard):
         return tuple(zip(port, starboard, strict=True))
     if len(jets_m) <= JETS:
-        return JET_ROWS
+        return HEXJET_ROWS
     return tuple(tuple(range(n, min(n + 2, len(jets_m) + 1))) for n in range(1, len(jets_m) + 1, 2))

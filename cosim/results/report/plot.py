@@ -12,9 +12,9 @@ Figure = dict[str, Any]
 
 BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
 RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
-ABOVE = {"xanchor": "left", "yanchor": "bottom"}  # of a legend: where its place is of it
-LEGEND: Figure = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}  # in a row above the panels
-HOVER = {"hovermode": "x unified"}  # all curves in one box
+ABOVE = {"xanchor": "left", "yanchor": "bottom"}  # corner of a legend at its position
+LEGEND: Figure = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}  # legend in a row above the panels
+HOVER = {"hovermode": "x unified"}  # one box with the values of all curves
 
 
 def run_colour(number: int) -> str:
@@ -23,12 +23,12 @@ def run_colour(number: int) -> str:
 
 
 def layout(height: int, left: int, right: int, top: int, bottom: int, **more: Any) -> Figure:
-    """Return a figure's layout of a height and with margins, px; ``more`` as Plotly's schema names it."""
+    """Return the layout of a figure with a height and margins [px]; ``more`` has further keys of Plotly."""
     return {"height": height, "margin": {"l": left, "r": right, "t": top, "b": bottom}, **more}
 
 
 def closest(height: int, left: int = 64, *, has_legend: bool = True) -> Figure:
-    """Return the layout of a figure that says of what is nearest to the pointer what it is."""
+    """Return the layout of a figure that describes the point nearest to the pointer."""
     return layout(height, left, 16, 30, 46, hovermode="closest", showlegend=has_legend, legend=LEGEND)
 
 
@@ -51,7 +51,7 @@ def axis_name(letter: str, number: int) -> str:
 
 
 def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tuple[float, float]:
-    """Return where the n-th of several panels begins and ends, between 0 and 1; ``gap`` is between two of them."""
+    """Return begin and end, 0 to 1, of the n-th of several panels, which are ``gap`` apart."""
     size = (1.0 - gap * (count - 1)) / count
     low = (count - 1 - position if from_top else position) * (size + gap)
     return round(low, 6), round(low + size, 6)
@@ -74,7 +74,7 @@ def trace(label: str, colour: str, x: ArrayLike, y: ArrayLike, panel: int = 0, *
 
 
 def beneath(colour: str) -> Figure:
-    """Return the style of a line that another one may cover: wide and pale, so that both are seen."""
+    """Return the style of a line that another one may cover: wide and pale, so that both can be seen."""
     return {"line": {"color": colour, "width": 6.0}, "opacity": 0.45}
 
 

@@ -18,7 +18,7 @@ from cosim.results.requirements import FlightSignals, RequirementResult
 from cosim.results.summary import Summary
 from cosim.results.wording import NONE, display_unit, metric
 
-ZERO = Column("margin_zero", "", "", "below it a requirement is broken")
+ZERO_COLUMN = Column("margin_zero", "", "", "below it a requirement is broken")
 SOURCES = {"require": "required", "expect": "expected", "limits": "limit", "success": "success"}
 
 
@@ -39,21 +39,21 @@ def margins_over_time(log: Log, summary: Summary) -> list[MarginOverTime]:
         name = f"margin_{result.source}_{result.name}" if name in found else name
         if result.decided_at_s is not None and not flight.metrics.keys() >= set(result.requirement.names):
             meaning = f"margin of {result.decided_by or result.formula}: positive kept, negative broken; not in the log"
-            column = Column(name, _unit(result), "", meaning)
-            found[name] = MarginOverTime(result, column, partial(_values, flight, result))
+            column = Column(name, _shown_unit(result), "", meaning)
+            found[name] = MarginOverTime(result, column, partial(_margin_values, flight, result))
     return list(found.values())
 
 
-def _values(flight: FlightSignals, result: RequirementResult) -> Array:
-    """Return a margin in every row: one column at a time is held, an hour of which takes 7 MB."""
+def _margin_values(flight: FlightSignals, result: RequirementResult) -> Array:
+    """Return a margin in every row; only one column is held at a time, as one of an hour takes 7 MB."""
     values = result.requirement.assess(flight).margin_over_time
     return np.full(flight.rows, np.nan) if values is None else values
 
 
 def margin_columns(margins: Sequence[MarginOverTime], rows: int) -> dict[str, Callable[[], Array]]:
-    """Return what makes the columns that a page has of margins, beside the log's."""
+    """Return functions that compute the columns of margins for the page, by name."""
     columns = {margin.column.name: margin.values for margin in margins}
-    return columns | {ZERO.name: partial(np.zeros, rows)} if margins else {}
+    return columns | {ZERO_COLUMN.name: partial(np.zeros, rows)} if margins else {}
 
 
 def by_margin(summary: Summary) -> list[RequirementResult]:
@@ -65,7 +65,7 @@ CHECKED = ("limit or expectation", "of", "allowed", "margin", "decided at")
 
 
 def checked_rows(summary: Summary) -> list[tuple[str, tuple[str, ...]]]:
-    """Return the limits and expectations that a flight was held to, the smallest margin first.
+    """Return a row of texts for each limit and expectation of the flight, the smallest margin first.
 
     Each with its metric, and cells as :data:`CHECKED` heads them.  What a flight has nothing of, and keeps so, is left
     out.
@@ -121,7 +121,7 @@ def margin_panels(margins: Sequence[MarginOverTime]) -> list[Panel]:
     panels = []
     for margin in margins:
         unit, factor = display_unit(margin.column.unit)
-        traces = [Trace(ZERO.name, "broken below", RED, "dash", 1.2), Trace(margin.column.name, "margin", BLUE)]
+        traces = [Trace(ZERO_COLUMN.name, "broken below", RED, "dash", 1.2), Trace(margin.column.name, "margin", BLUE)]
         panels.append(Panel(margin.result.name, unit, traces, factor))
     return panels
 
@@ -137,5 +137,5 @@ def deciding_events(summary: Summary) -> list[Event]:
     ]
 
 
-def _unit(result: RequirementResult) -> str:
+def _shown_unit(result: RequirementResult) -> str:
     return "" if result.unit == "1" else result.unit

@@ -33,15 +33,15 @@ from cosim.results.metrics import REFUSED, Reach, saturation_in_flight
 from cosim.results.run import Run
 from cosim.spec.vehicle import Vehicle
 
-# Of the roughness, chosen by us: half a step is 1/64 of it.
+# Bits for a column's noise, chosen by us: half a quantisation step is 1/64 of the noise.
 NOISE_BITS = 5
-# Steps from zero: second differences of such numbers still are 32 bits.
-_MAX_STEPS = 2.0**28
-# Of a column, chosen by us: ten minutes at 250 Hz, which are some 9 MB.
+# Largest number of quantisation steps from zero: second differences of such numbers have 32 bits.
+_MAX_MULTIPLE = 2.0**28
+# Rows of a column on a page, chosen by us: ten minutes at 250 Hz, which are some 9 MB.
 MAX_ROWS = 150_000
-# Times in saturation that are told apart, chosen by us: more than a screen has pixels for.
-MAX_BANDS = 2000
-DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
+# Intervals of saturation on a page, chosen by us: more than a screen has pixels for.
+MAX_INTERVALS = 2000
+REST_THRUST_NOTE = "where the engine would settle if its throttle were held; from its static curve, not in the log"
 
 
 class Packed(NamedTuple):
@@ -66,11 +66,11 @@ def pack(values: Array) -> Packed | None:
     if low == high and not gaps:
         return Packed(low, 1.0, 0, 0, False, "")
     step = quantisation_step(values_filled, low, high)
-    base = 0.0 if max(abs(low), abs(high)) / step < _MAX_STEPS else step * floor(low / step)
+    base = 0.0 if max(abs(low), abs(high)) / step < _MAX_MULTIPLE else step * floor(low / step)
     numbers = np.rint((values_filled - base) / step).astype(np.int64)
     middle = max(0, numbers.size // 2 - 10_000)
     tried = numbers[middle : middle + 20_000]
-    order = min(range(3), key=lambda order: _cost(_difference(tried, order)))
+    order = min(range(3), key=lambda order: _count_bits(_difference(tried, order)))
     best = _difference(numbers, order)
     zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
@@ -81,20 +81,20 @@ def pack(values: Array) -> Packed | None:
 
 def quantisation_step(values: Array, low: float, high: float) -> float:
     """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
-    if max(abs(low), abs(high)) < _MAX_STEPS and np.array_equal(values, np.rint(values)):
+    if max(abs(low), abs(high)) < _MAX_MULTIPLE and np.array_equal(values, np.rint(values)):
         return 1.0
     if max(abs(low), abs(high)) > 1e300:
         return 2.0**1000  # differences would overflow
-    first, last = _ranked(values, ceil(0.01 * (values.size - 1)), floor(0.99 * (values.size - 1)))
+    first, last = _select_ranks(values, ceil(0.01 * (values.size - 1)), floor(0.99 * (values.size - 1)))
     usual = abs(last - first) or (high - low) or abs(high) or 1.0
-    rough = _ranked(np.abs(np.diff(values, 2)), (values.size - 3) // 4)[0] if values.size > 2 else 0.0
+    rough = _select_ranks(np.abs(np.diff(values, 2)), (values.size - 3) // 4)[0] if values.size > 2 else 0.0
     # 16 bits of the usual range are sixteen times finer than a screen of 4000 pixels.
     finest = max(log2(usual) - 16, log2(max(rough, 1e-300)) - NOISE_BITS)
-    return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MAX_STEPS) + 1.0, -1000.0)))
+    return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MAX_MULTIPLE) + 1.0, -1000.0)))
 
 
-def _ranked(values: Array, *ranks: int) -> list[float]:
-    """Return the values of these ranks, 0 for the least: sooner than percentiles, which are between two."""
+def _select_ranks(values: Array, *ranks: int) -> list[float]:
+    """Return the values of these ranks, 0 for the smallest; faster than percentiles, which interpolate."""
     ordered = np.partition(values, ranks)
     return [float(ordered[rank]) for rank in ranks]
 
@@ -113,12 +113,12 @@ def _difference(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
     return numbers
 
 
-def _cost(numbers: NDArray[np.int64]) -> float:
+def _count_bits(numbers: NDArray[np.int64]) -> float:
     return float(np.log2(np.abs(numbers[2:]) + 1.0).sum())
 
 
 class FlightData(NamedTuple):
-    """A flight as a page draws it."""
+    """Data of a flight that a page draws."""
 
     log: Log
     label: str
@@ -126,17 +126,17 @@ class FlightData(NamedTuple):
     step_s: float
     events: Sequence[Event] = ()
     vehicle: Vehicle | None = None
-    jets_m: Sequence[Sequence[float]] = ()  # body, where no vehicle is known
+    jets_m: Sequence[Sequence[float]] = ()  # of jets, if the vehicle is unknown
     times: Array | None = None  # None: 0, step_s, ...
-    derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # columns that the log has not
-    made: Sequence[Column] = ()  # derived ones other than DERIVED
+    derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # columns computed for the page
+    made: Sequence[Column] = ()  # meanings of some derived columns
     upsets: Sequence[tuple[float, float]] = ()  # intervals of disturbance
-    phases: Sequence[Phase] = ()  # of the flight, drawn behind the lines
-    reach: Reach | None = None  # by which the flight's metrics were made
+    phases: Sequence[Phase] = ()  # drawn behind the lines
+    reach: Reach | None = None  # as used by the flight's metrics
 
 
 def describe_run(run: Run, label: str, colour: str, events: Sequence[Event]) -> FlightData:
-    """Return a run as a page draws it, with what happened in it."""
+    """Return the data of a run that its page draws, with its events."""
     summary, vehicle = run.summary, read_vehicle(run)
     return FlightData(
         run.log, label, colour, summary.step_s, events, vehicle, jets_m=summary.jets_m, reach=summary.reach
@@ -144,7 +144,7 @@ def describe_run(run: Run, label: str, colour: str, events: Sequence[Event]) -> 
 
 
 def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return what a page says of a run, as JSON has it, and its columns' data by name."""
+    """Return a run's table for a page, ready for JSON, and the packed data of its columns by name."""
     log = flight.log
     group = group_length(len(log)) if flight.times is None else 1
     columns, data, empty = _pack_columns(flight, group)
@@ -172,12 +172,12 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def group_length(steps: int) -> int:
-    """Return of how many steps a page has the least and the greatest; 1: it has them all."""
+    """Return how many steps a page sums up by their least and greatest value; 1: it has every step."""
     return 1 if steps <= MAX_ROWS else 2 * ceil(steps / MAX_ROWS)
 
 
 def extremes(values: Array, group: int) -> Array:
-    """Return the least and the greatest of each ``group`` rows, two values each, in the order in which they come.
+    """Return the least and the greatest of each ``group`` rows, two values each, in the order of the rows.
 
     What is no number is left out of a group that has one.
     """
@@ -190,7 +190,7 @@ def extremes(values: Array, group: int) -> Array:
 
 
 def _describe_thinning(label: str, steps: int, group: int, step_s: float) -> str:
-    """Return what a page leaves out of a flight, in words; an empty string where that is nothing."""
+    """Describe the steps of a flight that a page leaves out; an empty string if it leaves out none."""
     if group == 1:
         return ""
     return (
@@ -223,7 +223,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
                 "name": name,
                 "unit": about.unit if about else "",
                 "frame": about.frame if about else "",
-                "meaning": about.meaning if about else DERIVED if name in derived else "",
+                "meaning": about.meaning if about else REST_THRUST_NOTE if name in derived else "",
                 **{key: value for key, value in column._asdict().items() if key != "data"},
                 "data": first,
             }
@@ -234,7 +234,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
 
 
 def _is_banded(event: Event) -> bool:
-    """Return whether an event is a band of its own: faults, gusts and changes of the wind; the rest is in the log."""
+    """Return whether an event is drawn as a band: faults, gusts and changes of the wind."""
     wind = event.kind == "disturbance" and event.text.startswith(("gust", "wind"))
     return event.banded and (event.kind == "fault" or wind)
 
@@ -249,7 +249,7 @@ def read_vehicle(run: Run) -> Vehicle | None:
 
 
 def describe_shape(vehicle: Vehicle) -> dict[str, Any]:
-    """Return what is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
+    """Return the shape of a vehicle for the replay, m and rad in the body frame: from ``vehicle.toml``.
 
     A jet has its place and its thrust's direction, both with all hinges at zero, and what turns it from the body
     outwards: the column of the angle, a point of the axis, the axis, and whether it turns the thrust alone.  A panel
@@ -292,21 +292,21 @@ def describe_shape(vehicle: Vehicle) -> dict[str, Any]:
 
 
 def _jets_only(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
-    """Return a vehicle of which no more is known than the positions of its jets."""
+    """Return the shape of a vehicle of which only the positions of the jets are known."""
     jets = [{"position": list(position), "axis": UP, "turns": []} for position in jets_m]
     return {"name": "", "title": "", "mass": None, "jets": jets, "contacts": [], "panels": []}
 
 
 def _saturation_times(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
-    """Return the intervals [s] in which the flight was in saturation, as its metric counts it.
+    """Return the intervals [s] of saturation, as the metric counts it.
 
-    Where that changes more than ``MAX_BANDS`` times, the shortest gaps are closed.
+    Where that changes more than ``MAX_INTERVALS`` times, the shortest gaps are closed.
     """
     if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # the log is another tool's
         return []
     rows = saturation_in_flight(log, reach)
     starts, ends = row_spans(rows)
-    if starts.size > MAX_BANDS:
-        apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MAX_BANDS :])
+    if starts.size > MAX_INTERVALS:
+        apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MAX_INTERVALS :])
         starts, ends = np.append(starts[:1], starts[apart + 1]), np.append(ends[apart], ends[-1:])
     return time_spans(starts, ends, rows.size, step_s)

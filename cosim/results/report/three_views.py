@@ -10,7 +10,7 @@ from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
-# body axes that a view has to its right and downwards, with their signs
+# Body axes that point to the right and downwards in each view, with their signs.
 VIEWS = (
     ("from above", (1, 1.0), (0, -1.0)),
     ("from the right", (0, 1.0), (2, 1.0)),
@@ -52,13 +52,13 @@ def three_views(vehicle: Vehicle) -> str:
     for number, (name, right, down) in enumerate(VIEWS):
         view = _Projection(root, number * VIEW + VIEW / 2.0, TITLE + VIEW / 2.0, scale, right, down)
         text(root, number * VIEW + 12, TITLE + VIEW + 12, name, "dim")
-        _one(view, vehicle, reach)
-    _ruler(root, scale, reach)
+        _draw_view(view, vehicle, reach)
+    _draw_ruler(root, scale, reach)
     return finish_drawing(root)
 
 
 class _Projection:
-    """One projection: places of the body to the drawing."""
+    """Projection of points of the body frame onto the drawing."""
 
     def __init__(
         self, root: ET.Element, x: float, y: float, scale: float, right: tuple[int, float], down: tuple[int, float]
@@ -91,15 +91,15 @@ class _Projection:
 
 def points_of(vehicle: Vehicle) -> list[Vector3]:
     """Return the positions of jets, contacts and panels [m, body]."""
-    return [*_carrying(vehicle), *(corner for panel in vehicle.panels for corner in panel.corners_m)]
+    return [*_outline_points(vehicle), *(corner for panel in vehicle.panels for corner in panel.corners_m)]
 
 
-def _carrying(vehicle: Vehicle) -> list[Vector3]:
+def _outline_points(vehicle: Vehicle) -> list[Vector3]:
     return [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
 
 
-def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
-    view.polygon("body", _hull([view.at(point) for point in _carrying(vehicle)]))
+def _draw_view(view: _Projection, vehicle: Vehicle, reach: float) -> None:
+    view.polygon("body", _convex_hull([view.at(point) for point in _outline_points(vehicle)]))
     for panel in vehicle.panels:
         view.polygon("panel", [view.at(corner) for corner in panel.corners_m])
     for contact in vehicle.contacts:
@@ -116,7 +116,7 @@ def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
             ways += [("reach", [*rest[:number], end, *rest[number + 1 :]]) for end in vehicle.turns[number]]
         for kind, angles in ways:
             start, axis = layout.positions(angles)[jet], layout.axes(angles)[layout.groups[jet]]
-            end = _along(start, axis, 0.45 * reach)
+            end = _move_along(start, axis, 0.45 * reach)
             (a, b), (c, d) = view.at(start), view.at(end)
             if hypot(c - a, d - b) > 3.0:
                 view.line(kind, start, end)
@@ -130,16 +130,16 @@ def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
         line(view.root, "cg", x - dx, y - dy, x + dx, y + dy)
 
 
-def _along(start: Vector3, axis: Vector3, length: float) -> Vector3:
+def _move_along(start: Vector3, axis: Vector3, length: float) -> Vector3:
     x, y, z = (p + length * a for p, a in zip(start, axis, strict=True))
     return (x, y, z)
 
 
-def _hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def _convex_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the convex polygon around points, by Andrew's monotone chain."""
     ordered = sorted(set(points))
 
-    def half(part: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    def half_chain(part: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
         chain: list[tuple[float, float]] = []
         for x, y in part:
             while len(chain) > 1 and (chain[-1][0] - chain[-2][0]) * (y - chain[-2][1]) <= (
@@ -149,11 +149,11 @@ def _hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
             chain.append((x, y))
         return chain[:-1]
 
-    return half(ordered) + half(ordered[::-1]) if len(ordered) > 2 else ordered
+    return half_chain(ordered) + half_chain(ordered[::-1]) if len(ordered) > 2 else ordered
 
 
-def _ruler(root: ET.Element, scale: float, reach: float) -> None:
-    """Draw a length that is easily read, to scale."""
+def _draw_ruler(root: ET.Element, scale: float, reach: float) -> None:
+    """Draw a scale bar of a round length [m]."""
     length = max(step for step in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if step <= max(reach, 0.01))
     y = TITLE + VIEW + TITLE - 14
     ET.SubElement(

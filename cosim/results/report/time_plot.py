@@ -17,7 +17,7 @@ from cosim.results.report.panels import ATTITUDE, Panel, Trace
 from cosim.results.report.plot import ABOVE, Figure, axis_name, layout, run_colour, share
 from cosim.results.run import Run
 
-_DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
+_DASHES = ("solid", "dash", "dot", "dashdot")  # line styles of several runs
 
 
 def plot(runs: Run | Sequence[Run], *columns: Run | str) -> Any:
@@ -65,29 +65,29 @@ def plot(runs: Run | Sequence[Run], *columns: Run | str) -> Any:
             at = shared.index(units.get(name, ""))
             label = name if len(readers) == 1 else f"{number + 1}: {name}"
             trace = Trace(name, label, run_colour(n), _DASHES[number % len(_DASHES)])
-            data.append(_line(reader, panels[at], at, trace))
-    return as_plotly({"data": _show_once(data), "layout": _layout_of_panels(panels, data)})
+            data.append(_trace(reader, panels[at], at, trace))
+    return as_plotly({"data": _show_once(data), "layout": _layout_panels(panels, data)})
 
 
 def stack_panels(reader: Reader, panels: Sequence[Panel]) -> Figure:
     """Return panels above each other over one time axis."""
     data = [
-        _line(reader, panel, number, trace)
+        _trace(reader, panel, number, trace)
         for number, panel in enumerate(panels)
         for trace in panel.traces
         if not trace.only_if_moving or reader.is_moving(trace.column)
     ]
-    return {"data": _show_once(data), "layout": _layout_of_panels(panels, data)}
+    return {"data": _show_once(data), "layout": _layout_panels(panels, data)}
 
 
 def overlay(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str) -> Figure:
     """Return the panels of :func:`~cosim.results.report.flight_figures.overlay_panels` as a figure of Plotly."""
     figures = overlay_panels(readers, labels, panels, which)
-    data = [_line(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
-    return {"data": _show_once(data), "layout": _layout_of_panels([panel for panel, _ in figures], data)}
+    data = [_trace(readers[run], panel, n, trace) for n, (panel, traces) in enumerate(figures) for run, trace in traces]
+    return {"data": _show_once(data), "layout": _layout_panels([panel for panel, _ in figures], data)}
 
 
-def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
+def _trace(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
     """Return a trace in the panel with this number, counted from 0."""
     values = panel.scale * reader.log[trace.column]
     return {
@@ -116,13 +116,13 @@ def _show_once(data: list[Figure]) -> list[Figure]:
     return data
 
 
-def _layout_of_panels(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
-    figure_layout = _layout(len(panels) * 165 + 80)
+def _layout_panels(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
+    figure_layout = _make_layout(len(panels) * 165 + 80)
     for number, panel in enumerate(panels):
         low, high = share(number, len(panels), gap=0.04)
         axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}
         values = [trace["y"] for trace in data if trace["yaxis"] == axis_name("y", number)]
-        narrow = _span(values, panel.least_span)
+        narrow = _value_range(values, panel.least_span)
         if narrow[1] - narrow[0] <= panel.least_span:
             axis["range"] = narrow
         figure_layout[axis_name("yaxis", number)] = axis
@@ -130,7 +130,7 @@ def _layout_of_panels(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]
     return figure_layout
 
 
-def _layout(height: int) -> Figure:
+def _make_layout(height: int) -> Figure:
     corner = {"xref": "paper", "yref": "paper", "x": 0, "y": 1}
     return layout(
         height, 64, 12, 40, 44, hovermode="x unified", hoversubplots="axis",
@@ -147,7 +147,7 @@ def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
     }
 
 
-def _span(values: Sequence[Array], min_span: float) -> list[float]:
+def _value_range(values: Sequence[Array], min_span: float) -> list[float]:
     """Return the range from least to greatest with a margin, widened to ``min_span`` around the middle."""
     finite = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)

@@ -3,7 +3,7 @@
 The quantitative semantics of signal temporal logic (Donze and Maler, 2010) in discrete time, at the rows of the log: a
 comparison ``a < b`` is kept by ``b - a``; *and* and *always* take the least of what they are made of, *or* and
 *eventually* the greatest, *not* changes the sign.  So the margin of a formula is that of one comparison in one row,
-which :meth:`Formula.deciding` finds.  Every part takes a time in proportion to the rows.
+which :meth:`Formula.find_decisive_comparison` finds.  Every part takes a time in proportion to the rows.
 
 A row in which a signal has no number (a set-point while none is commanded) is unknown, NaN: *always* and *eventually*
 leave it out; *and* is unknown there unless another part is broken, *or* unless another part is kept.  A span of time
@@ -22,7 +22,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.results.requirements.units import factor_between, in_si, unit_of
 
-# In rows: rounding of a time divided by the step.
+# Rounding error of a time divided by the step, in rows.
 _ROW_TOLERANCE = 1e-6
 Times = dict[str, list[float]]  # s, of events known before the flight
 
@@ -62,7 +62,7 @@ class Quantity:
 
     @property
     def names(self) -> Iterator[str]:
-        """Names of its signals."""
+        """Names of the signals in the quantity."""
         for part in self.parts:
             yield from part.names
 
@@ -72,7 +72,7 @@ class Quantity:
         return 0.0
 
     def values(self, signals: Signals) -> Array:
-        """Return its number in every row."""
+        """Return the quantity in every row."""
         raise NotImplementedError
 
 
@@ -112,8 +112,8 @@ class Signal(Quantity):
 
 
 @dataclass(frozen=True)
-class Size(Quantity):
-    """The size of a quantity, without its sign."""
+class Absolute(Quantity):
+    """Magnitude of a quantity."""
 
     of: Quantity
 
@@ -162,38 +162,40 @@ class Formula:
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Formulas inside it."""
+        """Formulas that the formula is composed of."""
         return tuple([value for value in vars(self).values() if isinstance(value, Formula)])
 
     @property
     def comparisons(self) -> Iterator[Comparison]:
-        """Comparisons inside it."""
+        """Comparisons in the formula."""
         for part in self.parts:
             yield from part.comparisons
 
     @property
     def events(self) -> Iterator[str]:
-        """Events inside it."""
+        """Names of the events in the formula."""
         for part in self.parts:
             yield from part.events
 
     def margins(self, signals: Signals) -> Array:
-        """Return by how much it is kept from every row on: negative broken, NaN unknown."""
+        """Return the margin by which the formula is true from every row on: negative if false, NaN if unknown."""
         margins = signals.margins.get(self)
         if margins is None:
-            margins = signals.margins[self] = self._evaluate(signals)
+            margins = signals.margins[self] = self._compute_margins(signals)
         return margins
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         raise NotImplementedError
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
         """Return what determines the margin in a row, which must be a number."""
         raise NotImplementedError
 
-    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
-        """Return the time [s] up to which rows matter, from ``starts_s``; unlimited for *always*."""
-        return max((part.latest_s(starts_s, times_s) for part in self.parts), default=max(starts_s, default=0.0))
+    def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        """Return the last time [s] at which rows can affect the formula, evaluated at ``starts_s``."""
+        return max(
+            (part.last_relevant_time_s(starts_s, times_s) for part in self.parts), default=max(starts_s, default=0.0)
+        )
 
 
 @dataclass(frozen=True)
@@ -212,7 +214,7 @@ class Comparison(Formula):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its signals."""
+        """Names of the signals on both sides."""
         return (*self.less.names, *self.greater.names)
 
     @property
@@ -230,11 +232,11 @@ class Comparison(Formula):
         """
         return abs(self.greater.constant - self.less.constant if self.bound is None else self.bound[1])
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         difference = self.greater.values(signals) - self.less.values(signals)
         return difference if self.scale == 1.0 else difference / self.scale
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
         return Deciding(self, row, 1.0)
 
 
@@ -248,7 +250,7 @@ class Happens(Formula):
     def events(self) -> Iterator[str]:
         yield self.event
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         margins = np.full(signals.rows, -inf)
         margins[list(signals.event_rows(self.event))] = inf
         return margins
@@ -256,21 +258,21 @@ class Happens(Formula):
 
 @dataclass(frozen=True)
 class Not(Formula):
-    """The opposite."""
+    """Negation of a formula."""
 
     of: Formula
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         return -self.of.margins(signals)
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
-        deciding = self.of.deciding(signals, row)
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
+        deciding = self.of.find_decisive_comparison(signals, row)
         return deciding._replace(sign=-deciding.sign)
 
 
 @dataclass(frozen=True)
-class Both(Formula):
-    """All parts are true; with ``either``, one of them."""
+class AllOrAny(Formula):
+    """Conjunction of formulas: all are true; with ``either``, the disjunction: one of them is."""
 
     of: tuple[Formula, ...]
     either: bool = False
@@ -279,98 +281,98 @@ class Both(Formula):
     def parts(self) -> tuple[Formula, ...]:
         return self.of
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         sign = -1.0 if self.either else 1.0
-        return sign * _least([sign * part.margins(signals) for part in self.parts])
+        return sign * _min_margins([sign * part.margins(signals) for part in self.parts])
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
         margins = [part.margins(signals)[row] for part in self.parts]
         chosen = np.nanargmax(margins) if self.either else np.nanargmin(margins)
-        return self.parts[chosen].deciding(signals, row)
+        return self.parts[chosen].find_decisive_comparison(signals, row)
 
 
 @dataclass(frozen=True)
 class Throughout(Formula):
-    """True in each row from here on; with ``once``, in one of them.  ``seconds``: only up to so much later."""
+    """Formula that is true in each row from here on; with ``once``, in one of them; at most ``seconds`` later."""
 
     of: Formula
     once: bool = False
     seconds: float = inf
 
-    def _evaluate(self, signals: Signals) -> Array:
+    def _compute_margins(self, signals: Signals) -> Array:
         sign = -1.0 if self.once else 1.0
-        return sign * _least_ahead(sign * self.of.margins(signals), _rows_in(self.seconds, signals))
+        return sign * _min_ahead(sign * self.of.margins(signals), _count_rows(self.seconds, signals))
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
-        ahead = self.of.margins(signals)[row : row + _rows_in(self.seconds, signals) + 1]
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
+        ahead = self.of.margins(signals)[row : row + _count_rows(self.seconds, signals) + 1]
         chosen = np.nanargmax(ahead) if self.once else np.nanargmin(ahead)
-        return self.of.deciding(signals, row + int(chosen))
+        return self.of.find_decisive_comparison(signals, row + int(chosen))
 
-    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+    def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
         if self.seconds == inf:
             return max(starts_s, default=0.0)
-        return self.of.latest_s([start + self.seconds for start in starts_s], times_s)
+        return self.of.last_relevant_time_s([start + self.seconds for start in starts_s], times_s)
 
 
 @dataclass(frozen=True)
 class Until(Formula):
-    """``of`` is true until a row, at most ``seconds`` later, where ``then`` is true, which must exist."""
+    """Formula: ``of`` is true until a row, which must exist at most ``seconds`` later, where ``then`` is true."""
 
     of: Formula
     then: Formula
     seconds: float = inf
 
-    def _evaluate(self, signals: Signals) -> Array:
-        then, kept = self._known(signals)
+    def _compute_margins(self, signals: Signals) -> Array:
+        then, kept = self._fill_unknown(signals)
         margins, following = np.empty(signals.rows), -inf
         for row in range(signals.rows - 1, -1, -1):
             following = margins[row] = max(then[row], min(kept[row], following))
-        rows = _rows_in(self.seconds, signals)
-        return np.minimum(margins, -_least_ahead(-then, rows)) if rows < signals.rows else margins
+        rows = _count_rows(self.seconds, signals)
+        return np.minimum(margins, -_min_ahead(-then, rows)) if rows < signals.rows else margins
 
-    def _known(self, signals: Signals) -> tuple[Array, Array]:
+    def _fill_unknown(self, signals: Signals) -> tuple[Array, Array]:
         """Return the margins of ``then``, unknown as false, and of ``of``, unknown as true."""
         then, kept = self.then.margins(signals), self.of.margins(signals)
         return np.where(np.isnan(then), -inf, then), np.where(np.isnan(kept), inf, kept)
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
-        end = row + _rows_in(self.seconds, signals) + 1
-        then, kept = (margins[row:end] for margins in self._known(signals))
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
+        end = row + _count_rows(self.seconds, signals) + 1
+        then, kept = (margins[row:end] for margins in self._fill_unknown(signals))
         before = np.concatenate(([inf], np.minimum.accumulate(kept)[:-1]))
         chosen = int(np.argmax(np.minimum(then, before)))
         if then[chosen] <= before[chosen]:
-            return self.then.deciding(signals, row + chosen)
-        return self.of.deciding(signals, row + int(np.argmin(kept[:chosen])))
+            return self.then.find_decisive_comparison(signals, row + chosen)
+        return self.of.find_decisive_comparison(signals, row + int(np.argmin(kept[:chosen])))
 
-    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+    def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
         return max(starts_s, default=0.0) + (0.0 if self.seconds == inf else self.seconds)
 
 
 @dataclass(frozen=True)
 class After(Formula):
-    """True ``seconds`` later, in the first row at or after that."""
+    """Formula that is true ``seconds`` later, in the first row at or after that time."""
 
     seconds: float
     of: Formula
 
-    def _evaluate(self, signals: Signals) -> Array:
-        margins, rows = np.full(signals.rows, nan), self._rows(signals)
+    def _compute_margins(self, signals: Signals) -> Array:
+        margins, rows = np.full(signals.rows, nan), self._delay_rows(signals)
         margins[: max(signals.rows - rows, 0)] = self.of.margins(signals)[rows:]
         return margins
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
-        return self.of.deciding(signals, row + self._rows(signals))
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
+        return self.of.find_decisive_comparison(signals, row + self._delay_rows(signals))
 
-    def _rows(self, signals: Signals) -> int:
+    def _delay_rows(self, signals: Signals) -> int:
         return ceil(self.seconds / signals.step_s - _ROW_TOLERANCE)
 
-    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
-        return self.of.latest_s([start + self.seconds for start in starts_s], times_s)
+    def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        return self.of.last_relevant_time_s([start + self.seconds for start in starts_s], times_s)
 
 
 @dataclass(frozen=True)
 class AfterEvent(Formula):
-    """True whenever an event happens from here on; unknown if it does not."""
+    """Formula that is true whenever an event happens from here on; unknown without an event."""
 
     event: str
     of: Formula
@@ -380,22 +382,22 @@ class AfterEvent(Formula):
         yield self.event
         yield from self.of.events
 
-    def _evaluate(self, signals: Signals) -> Array:
-        return _least_ahead(self._at_events(signals), signals.rows)
+    def _compute_margins(self, signals: Signals) -> Array:
+        return _min_ahead(self._event_margins(signals), signals.rows)
 
-    def deciding(self, signals: Signals, row: int) -> Deciding:
-        return self.of.deciding(signals, row + int(np.nanargmin(self._at_events(signals)[row:])))
+    def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
+        return self.of.find_decisive_comparison(signals, row + int(np.nanargmin(self._event_margins(signals)[row:])))
 
-    def _at_events(self, signals: Signals) -> Array:
+    def _event_margins(self, signals: Signals) -> Array:
         margins, rows = np.full(signals.rows, nan), list(signals.event_rows(self.event))
         margins[rows] = self.of.margins(signals)[rows]
         return margins
 
-    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
-        return self.of.latest_s(times_s.get(self.event, []), times_s)
+    def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        return self.of.last_relevant_time_s(times_s.get(self.event, []), times_s)
 
 
-def _least(margins: Sequence[Array]) -> Array:
+def _min_margins(margins: Sequence[Array]) -> Array:
     """Return the smallest margin in each row; unknown if one is, unless another is negative."""
     known = margins[0]
     is_unknown = np.isnan(known)
@@ -405,7 +407,7 @@ def _least(margins: Sequence[Array]) -> Array:
     return np.where(is_unknown & ~(known < 0.0), nan, known)
 
 
-def _least_ahead(margins: Array, rows: int) -> Array:
+def _min_ahead(margins: Array, rows: int) -> Array:
     """Return the smallest margin from each row to ``rows`` later, ignoring unknown ones."""
     if rows >= margins.size - 1:
         return np.fmin.accumulate(margins[::-1])[::-1]
@@ -420,6 +422,6 @@ def _least_ahead(margins: Array, rows: int) -> Array:
     return np.where(is_dark, nan, least)
 
 
-def _rows_in(seconds: float, signals: Signals) -> int:
+def _count_rows(seconds: float, signals: Signals) -> int:
     """Return the number of rows within ``seconds`` after a row."""
     return signals.rows if seconds == inf else floor(seconds / signals.step_s + _ROW_TOLERANCE)

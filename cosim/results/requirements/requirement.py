@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
-from cosim.results.limits import NEVER_SETTLED
+from cosim.results.limits import SETTLING_TIME
 from cosim.results.metrics import Record
 from cosim.results.requirements.grammar import ParsedFormula, parse_formula
 from cosim.results.requirements.signals import FlightSignals
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 Source = Literal["require", "limits", "expect", "success"]
-# In scales: a flight that failed at its planned end has -LOST, at its start -2 LOST; a requirement that was not
+# Scaled margins: a flight that failed at its planned end has -LOST, at its start -2 LOST; a requirement that was not
 # evaluated is missed by UNKNOWN.
 LOST, UNKNOWN = 1.0, 1.0
 FLOWN = "flown"  # requirement: flown to the planned end
@@ -32,15 +32,15 @@ _SIGNALS = {
 }
 
 
-class Lost(NamedTuple):
-    """A flight that failed: when, and its planned duration [s]."""
+class FailedFlight(NamedTuple):
+    """Time at which a flight failed, and its planned duration [s]."""
 
     end_s: float
     planned_s: float
 
     @property
     def scales(self) -> float:
-        """Margin in scales by which it broke requirements: LOST at its planned end, twice that at the start."""
+        """Magnitude of the scaled margins: LOST if it failed at its planned end, twice that at the start."""
         share = self.end_s / self.planned_s if self.planned_s > 0.0 else 0.0
         return LOST * (2.0 - min(max(share, 0.0), 1.0))
 
@@ -91,30 +91,30 @@ class Requirement(Record):
 
     @property
     def names(self) -> list[str]:
-        """Signals in the formula, as written."""
+        """Names of the signals in the formula, as written."""
         return list(dict.fromkeys(name for part in self.parsed.formula.comparisons for name in part.names))
 
     @property
     def unit(self) -> str:
-        """Unit of its margin; 1 if the formula mixes units, with each comparison divided by its tolerance."""
+        """Unit of the margin; 1 if the formula mixes units, with each comparison divided by its tolerance."""
         return self.parsed.unit
 
     @property
     def divisor(self) -> float:
-        """The scale of its margin, in its unit."""
+        """Scale by which the margin is divided, in the margin's unit."""
         return self.scale or self.parsed.tolerance or 1.0
 
-    def assess(self, flight: FlightSignals, lost: Lost | None = None) -> Assessment:
+    def assess(self, flight: FlightSignals, lost: FailedFlight | None = None) -> Assessment:
         """Assess a flight; if it failed, none of the user's requirements is met."""
-        formula, whole = self.parsed.formula, self._is_whole(flight)
+        formula, whole = self.parsed.formula, self._is_for_whole_flight(flight)
         flight = flight.one_row() if whole else flight
         value = float(formula.margins(flight)[0]) if flight.rows else nan
-        end, latest = flight.rows * flight.step_s, formula.latest_s([0.0], flight.times_s)
+        end, latest = flight.rows * flight.step_s, formula.last_relevant_time_s([0.0], flight.times_s)
         if not whole and value >= 0.0 and latest > end + 0.5 * flight.step_s:
             note = f"the flight ends at {end:g} s, before {latest:g} s"
             assessment = Assessment(self, None, kept=False, note=note)
         elif isfinite(value):
-            comparison, row, sign = formula.deciding(flight, 0)
+            comparison, row, sign = formula.find_decisive_comparison(flight, 0)
             assessment = Assessment(
                 self,
                 value,
@@ -130,14 +130,14 @@ class Requirement(Record):
         flight.forget()
         if lost is None or self.source not in ("require", "success"):
             return assessment
-        return self._of_lost(assessment, lost)
+        return self._assess_failed(assessment, lost)
 
-    def _is_whole(self, flight: FlightSignals) -> bool:
-        """Return whether it uses only whole-flight metrics, which are equal in all rows."""
+    def _is_for_whole_flight(self, flight: FlightSignals) -> bool:
+        """Return whether the formula uses only whole-flight metrics, which are equal in all rows."""
         return flight.metrics.keys() >= set(self.names) and not list(self.parsed.formula.events)
 
-    def _of_lost(self, assessment: Assessment, lost: Lost) -> Assessment:
-        """Return an assessment as that of a flight that was lost: broken, the more, the earlier that was."""
+    def _assess_failed(self, assessment: Assessment, lost: FailedFlight) -> Assessment:
+        """Return the assessment of a failed flight: not met, with a lower margin the earlier it failed."""
         most = -lost.scales * self.divisor
         if assessment.margin is not None and assessment.margin < most:
             return assessment
@@ -146,28 +146,30 @@ class Requirement(Record):
 
 
 def limit_requirements(limits: Mapping[str, float], needed: Iterable[str] = ()) -> list[Requirement]:
-    """Return the requirements that limits on metrics are; of those ``needed`` a flight must have a value."""
+    """Return a requirement for each limit of a metric; of those ``needed`` a flight must have a value."""
     needed = set(needed)
     return [
-        Requirement(name=name, formula=_at_most(name, most), source="limits", need=name in needed)
+        Requirement(name=name, formula=_limit_formula(name, most), source="limits", need=name in needed)
         for name, most in limits.items()
     ]
 
 
 def range_requirements(ranges: Mapping[str, Range], source: Source) -> list[Requirement]:
-    """Return the requirements that ranges of metrics are: those of ``[[expect]]`` or of ``[success]``."""
-    return [Requirement(name=name, formula=_within(name, allowed), source=source) for name, allowed in ranges.items()]
+    """Return a requirement for each allowed range of a metric, of ``[[expect]]`` or of ``[success]``."""
+    return [
+        Requirement(name=name, formula=_range_formula(name, allowed), source=source) for name, allowed in ranges.items()
+    ]
 
 
-def _within(name: str, allowed: Range) -> str:
+def _range_formula(name: str, allowed: Range) -> str:
     low, high = allowed.min, allowed.max
     if low is None:
         assert high is not None
-        return _at_most(name, high)
+        return _limit_formula(name, high)
     return f"{name} >= {low!r}" if high is None else f"{low!r} <= {name} <= {high!r}"
 
 
-def _at_most(name: str, most: float) -> str:
+def _limit_formula(name: str, most: float) -> str:
     return f"always({_SIGNALS[name]} <= {most!r})" if name in _SIGNALS else f"{name} <= {most!r}"
 
 
@@ -204,7 +206,7 @@ class RequirementResult(Record):
 
     @property
     def requirement(self) -> Requirement:
-        """The requirement, for another assessment."""
+        """Requirement that was assessed."""
         return Requirement(**{name: getattr(self, name) for name in Requirement.model_fields})
 
     @property
@@ -230,11 +232,11 @@ def flight_requirements(
     limits: Mapping[str, float], expected: Mapping[str, Range], stated: Sequence[Requirement]
 ) -> list[Requirement]:
     """Return all requirements of a flight: stated ones, expectations and limits."""
-    never_settled = [name for name in limits if name.endswith(NEVER_SETTLED)]
+    never_settled = [name for name in limits if name.endswith(SETTLING_TIME)]
     return [*stated, *range_requirements(expected, "expect"), *limit_requirements(limits, never_settled)]
 
 
-def smallest_margin(results: Sequence[RequirementResult], lost: Lost | None) -> tuple[float | None, str]:
+def smallest_margin(results: Sequence[RequirementResult], lost: FailedFlight | None) -> tuple[float | None, str]:
     """Return the smallest scaled margin and its requirement; a failed flight also breaks ``flown``.
 
     None where nothing has a margin.

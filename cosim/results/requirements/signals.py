@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class DerivedSignal(NamedTuple):
-    """A quantity that is made of columns of the log."""
+    """Quantity that is computed from columns of the log."""
 
     columns: tuple[str, ...]
     meaning: str
@@ -45,10 +45,10 @@ def _rate_error(rate: str) -> DerivedSignal:
 
 
 def _drift_from_start(log: Columns) -> Array:
-    return np.hypot(_from_start(log["north_m"]), _from_start(log["east_m"]))
+    return np.hypot(_subtract_start(log["north_m"]), _subtract_start(log["east_m"]))
 
 
-def _from_start(values: Array) -> Array:
+def _subtract_start(values: Array) -> Array:
     return values - values[:1]
 
 
@@ -115,12 +115,12 @@ class FlightSignals:
         self._signals.clear()
 
     def signal(self, name: str) -> Array:
-        """Return a column, a derived quantity, or a metric as the same number in every row; NaN for what is not."""
+        """Return a column, a derived quantity, or a metric as the same number in every row; NaN if undefined."""
         if name not in self._signals:
-            self._signals[name] = self._read(name)
+            self._signals[name] = self._compute_signal(name)
         return self._signals[name]
 
-    def _read(self, name: str) -> Array:
+    def _compute_signal(self, name: str) -> Array:
         if name in self.metrics:
             value = self.metrics[name]
             return np.full(self.rows, np.nan if value is None else value)

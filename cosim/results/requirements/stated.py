@@ -34,12 +34,12 @@ def check_requirements(scenario: Scenario, whole: bool = True) -> None:
     times, end_s = event_times(scenario), scenario.duration_s if whole else inf
     for requirement in stated_requirements(scenario):
         try:
-            _check(requirement, times, end_s)
+            _check_formula(requirement, times, end_s)
         except InputError as error:
             raise InputError(f"scenario {scenario.name}: require {requirement.name}: {error}") from error
 
 
-def _check(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:
+def _check_formula(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:
     parsed = requirement.parsed
     if requirement.scale is None and not parsed.tolerance:
         raise InputError(f"compares with no number but 0: state its scale, in {parsed.unit}")
@@ -47,7 +47,7 @@ def _check(requirement: Requirement, times: dict[str, list[float]], end_s: float
     for name in parsed.formula.events:
         if name not in known:
             raise InputError(f"unknown event {name!r}; {nearest(name, known)}")
-    latest = parsed.formula.latest_s([0.0], times)
+    latest = parsed.formula.last_relevant_time_s([0.0], times)
     if latest > end_s:
         raise InputError(f"speaks of {latest:g} s, and the flight ends at {end_s:g} s")
 

@@ -9,15 +9,15 @@ from math import pi
 
 from cosim.base.errors import InputError
 
-_DEG = pi / 180.0  # rad per degree
+_RAD_PER_DEG = pi / 180.0  # rad per degree
 UNITS: dict[str, tuple[str, float]] = {  # SI unit, and the factor to it
     "rad": ("rad", 1.0),
-    "deg": ("rad", _DEG),
+    "deg": ("rad", _RAD_PER_DEG),
     "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", _DEG),
+    "deg/s": ("rad/s", _RAD_PER_DEG),
     "rpm": ("rad/s", pi / 30.0),
     "rad/s^2": ("rad/s^2", 1.0),
-    "deg/s^2": ("rad/s^2", _DEG),
+    "deg/s^2": ("rad/s^2", _RAD_PER_DEG),
     "m": ("m", 1.0),
     "cm": ("m", 1e-2),
     "mm": ("m", 1e-3),
@@ -44,25 +44,25 @@ UNITS: dict[str, tuple[str, float]] = {  # SI unit, and the factor to it
 _ENDINGS = {f"_{unit.replace('/', '_').replace(' ', '_').replace('^', '')}": unit for unit in UNITS if unit != "%"}
 _ENDINGS |= {"_percent": "%"}
 _LONGEST_FIRST = sorted(_ENDINGS, key=len, reverse=True)  # longest endings first
-_DISPLAYED = {"_deg": "_rad", "_deg_s": "_rad_s", "_deg_s2": "_rad_s2", "_rpm": "_rad_s", "_g_s": "_kg_s"}
+_SI_ENDINGS = {"_deg": "_rad", "_deg_s": "_rad_s", "_deg_s2": "_rad_s2", "_rpm": "_rad_s", "_g_s": "_kg_s"}
 
 
 def unit_of(name: str) -> str:
     """Return the unit from the ending of a signal's name; 1 without one, as ``throttle_2``."""
-    ending = _ending(name)
+    ending = _ending_of(name)
     return _ENDINGS[ending] if ending else "1"
 
 
 def in_si(name: str) -> str:
-    """Return the name of a signal as the log has it: ``roll_rad`` for ``roll_deg``."""
-    ending = _ending(name)
-    return name.removesuffix(ending) + _DISPLAYED[ending] if ending in _DISPLAYED else name
+    """Return the name that the log has for a signal: ``roll_rad`` for ``roll_deg``."""
+    ending = _ending_of(name)
+    return name.removesuffix(ending) + _SI_ENDINGS[ending] if ending in _SI_ENDINGS else name
 
 
 def in_degrees(name: str) -> str:
-    """Return the name of an angle or its rate in degrees: ``roll_deg`` for ``roll_rad``; others unchanged."""
-    ending = next((shown for shown, logged in _DISPLAYED.items() if "deg" in shown and _ending(name) == logged), "")
-    return name.removesuffix(_DISPLAYED[ending]) + ending if ending else name
+    """Return the name that an angle or its rate has in degrees: ``roll_deg`` for ``roll_rad``; others unchanged."""
+    ending = next((shown for shown, logged in _SI_ENDINGS.items() if "deg" in shown and _ending_of(name) == logged), "")
+    return name.removesuffix(_SI_ENDINGS[ending]) + ending if ending else name
 
 
 def factor_between(unit: str, other: str) -> float:
@@ -73,5 +73,5 @@ def factor_between(unit: str, other: str) -> float:
     return 1.0 if unit == other else factor / other_factor
 
 
-def _ending(name: str) -> str:
+def _ending_of(name: str) -> str:
     return next((ending for ending in _LONGEST_FIRST if name.endswith(ending) and ending != "_1"), "")

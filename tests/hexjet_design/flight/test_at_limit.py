@@ -39,7 +39,7 @@ DEFAULTS = {parameter.name: parameter.default for parameter in Optimal.parameter
 @cache
 def designed() -> Design:
     """The Hex-Jet with its engine: roll by a search that is short, the other axes with the gains that ship."""
-    axis_of = designs._axis
+    axis_of = designs._tune
 
     def axis(channel: Channel, inputs: Any, roll: Tuning | None) -> AxisDesign:
         if channel.name == "roll":
@@ -48,7 +48,7 @@ def designed() -> Design:
         return AxisDesign(channel, shipped, {shipped.controller: 0.0}, shipped, {}, {})
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(designs, "_axis", axis)
+        patch.setattr(designs, "_tune", axis)
         patch.setattr(at_limit, "MAX_EVALUATIONS", 60)
         return designs.design("edf-as-flown", controller="optimal", lead=False)
 

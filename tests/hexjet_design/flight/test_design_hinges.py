@@ -24,12 +24,12 @@ from cosim.simulation.controllers.controller_file import Requirements, apply_con
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 from hexjet_design.assessment import assess, shipped_tuning
-from hexjet_design.design import _axis, _AxisInputs, _scenario, axis_requirements, identify_there, make_dynamics
+from hexjet_design.design import _AxisInputs, _scenario, _tune, axis_requirements, identify_hover, make_dynamics
 from hexjet_design.loop.actuator import SERVO, Actuator
 from hexjet_design.loop.channel import Channel, channels, engine_lead
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
 from hexjet_design.loop.dynamics import make_lag_dynamics
-from hexjet_design.tune import settle
+from hexjet_design.tune import tune_digits
 
 T, UP = 0.004, (0.0, 0.0, -1.0)
 
@@ -39,7 +39,7 @@ def plants(aircraft: str) -> tuple[Vehicle, EngineSpec, dict[str, Channel]]:
     """The vehicle, its engine and its channels in hover."""
     scenario, vehicle = _scenario(engine_of(aircraft), aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    engine = Actuator.of(spec.name, make_dynamics(identify_there(scenario, vehicle, spec, None)))
+    engine = Actuator.of(spec.name, make_dynamics(identify_hover(scenario, vehicle, spec, None)))
     return vehicle, spec, channels(scenario, vehicle, spec, engine)
 
 
@@ -212,7 +212,7 @@ def test_an_axis_by_hinges_is_designed(aircraft: str, axis: str) -> None:
     """Also where thrusts give a part of it: every requirement is kept with what they add."""
     vehicle, spec, of = plants(aircraft)
     need = Requirements()
-    found = _axis(of[axis], _AxisInputs(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
+    found = _tune(of[axis], _AxisInputs(vehicle, spec, ("baseline",), need, "", True, None, lambda text: None), None)
     assert list(found.candidates) == ["baseline"]  # no lead: no engine answers
     assert found.after is not None
     assert found.after.stable
@@ -241,7 +241,7 @@ def test_a_design_beside_its_vehicle_is_what_todays_command_makes(aircraft: str,
         assert lead is not None
         assert stands.lead.natural_rad_s == pytest.approx(lead.natural_rad_s, rel=1e-5)
     need = axis_requirements(axis, file.design.requirements)
-    again = settle(of[axis], stands, need)
+    again = tune_digits(of[axis], stands, need)
     assert again is not None
     assert again.angle_gain == pytest.approx(stands.angle_gain, rel=1e-9)
     assert again.gains.model_dump() == pytest.approx(stands.gains.model_dump(), rel=1e-9)

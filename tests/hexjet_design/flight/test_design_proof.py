@@ -28,7 +28,7 @@ from hexjet_design.design import Design, design
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import channels
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import CORNER
+from hexjet_design.loop.criteria import CORNER_FACTOR
 from hexjet_design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from hexjet_design.proof import flights as flying
 from hexjet_design.proof import run as proving
@@ -40,7 +40,7 @@ from hexjet_design.result import summary_lines, to_dict
 
 STEP = 0.004
 GENERATIONS, ROUNDS = search.MAX_GENERATIONS, search.MAX_EVALUATIONS  # of the whole search
-ISOLATED = flying._scenario
+ISOLATED = flying._make_scenario
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,10 +50,10 @@ def _quick() -> Iterator[None]:
     The engines, made here, fly in this process, to the same bits (test_engine_isolated.py) in a quarter of the time.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flying, "_scenario", lambda *given: ISOLATED(*given).replace(engine_isolated=False))
+        patch.setattr(flying, "_make_scenario", lambda *given: ISOLATED(*given).replace(engine_isolated=False))
         patch.setattr(search, "MAX_GENERATIONS", 4)
         patch.setattr(search, "MAX_EVALUATIONS", 40)
-        patch.setattr(making, "settle", lambda *a, **k: None)
+        patch.setattr(making, "tune_digits", lambda *a, **k: None)
         patch.setattr(making, "bandwidths_without_limits", lambda *a, **k: {})
         yield
 
@@ -119,7 +119,7 @@ def test_an_engine_that_trembles_is_swept_by_more_than_it_moves_itself(place: Pa
     path = mapped(foreign(place, "noisy", "lag=0.1,delay=0.04,noise=0.0025"), "[rest]", "thrust = 0.5")
     scenario, vehicle = making._scenario(str(path), "hexjet", ["engine_unchecked=true"])
     spec = load_engine(str(path), {}, STEP, unchecked=True)
-    found = making.identify_there(scenario, vehicle, spec, None)
+    found = making.identify_hover(scenario, vehicle, spec, None)
     assert found.sweep.amplitude == pytest.approx(2.0 * 0.5 / 20.0, rel=0.01)
     dynamics = making.make_dynamics(found)
     assert dynamics.lag_s + dynamics.delay_samples * STEP == pytest.approx(0.14, rel=0.05)
@@ -481,7 +481,7 @@ def test_what_a_flight_does_that_was_not_promised(name: str, changes: dict[str, 
     assert describe_fault(name, flown(**dict(changes)), 0.08, 1.0).startswith(said)
     assert bool(describe_fault(name, flown(**dict(changes)), 0.08, 1.0)) == bool(said)
     if "log" in changes and name == "gust":
-        assert describe_fault(name, flown(**dict(changes)), 0.08, CORNER) == ""
+        assert describe_fault(name, flown(**dict(changes)), 0.08, CORNER_FACTOR) == ""
 
 
 OVERSHOOT_AND_BACK = "lag=0.15,delay=0.048,over=0.1,over_s=4"
@@ -527,7 +527,7 @@ def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> No
     """A gain, a delay, two equal lags and six of them: sampled, closed and followed in time."""
     scenario, vehicle = making._scenario(str(foreign(place, "odd", made_of)), "hexjet", ["engine_unchecked=true"])
     spec = load_engine(scenario.engine, {}, STEP, unchecked=True)
-    dynamics = making.make_dynamics(making.identify_there(scenario, vehicle, spec, None))
+    dynamics = making.make_dynamics(making.identify_hover(scenario, vehicle, spec, None))
     roll = channels(scenario, vehicle, spec, Actuator.of("odd", dynamics))["roll"]
     for channel in (roll, roll.with_delay(roll.actuator_delay + 0.4), roll.with_lags(0.7), roll.with_lags(0.0)):
         closed = ClosedLoop(FrequencyGrid(channel), making.shipped_tuning(channel, vehicle, spec))
@@ -543,8 +543,8 @@ def test_an_engine_that_is_told_of_changes_alone_is_swept_by_more_where_asked(pl
     with pytest.raises(
         InputError, match=r"does not answer the throttle around 0\.45\d*; raise amplitude \(now 0\.005\)"
     ):
-        making.identify_there(scenario, vehicle, spec, None)
-    found = making.identify_there(scenario, vehicle, spec, 0.15)
+        making.identify_hover(scenario, vehicle, spec, None)
+    found = making.identify_hover(scenario, vehicle, spec, 0.15)
     assert found.chosen.model.delay_samples == pytest.approx(12.0, abs=6.0)
 
 

@@ -24,20 +24,20 @@ from hexjet_design.assessment import assess, predictor_model, shipped_tuning
 from hexjet_design.candidates import WITH_LEAD, find_simplest
 from hexjet_design.design import (
     AXES,
-    _levels,
+    _make_levels,
     _read_start,
     _scenario,
+    adapt_lead,
     axis_requirements,
     design,
-    identify_there,
-    lead_there,
+    identify_hover,
     make_dynamics,
 )
 from hexjet_design.levels import THRUST_AXES, meets_requirements, tunings_at
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels, engine_lead
 from hexjet_design.loop.tuning import Tuning
-from hexjet_design.tune import settle, tune
+from hexjet_design.tune import tune, tune_digits
 
 NAMES = sorted(path.stem for path in DESIGNS.glob("*.toml"))
 BURNING = [name for name in NAMES if stored(name)["design"].get("levels")]
@@ -53,7 +53,7 @@ def today(name: str) -> tuple[Any, ...]:
     made = read_controller(path).design
     scenario, vehicle = _scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    found = identify_there(scenario, vehicle, spec, None)
+    found = identify_hover(scenario, vehicle, spec, None)
     actuator = Actuator.of(spec.name, make_dynamics(found))
     wanted = channels(scenario, vehicle, spec, actuator)
     return (
@@ -78,7 +78,7 @@ def from_nothing(name: str, channel: Channel, fixed: Tuning, model: RateModel, a
     key = controller + (WITH_LEAD if lead else "")
     assert tried[key] == pytest.approx(found.objective, abs=1e-6)
     assert find_simplest({BASELINE.name: inf} | tried) == key  # a candidate that kept no requirements is not there
-    return settle(channel, found.tuning, asked)
+    return tune_digits(channel, found.tuning, asked)
 
 
 @pytest.mark.parametrize("name", long_after(2, NAMES))
@@ -94,7 +94,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
     for axis in AXES:
         channel, asked = wanted[axis], axis_requirements(axis, need)
         start = begin[axis][1.0]
-        lead = lead_there(start.lead, channel)
+        lead = adapt_lead(start.lead, channel)
         if lead is not None and start.lead is not None:
             # the engine's own poles, identified again
             assert start.lead.natural_rad_s == pytest.approx(lead.natural_rad_s, rel=1e-5)
@@ -103,7 +103,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
         again = (
             from_nothing(name, channel, shipped_tuning(channel, vehicle, spec), model, asked)
             if axis == "roll" and name not in IN_TWO_STEPS
-            else settle(channel, replace(start, model=model), asked, free)
+            else tune_digits(channel, replace(start, model=model), asked, free)
         )
         assert again is not None, axis
         assert again.angle_gain == pytest.approx(start.angle_gain, rel=1e-9), axis
@@ -136,7 +136,7 @@ def test_a_stored_design_is_what_todays_command_makes(name: str) -> None:
 def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
     """With less fuel, too: each level stays where it is, and every level keeps what the file says of it."""
     made, scenario, vehicle, spec, actuator, _, begin, _ = today(name)
-    found = _levels(scenario, vehicle, spec, actuator, None, (), lambda text: None)
+    found = _make_levels(scenario, vehicle, spec, actuator, None, (), lambda text: None)
     plan = load_vehicle(made.aircraft, read_controller(DESIGNS / f"{name}.toml").vehicle)[0].control.schedule
     assert plan
     full = {axis: begin[axis][1.0] for axis in THRUST_AXES}
@@ -148,7 +148,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
             assert record.held.get(axis) == pytest.approx(held.peak_sensitivity, rel=1e-3)
             if record.designed:
                 here = begin[axis][level.fuel]
-                again = settle(level.channels[axis], here, asked, level=True)
+                again = tune_digits(level.channels[axis], here, asked, level=True)
                 assert again is not None
                 assert again.angle_gain == pytest.approx(here.angle_gain, rel=1e-5)
                 assert again.gains.model_dump() == pytest.approx(here.gains.model_dump(), rel=1e-5)

@@ -128,7 +128,7 @@ def test_no_law_is_below_it_and_its_bounds_are_kept(name: str) -> None:
 
 @pytest.mark.long
 def test_a_finer_spline_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programmes, "KNOTS_A_DELAY", 2.0 * programmes.KNOTS_A_DELAY)
+    monkeypatch.setattr(programmes, "KNOTS_PER_DELAY", 2.0 * programmes.KNOTS_PER_DELAY)
     finer = find_limit(roll(), LAWS["pid"][0])
     assert 0.97 * least("pid").load_error < finer.load_error < 1.001 * least("pid").load_error
 

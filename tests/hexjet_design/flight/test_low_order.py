@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from hexjet_design.assessment import predictor_model
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.limit import find_limit
-from hexjet_design.loop.low_order import START_POLES, LowOrder, free_weights, reduce_limit
+from hexjet_design.loop.low_order import START_POLES, LowOrder, free_weights, reduce_order
 from hexjet_design.loop.programme import Bounds
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
@@ -31,7 +31,7 @@ def roll() -> Channel:
 
 @cache
 def reduced() -> LowOrder:
-    return reduce_limit(roll(), roll().model("exact"), BOUNDS, LAG_S, rounds=0)
+    return reduce_order(roll(), roll().model("exact"), BOUNDS, LAG_S, rounds=0)
 
 
 def test_a_low_order_keeps_the_bounds_in_the_loop_and_is_near_the_limit() -> None:
@@ -51,7 +51,7 @@ def test_a_low_order_keeps_the_bounds_in_the_loop_and_is_near_the_limit() -> Non
 
 def test_a_delay_that_the_controller_adds_counts_once() -> None:
     late = replace(roll(), added_delay=2)
-    low = reduce_limit(late, predictor_model(late, "exact"), BOUNDS, LAG_S, rounds=0)
+    low = reduce_order(late, predictor_model(late, "exact"), BOUNDS, LAG_S, rounds=0)
     same = roll().with_delay(roll().actuator_delay + 2.0)
     block = Behind(same, low.target)
     loop = law_loop.LawLoop(same, block, block.attitude)
@@ -60,7 +60,7 @@ def test_a_delay_that_the_controller_adds_counts_once() -> None:
 
 
 def test_a_search_of_poles_only_lowers_the_load_error() -> None:
-    searched = reduce_limit(roll(), roll().model("exact"), BOUNDS, LAG_S, rounds=12)
+    searched = reduce_order(roll(), roll().model("exact"), BOUNDS, LAG_S, rounds=12)
     assert searched.loop.load_error <= 1.0001 * reduced().loop.load_error
 
 
@@ -76,4 +76,4 @@ def test_weights_that_are_free_leave_the_loop_exact_at_rest() -> None:
 
 def test_poles_that_keep_no_bounds_are_refused() -> None:
     with pytest.raises(InputError, match=r"no linear controller was found with a peak sensitivity of at most 1\.2"):
-        reduce_limit(roll(), roll().model("exact"), Bounds(1.2, 1e-4, 0.4), LAG_S, rounds=0)
+        reduce_order(roll(), roll().model("exact"), Bounds(1.2, 1e-4, 0.4), LAG_S, rounds=0)

@@ -419,8 +419,8 @@ def test_the_status_says_whether_the_margins_are_what_was_asked_for(
     monkeypatch: pytest.MonkeyPatch, hexjet: Hexjet, tmp_path: Path
 ) -> None:
     """The loop of the other test, with more to be asked of it than it has."""
-    monkeypatch.setattr("hexjet_design.measured.judgement.PEAK", 1.01)
-    monkeypatch.setattr("hexjet_design.measured.judgement.KNOWN_PEAK", 1.02)
+    monkeypatch.setattr("hexjet_design.measured.judgement.MAX_PEAK", 1.01)
+    monkeypatch.setattr("hexjet_design.measured.judgement.MAX_PEAK_KNOWN_ENGINE", 1.02)
     out = str(tmp_path / "margins")
     done = hexjet("margins", "--axis", "yaw", "--period", "4", "--periods", "3", "--out", out, "--at-least", "narrow")
     assert done.status == 1, done.err

@@ -326,14 +326,14 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
     with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
         law = flight.simulation.engine.flame_out
         assert law is not None
-        left = law.thrust_left * (1.0 + failsafe_flight.WATCH_S / law.half_speed_s) ** -law.exponent
+        left = law.thrust_left * (1.0 + failsafe_flight.DISARMED_S / law.half_speed_s) ** -law.exponent
         flight.fly(1.1)
         flight.ok(rq.Arm())
         idle = flight.fly(2.0)
         assert idle > 50.0
         flight.ok(rq.Disarm())
         # a step may lie between the request and the fire
-        assert flight.fly(failsafe_flight.WATCH_S) == pytest.approx(left * idle, rel=0.005)
+        assert flight.fly(failsafe_flight.DISARMED_S) == pytest.approx(left * idle, rel=0.005)
 
 
 @pytest.mark.parametrize(
@@ -562,7 +562,7 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
         assert drawn(1) == drawn(1)
         several = [drawn(number) for number in range(1, 9)] + [drawn(1, seed=1)]
         assert len({settings["seed"] for settings, _ in several}) == 9
-        low, high = table.HOVER_S
+        low, high = table.HOVER_RANGE_S
         hovers = [pilot["hover_s"] for _, pilot in several]
         assert all(low <= hover <= high for hover in hovers)
         assert len(set(hovers)) > 4

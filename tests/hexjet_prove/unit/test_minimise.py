@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from hexjet_prove.search.minimise import DISTANCE_RESOLUTION, Ball, Box, Found, descend
+from hexjet_prove.search.minimise import DISTANCE_RESOLUTION, Ball, Box, DescentResult, descend
 from hexjet_prove.search.probe import answer_all
 
 Margin = Callable[[Array], float]
@@ -17,7 +17,7 @@ Margin = Callable[[Array], float]
 
 def found(
     margin: Margin, region: Ball | Box, dimension: int, budget: int, seed: int = 1, nearest: bool = False
-) -> Found:
+) -> DescentResult:
     steps = descend(region, dimension, budget, seed, nearest)
     return answer_all(steps, lambda points: np.array([margin(x) for x in points]))
 

@@ -27,7 +27,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.dynamics import make_lag_dynamics
 from hexjet_design.loop.firmware import Firmware
 from hexjet_design.loop.tuning import Tuning
-from hexjet_design.tune import settle
+from hexjet_design.tune import tune_digits
 from hexjet_sitl.betaflight import compute_gain_units, make_gain_settings
 from hexjet_sitl.firmware_parameters import find_loops as firmware_for
 
@@ -169,7 +169,7 @@ def test_where_pitch_does_not_take_rolls_attitude_gain_both_have_that_of_pitch(
         fails = channel == "pitch" and (gain > pitch_takes or gain == 0.0)
         return SimpleNamespace(after=None if fails else SimpleNamespace(tuning=tuning))
 
-    monkeypatch.setattr("hexjet_design.design._axis", axis)
+    monkeypatch.setattr("hexjet_design.design._tune", axis)
     inputs = _AxisInputs(*[None] * 6, Firmware("betaflight", common_angle=True), print)  # type: ignore[arg-type]
     plants: Any = {name: name for name in ("roll", "pitch", "yaw", "altitude")}
     axes, used = _design_axes(plants, inputs, None)
@@ -189,14 +189,14 @@ def test_gains_are_whole_and_no_neighbour_is_better() -> None:
     vehicle, channel = place()
     firmware = Firmware("betaflight", units=compute_gain_units(vehicle))
     need = Requirements()
-    found = settle(channel, tuning(channel, firmware), need)
+    found = tune_digits(channel, tuning(channel, firmware), need)
     assert found is not None
     whole = [
         value / unit
         for value, unit in zip((found.angle_gain, *values(found)), compute_gain_units(vehicle)["roll"], strict=True)
     ]
     assert whole == pytest.approx(np.round(whole), abs=1e-9)
-    assert settle(channel, found, need) == found
+    assert tune_digits(channel, found, need) == found
     told = {"rate": {"roll": found.gains.model_dump()}, "attitude": {"gain_1_s": [found.angle_gain] * 3}}
     flown, _ = load_vehicle("hexjet", {"control": told}, "here")
     lines = make_gain_settings(flown)

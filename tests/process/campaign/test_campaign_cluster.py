@@ -191,7 +191,7 @@ def test_another_installation_is_told_before_a_flight(processes: Processes, monk
 
 def test_a_worker_is_no_scheduler(processes: Processes) -> None:
     with DaskWorkers(str(processes.file)) as workers:
-        address = next(iter(workers._threads.look()))
+        address = next(iter(workers._threads.query_scheduler()))
     with pytest.raises(InputError, match="is a Worker, not a scheduler"):
         DaskWorkers(address)
 
@@ -298,7 +298,7 @@ def test_what_cannot_be_reached_is_told_in_a_line(
 
 def test_a_scheduler_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "MAX_FIRST_WORKER_S", 0.2)
-    monkeypatch.setattr(cluster._Threads, "look", lambda threads: {})
+    monkeypatch.setattr(cluster._Threads, "query_scheduler", lambda threads: {})
     with pytest.raises(InputError, match=r"has no workers; one is started with: dask worker"):
         DaskWorkers(None, 1)
 

@@ -56,7 +56,7 @@ def held(folder: Path) -> list[Any]:
 
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store_module, "PART_ROWS", 4)
+    monkeypatch.setattr(store_module, "PART_SIZE", 4)
 
 
 def abandon(store: Store) -> None:
@@ -293,7 +293,7 @@ import campaign_tools as tools
 from cosim.campaign import store
 from cosim.campaign.run import run_campaign
 from cosim.base.errors import FlightError
-store.WRITE_S = {write_s}
+store.WRITE_INTERVAL_S = {write_s}
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 import cosim.campaign.workers.local as local
 ready = local._Process.receive
@@ -355,7 +355,7 @@ import campaign_tools as tools
 from cosim.campaign import store
 from cosim.campaign.run import run_campaign
 from cosim.campaign.workers.local import LocalWorkers
-store.PART_ROWS, store.WRITE_S = 50, 0.02
+store.PART_SIZE, store.WRITE_INTERVAL_S = 50, 0.02
 with LocalWorkers(2, fly=tools.noted) as workers:
     run_campaign(tools.study({runs}, 0.1), {folder!r}, workers, resume=True)
 """
@@ -512,7 +512,7 @@ def test_a_disk_that_fails_later_is_told_too(tmp_path: Path, monkeypatch: pytest
 
     folder = tmp_path / "c"
     store = Store.create(folder, tools.study())
-    monkeypatch.setattr(store_module, "SYNC_S", 0.0)
+    monkeypatch.setattr(store_module, "SYNC_INTERVAL_S", 0.0)
     monkeypatch.setattr("cosim.campaign.store.os.fsync", refuse)
     with pytest.raises(FlightError, match=f"{JOURNAL}: Input/output error"):
         fill(store, [0])

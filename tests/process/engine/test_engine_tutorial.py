@@ -40,7 +40,7 @@ def test_the_first_lines_fly_an_engine_of_ones_own(
     """Checked, designed for, proved and flown: with a short search, which the page does not have."""
     monkeypatch.setattr(search, "MAX_GENERATIONS", 4)
     monkeypatch.setattr(search, "MAX_EVALUATIONS", 40)
-    monkeypatch.setattr(making, "settle", lambda *a, **k: None)
+    monkeypatch.setattr(making, "tune_digits", lambda *a, **k: None)
     monkeypatch.setattr(making, "bandwidths_without_limits", lambda *a, **k: {})
     foreign(tmp_path, "mine", "lag=0.15,delay=0.04")
     monkeypatch.chdir(tmp_path)

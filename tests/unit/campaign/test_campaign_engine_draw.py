@@ -242,7 +242,7 @@ def test_a_search_draws_in_all_flights_of_a_point_but_the_first(tmp_path: Path) 
 
 def test_a_named_draw_is_the_same_everywhere(tmp_path: Path) -> None:
     draw = engine_draw(study(fan(tmp_path, DEVIATION, SPREAD), 2).base())
-    assert draw.named("flame-out jet 1 hover") == draw.named("flame-out jet 1 hover")
-    values = np.array([draw.named(str(number))[f"{COMMON}gain"] for number in range(2000)])
+    assert draw.draw_by_name("flame-out jet 1 hover") == draw.draw_by_name("flame-out jet 1 hover")
+    values = np.array([draw.draw_by_name(str(number))[f"{COMMON}gain"] for number in range(2000)])
     assert np.mean(values) == pytest.approx(NOMINAL["gain"], abs=4.0 * 0.02 / np.sqrt(2000))
     assert np.std(values) == pytest.approx(CUT * 0.02, rel=4.0 / np.sqrt(4000))

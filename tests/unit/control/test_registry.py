@@ -188,13 +188,13 @@ def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
     from cosim.engine import load_engine
     from hexjet_design.assessment import predictor_model, shipped_tuning
-    from hexjet_design.design import _scenario, identify_there, make_dynamics
+    from hexjet_design.design import _scenario, identify_hover, make_dynamics
     from hexjet_design.loop.actuator import Actuator
     from hexjet_design.loop.channel import channels
 
     scenario, vehicle = _scenario("edf", "hexjet", [])
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    actuator = Actuator.of(spec.name, make_dynamics(identify_there(scenario, vehicle, spec, None)))
+    actuator = Actuator.of(spec.name, make_dynamics(identify_hover(scenario, vehicle, spec, None)))
     channel = channels(scenario, vehicle, spec, actuator)["roll"]
     return channel, replace(shipped_tuning(channel, vehicle, spec), model=predictor_model(channel, "test"))
 

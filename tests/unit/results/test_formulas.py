@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.results.requirements.formula import (
     After,
     AfterEvent,
-    Both,
+    AllOrAny,
     Comparison,
     Formula,
     Not,
@@ -219,7 +219,7 @@ FORMULAS: st.SearchStrategy[Formula] = st.recursive(
     ATOMS,
     lambda part: st.one_of(
         st.builds(Not, part),
-        st.builds(lambda parts, either: Both(tuple(parts), either), st.lists(part, min_size=2, max_size=3), st.booleans()),
+        st.builds(lambda parts, either: AllOrAny(tuple(parts), either), st.lists(part, min_size=2, max_size=3), st.booleans()),
         st.builds(Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
         st.builds(Until, part, part, st.one_of(st.just(inf), SECONDS)),
         st.builds(After, SECONDS, part),
@@ -237,7 +237,7 @@ def defined(of: Formula, rows: Rows, row: int) -> float:
             return float(of.greater.values(rows)[row] - of.less.values(rows)[row])
         case Not():
             return -defined(of.of, rows, row)
-        case Both():
+        case AllOrAny():
             margins = [defined(part, rows, row) for part in of.parts]
             known = [value for value in margins if not isnan(value)]
             sure = [value for value in known if (value > 0.0 if of.either else value < 0.0)]
@@ -280,7 +280,7 @@ def test_margins_are_those_of_the_definition(formula: Formula, data: st.DataObje
     np.testing.assert_array_equal(margins, expected)
     for row, value in enumerate(expected):
         if np.isfinite(value):
-            comparison, at, sign = formula.deciding(rows, row)
+            comparison, at, sign = formula.find_decisive_comparison(rows, row)
             assert sign * comparison.margins(rows)[at] == value
 
 
@@ -298,7 +298,7 @@ def rtamt_text(of: Formula) -> str:
             return f"({signal.name} {'<' if upper else '>'} ({number.value}))".replace("(-", "(0 - ")
         case Not():
             return f"(not {rtamt_text(of.of)})"
-        case Both():
+        case AllOrAny():
             return "(" + (" or " if of.either else " and ").join(map(rtamt_text, of.parts)) + ")"
         case Throughout():
             return f"({'eventually' if of.once else 'always'}{bounds(of.seconds)} {rtamt_text(of.of)})"
@@ -315,7 +315,7 @@ SHARED: st.SearchStrategy[Formula] = st.recursive(
     ATOMS,
     lambda part: st.one_of(
         st.builds(Not, part),
-        st.builds(lambda left, right, either: Both((left, right), either), part, part, st.booleans()),
+        st.builds(lambda left, right, either: AllOrAny((left, right), either), part, part, st.booleans()),
         st.builds(Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
         st.builds(Until, part, part, SECONDS.filter(bool)),
     ),

@@ -150,7 +150,7 @@ def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
     # where there are too many to tell apart the longest gaps remain
     gaps = [after[0] - before[1] for before, after in itertools.pairwise(all_of_them)]
     assert len(gaps) > 1
-    monkeypatch.setattr(signals_data, "MAX_BANDS", 2)
+    monkeypatch.setattr(signals_data, "MAX_INTERVALS", 2)
     widest = int(np.argmax(gaps))
     assert bands() == [(all_of_them[0][0], all_of_them[widest][1]), (all_of_them[widest + 1][0], all_of_them[-1][1])]
     said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=STEP))

@@ -32,8 +32,8 @@ from cosim.results.metrics import check_expectations
 from cosim.results.report.flight import write_report
 from cosim.results.report.requirements import compared_margins, margins_over_time
 from cosim.results.requirements import (
+    FailedFlight,
     FlightSignals,
-    Lost,
     Requirement,
     RequirementResult,
     flight_requirements,
@@ -124,14 +124,14 @@ def test_what_was_never_tested_is_not_kept() -> None:
 
 def test_a_lost_flight_keeps_nothing_the_less_the_earlier() -> None:
     requirement = Requirement(name="level", formula=LEVEL["formula"])
-    ends = [(end, requirement.assess(flight(roll_rad=[0.1]), Lost(end, 10.0))) for end in (0.0, 5.0, 10.0)]
+    ends = [(end, requirement.assess(flight(roll_rad=[0.1]), FailedFlight(end, 10.0))) for end in (0.0, 5.0, 10.0)]
     assert [assessed.margin for _, assessed in ends] == [-60.0, -45.0, -30.0]
     assert [assessed.kept for _, assessed in ends] == [False] * 3
     assert [assessed.decided_at_s for _, assessed in ends] == [0.0, 5.0, 10.0]
-    worse = requirement.assess(flight(roll_rad=np.radians([0.0, 100.0])), Lost(9.0, 10.0))
+    worse = requirement.assess(flight(roll_rad=np.radians([0.0, 100.0])), FailedFlight(9.0, 10.0))
     assert (worse.margin, worse.decided_at_s) == (pytest.approx(-70.0), STEP)
-    assert smallest_margin([RequirementResult.of(ends[0][1])], Lost(5.0, 10.0)) == (-2.0, "level")
-    assert smallest_margin([], Lost(5.0, 10.0)) == (-1.5, "flown")
+    assert smallest_margin([RequirementResult.of(ends[0][1])], FailedFlight(5.0, 10.0)) == (-2.0, "level")
+    assert smallest_margin([], FailedFlight(5.0, 10.0)) == (-1.5, "flown")
     assert smallest_margin([], None) == (None, "")
 
 
@@ -372,7 +372,7 @@ def test_the_verdict_of_a_survey_is_a_requirement(
     table = np.zeros((len(NAMES), len(degrees)))
     table[NAMES.index("yaw_setpoint_rad")] = np.radians(degrees)
     flown = FlightSignals(MemoryLog([table], NAMES, COLUMNS), 0.5, {}, {})
-    lost = None if outcome == "completed" else Lost(0.5 * len(degrees), 1.5)
+    lost = None if outcome == "completed" else FailedFlight(0.5 * len(degrees), 1.5)
     held = Requirement(name="held", formula=held_formula(1.5)).assess(flown, lost)
     assert held.margin == (margin if margin is None else pytest.approx(margin, abs=1e-3))
     assert judge(outcome, held.margin) is verdict

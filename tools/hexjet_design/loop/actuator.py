@@ -12,8 +12,8 @@ from cosim.simulation.axis_chain import AxisPart
 from cosim.spec.vehicle import Hinge, RateModel, Servo
 from hexjet_design.loop.dynamics import Dynamics, make_lag_dynamics
 
-SERVO = "tilt servo"  # name of an actuator that turns a thrust
-STILL: tuple[float, ...] = (1.0, 0.0, 0.0)  # weights if only this step acts
+SERVO = "tilt servo"  # actuator that turns a thrust
+THIS_STEP_ONLY: tuple[float, ...] = (1.0, 0.0, 0.0)  # weights if only this step acts
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The law at the limit of performance, designed for requirements: the answer to a load by a convex programme.
 
-:func:`hexjet_design.loop.low_order.reduce_limit` has the least load error within a peak sensitivity, a noise and an
+:func:`hexjet_design.loop.low_order.reduce_order` has the least load error within a peak sensitivity, a noise and an
 error of the delay, with the loop of the controller's model.  A design asks for more than that: tolerances of delay and
 gain at once, a step that does not saturate, a bandwidth, and for the loop with the engine, which may be off its model.
 So the programme's bounds are drawn closer by what that loop misses, until it keeps everything:
@@ -29,8 +29,8 @@ from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM, excesses, fine_loop, is_acceptable, objective
-from hexjet_design.loop.low_order import COARSE_POINTS, START_POLES, free_weights, reduce_limit
+from hexjet_design.loop.criteria import CORNER_FACTOR, OVERSHOOT_ROOM, excesses, fine_loop, is_acceptable, objective
+from hexjet_design.loop.low_order import COARSE_POINTS, START_POLES, free_weights, reduce_order
 from hexjet_design.loop.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
 from hexjet_design.loop.programme import Bounds, need_solver
 from hexjet_design.loop.tuning import Tuning, round_gain
@@ -42,10 +42,10 @@ MARGIN = 0.004
 # Factors on the START poles at which searches begin, because an engine may be slow.
 SLOWER_POLES = (1.0, 0.7, 0.5, 0.35)
 LONGER_LAGS = (1.0, 1.3, 1.7, 2.4, 3.5)  # factors on the shortest lag
-FIRST_STEP, FIRST_LAG = 0.02, 0.2  # of the simplex: weights, log lag
+WEIGHT_STEP, LOG_LAG_STEP = 0.02, 0.2  # initial size of the simplex
 MAX_EVALUATIONS = 300  # of the simplex search
 PENALTY, UNSTABLE = 100.0, 1e3  # cost per relative excess; of no loop
-RELAXATIONS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # factors on a requirement that is missed
+RELAXATIONS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # factors on a missed requirement
 # Requirement in words, its keys, and whether a larger value is less strict.
 RELAXABLE = (
     ("a peak sensitivity of {max_sensitivity:.3g}", ("max_sensitivity",), True),
@@ -90,18 +90,18 @@ class _Search:
         parts = excesses(closed, self.need, MARGIN)
         spare = 0.1  # of a corner's overshoot, for noise
         if flown:
-            allowed = CORNER * (OVERSHOOT_ROOM + closed.overshoot) * (1.0 - spare)
+            allowed = CORNER_FACTOR * (OVERSHOOT_ROOM + closed.overshoot) * (1.0 - spare)
             worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
             parts["corners"] = min(worst / allowed - 1.0, 10.0)
         return {name: part for name, part in parts.items() if part > 0.0}
 
     def tuning(self, target: Target, bases: PredictorBases | None = None) -> Tuning:
-        """Return the law with this target, its parameters as they are written down."""
+        """Return the law with this target, whose parameters are rounded as in a file."""
         values = {name: round_gain(value) for name, value in target.to_values(self.delay).items()}
         return Tuning.of_law(values, self.model, self.fixed, bases)
 
     def lags(self) -> list[float]:
-        """Return lags of the answer to a set-point, s, between what the step's size and the bandwidth allow."""
+        """Return lags of the response to a set-point, s, between the bounds by the step's size and the bandwidth."""
         need = self.need
         longest = CUTOFF_PER_LAG / (2.0 * pi * need.min_bandwidth_hz) if need.min_bandwidth_hz else inf
         low, high = self.channel.step, 50.0 * self.delay
@@ -112,6 +112,7 @@ class _Search:
 
     @property
     def _room(self) -> float:
+        """Largest allowed command, less the margin."""
         return self.channel.room * (1.0 - MARGIN)
 
     def _first_command(self, lag: float) -> float:
@@ -129,7 +130,7 @@ class _Search:
         command: Array = filter_response(polynomial(model.all_poles), inside, answer)
         return float(np.abs(command).max()) / (abs(model.gain * float(kept.sum())) * step)
 
-    def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
+    def meet_requirements(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
         free_step = 100.0  # s: no bound in effect, the lags decide
@@ -138,7 +139,7 @@ class _Search:
         first_error = 0.3  # of the delay tolerance, tried first
         for _ in range(12):
             try:
-                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE_POINTS)
+                low = reduce_order(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE_POINTS)
                 tuning = self.tuning(low.target)
             except InputError:
                 return None
@@ -156,12 +157,12 @@ class _Search:
         return None
 
     def find_start(self) -> Tuning | None:
-        """Return the law of the least objective whose weights are the programme's, or None."""
+        """Return the law of the least objective among those with weights of the convex programme, or None."""
         best: tuple[float, Tuning] | None = None
         for slower in SLOWER_POLES:
             pairs = [(slower * natural, damping) for natural, damping in START_POLES]
             for lag in self.lags():
-                tuning = self.draw_closer(lag, pairs)
+                tuning = self.meet_requirements(lag, pairs)
                 if tuning is not None:
                     value = objective(ClosedLoop(self.points, tuning))
                     if best is not None and value >= best[0]:
@@ -179,13 +180,13 @@ class _Search:
         weights = np.array(target.weights)
         free = float(np.linalg.norm(weights)) * free_weights(self.model, target)
 
-        def at(x: Array) -> Tuning:
+        def tuning_at(x: Array) -> Tuning:
             moved = tuple((weights + free @ x[1:]).tolist())
             return self.tuning(replace(target, lag_s=target.lag_s * exp(x[0]), weights=moved), bases)
 
         def cost(x: Array) -> float:
             try:
-                closed = ClosedLoop(points, at(x))
+                closed = ClosedLoop(points, tuning_at(x))
                 if closed.unstable_poles:
                     return UNSTABLE
                 return objective(closed) + PENALTY * sum(self.missed(closed).values())
@@ -193,14 +194,14 @@ class _Search:
                 return UNSTABLE
 
         size = 1 + free.shape[1]
-        simplex = np.vstack([np.zeros(size), np.diag([FIRST_LAG, *[FIRST_STEP] * (size - 1)])])
+        simplex = np.vstack([np.zeros(size), np.diag([LOG_LAG_STEP, *[WEIGHT_STEP] * (size - 1)])])
         options = {"maxfev": MAX_EVALUATIONS, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
         found = minimize(cost, np.zeros(size), method="Nelder-Mead", options=options)
-        return at(found.x)
+        return tuning_at(found.x)
 
 
 def _late_corners(channel: Channel, need: Requirements) -> list[Channel]:
-    """Return the channel at the corners of its tolerances that are flown in a proof with the delay longer."""
+    """Return the channel at those corners of its tolerances that have a longer delay, as a proof flies them."""
     if not (need.delay_tolerance or need.gain_tolerance):
         return []
     late = channel.with_delay(channel.actuator_delay + floor(need.delay_samples(channel.transport_samples)))
@@ -213,7 +214,7 @@ def _late_corners(channel: Channel, need: Requirements) -> list[Channel]:
 
 
 def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> LimitTuning:
-    """Find the law at the limit for the requirements of a channel, or which of them would have to be another.
+    """Find the law at the limit for the requirements of a channel, or the requirement that prevents it.
 
     ``model`` is what it believes of the channel, with the delay that the controller adds, ``fixed`` what the law leaves
     as it is.  Raises InputError where the solver is not installed.
@@ -222,7 +223,7 @@ def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requi
     search = _Search(channel, model, fixed, need)
     start = search.find_start()
     if start is None:
-        return LimitTuning(None, inf, _explain(search))
+        return LimitTuning(None, inf, _explain_failure(search))
     tuning = search.move_weights(start)
     closed = fine_loop(channel, tuning)
     if not is_acceptable(closed, need):
@@ -230,8 +231,8 @@ def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requi
     return LimitTuning(tuning, objective(closed))
 
 
-def _explain(search: _Search) -> str:
-    """Return which single requirement would have to be relaxed, and to what."""
+def _explain_failure(search: _Search) -> str:
+    """Return the single requirement that would have to be relaxed, and to what."""
     ways = []
     for text, names, grows in RELAXABLE:
         for factor in RELAXATIONS:

@@ -44,7 +44,7 @@ from cosim.simulation.axis_chain import (
 from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Vehicle
-from hexjet_design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
+from hexjet_design.loop.actuator import SERVO, THIS_STEP_ONLY, Actuator, make_hinge_actuator, servo_actuator
 from hexjet_design.loop.dynamics import MIN_CARRIED_MISFIT
 
 # A lag with a smaller pole in z settles within a 20th of a step, and is neglected.
@@ -73,7 +73,7 @@ class Channel:
     angle_from_gyro: bool = False  # True: the angle integrates the gyro
     added_delay: int = 0
     # Weights of the actuator's responses in this and previous steps in the moment: tilts react, spinning leads.
-    shape: tuple[float, ...] = STILL
+    shape: tuple[float, ...] = THIS_STEP_ONLY
     hinged: tuple[AxisPart, ...] = ()  # actuator and weights per hinge
     identified: RateModel | None = None  # command to rate, replaces the chain
 
@@ -107,7 +107,7 @@ class Channel:
 
     @property
     def lead_s(self) -> float:
-        """By how much the momentum of rotors that hinges turn acts sooner than the hinges do, s; 0 without hinges."""
+        """Time by which the momentum of rotors on hinges acts before the hinges turn, s; 0 without hinges."""
         if not self.hinged:
             return 0.0
         return sum([part.lead_s for part in self.hinged]) / sum([part.fraction for part in self.hinged])
@@ -127,14 +127,14 @@ class Channel:
         time of the frequency at which the actuator that gives most has turned the phase by 1 rad, as a delay of one
         over it does.
         """
-        turned = self._turned_s() if self.identified is None else self.slowness_s
+        turned = self._radian_lag_s() if self.identified is None else self.slowness_s
         # The low-frequency delay is the pace if the two differ by less than this factor; a single lag has 0.64.
         min_ratio = 0.5
         return self.slowness_s if min_ratio < turned / max(self.slowness_s, MIN_POLE) < 1.0 / min_ratio else turned
 
     @property
     def paced_gain(self) -> float:
-        """Return the gain that a loop at its pace meets, in the unit of the gain at rest.
+        """Return the plant's gain at the frequency of the pace, in the unit of the gain at rest.
 
         That is the gain at rest itself where the lags are all that is between the two.
         """
@@ -154,8 +154,8 @@ class Channel:
             return self.pace_s
         return max([self.pace_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
 
-    def _turned_s(self) -> float:
-        """Return one over the lowest frequency, rad/s, at which command to rate lags by 1 rad without its integral."""
+    def _radian_lag_s(self) -> float:
+        """Return 1 / w [s], w the lowest frequency at which command to rate, without its integral, lags by 1 rad."""
         dynamics = self.actuator.dynamics
         slowest = 1e-5  # rad/s, a day: start of the search
         points = 400  # frequencies of the search, 5 % apart
@@ -226,8 +226,6 @@ class Channel:
         """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
         return measurement_response(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
-    # ---- variants of a channel
-
     def with_delay(self, samples: float) -> Channel:
         """Return the channel with another actuator delay, samples (total delay if identified as a whole)."""
         if self.identified is not None:
@@ -247,7 +245,7 @@ class Channel:
 
     @property
     def is_by_servo(self) -> bool:
-        """Whether its command tilts thrusts and leaves their size."""
+        """Whether the command tilts thrusts, whose size it leaves."""
         return self.actuator.name == SERVO
 
     @property
@@ -270,7 +268,7 @@ def hover_fraction(vehicle: Vehicle, engine: EngineSpec) -> float:
 def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
     """Return the channels of roll, pitch, yaw and altitude at hover, with engines of these dynamics."""
     by_axis = {axis: _axis_channel(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
-    by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
+    by_axis["altitude"] = _altitude_channel(scenario, vehicle, engine, dynamics)
     return by_axis
 
 
@@ -282,7 +280,7 @@ def _axis_channel(axis: str, scenario: Scenario, vehicle: Vehicle, engine: Engin
     thrusts, moment = is_turned_by_throttle(vehicle, index), axis_moment(vehicle, index, span)
     kick = bank_reaction(vehicle, index, moment, scenario.step_s)
     early = thrust_momentum_lead(vehicle, engine, index, scenario.step_s)
-    room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
+    room = _throttle_room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,
         "share" if thrusts else "rad",
@@ -310,7 +308,7 @@ def _by_effectiveness(
     room = allocator.acceleration_limit(index)
     engines, *hinges = list_hinged_parts(vehicle, allocator, index, engine, step)
     hinged = tuple([part for part in hinges if any(part.compute_weights(step))])
-    main, shape, others = dynamics, STILL, hinged
+    main, shape, others = dynamics, THIS_STEP_ONLY, hinged
     if sum([part.fraction for part in hinged]) > engines.fraction:
         main, shape = make_hinge_actuator(hinged, step)
         others = (engines,)
@@ -378,7 +376,7 @@ def _sensor_parameters(sensors: Sensors) -> dict[str, float | int]:
     }
 
 
-def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
+def _throttle_room(vehicle: Vehicle, engine: EngineSpec) -> float:
     limits, thrust_fraction = vehicle.control.allocation, hover_fraction(vehicle, engine)
     return min(thrust_fraction - limits.throttle_min, limits.throttle_max - thrust_fraction)
 
@@ -395,7 +393,7 @@ def _servo_room(servo: Servo | Hinge | None) -> float:
     return min(reach, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else reach
 
 
-def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+def _altitude_channel(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
     """Return the channel of vertical acceleration, by all engines, to climb rate (GNSS) and height (barometer)."""
     gnss, barometer = vehicle.sensors.gnss, vehicle.sensors.barometer
     authority = len(vehicle.jets) * thrust_span(engine) / vehicle.mass_kg  # m/s^2 per unit of share
@@ -407,7 +405,7 @@ def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics
         0.0,
         scenario.step_s,
         scenario.substeps,
-        authority * _room(vehicle, engine),
+        authority * _throttle_room(vehicle, engine),
         rate_latency=gnss.latency_samples,
         rate_hold=gnss.period_samples,
         rate_noise=gnss.velocity_noise_m_s,
@@ -424,7 +422,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
-    # With a zero near an engine's pole, poles slower than this times the channel's pace are not led.
+    # With a zero near an engine's pole, the lead skips poles slower than this times the channel's pace.
     led_within = 3.0
     if channel.pace_s != channel.slowness_s:
         # A zero near a slow pole cancels it, so that nothing is left to lead.

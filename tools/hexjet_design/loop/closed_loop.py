@@ -29,10 +29,10 @@ from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
 WINDOW_PACES = 50.0  # length of time responses in paces
-# Length in durations of the slowest response, of which 5 % then remains.
-WINDOW_ANSWERS = 3.0
-# Fraction of a response one period later that remains in it, as small as rounding.
-WRAPPED = 1e-10
+# Length of time responses in time constants of the slowest response, of which 5 % then remains.
+WINDOW_RESPONSES = 3.0
+# Largest fraction of a response that remains one period later and wraps around: as small as rounding.
+MAX_WRAPPED = 1e-10
 
 
 class FrequencyGrid:
@@ -59,8 +59,8 @@ class FrequencyGrid:
 
 
 def window_s(channel: Channel) -> float:
-    """Return for how long responses in time of a channel are looked at, s."""
-    return max(WINDOW_PACES * channel.pace_s, WINDOW_ANSWERS * channel.longest_s)
+    """Return the length of the time responses of a channel, s."""
+    return max(WINDOW_PACES * channel.pace_s, WINDOW_RESPONSES * channel.longest_s)
 
 
 class ClosedLoop:
@@ -144,7 +144,7 @@ class ClosedLoop:
             turn = np.where(unsure < 1.0, np.arcsin(np.minimum(unsure, 1.0)), pi)
             x = (np.abs(critical) - 1.0) / np.maximum(gain + unsure * (1.0 + gain), 1e-9)
             y = -np.angle(critical) / np.maximum(delay * self.points.theta + turn, 1e-9)
-        return _nearest(x, y, np.angle(critical))
+        return _least_maximum(x, y, np.angle(critical))
 
     @property
     def angle_response(self) -> Complex:
@@ -242,21 +242,21 @@ def steps_by_response(channel: Channel, tuning: Tuning, samples: int) -> Steps:
     """Compute unit steps from the loop's frequency response alone, for a predictor without a state space.
 
     ``h_k = r^k IFFT(H(r e^(j theta)))`` on a circle outside the unit circle: the pole at 1 of a step lies within it,
-    and of what comes a period later, which is at least four times ``samples``, only :data:`WRAPPED` is left.
+    and of what comes a period later, which is at least four times ``samples``, only :data:`MAX_WRAPPED` is left.
     """
     period = 4 << ceil(log2(samples))
-    radius = WRAPPED ** (-1.0 / period)
+    radius = MAX_WRAPPED ** (-1.0 / period)
     z = radius * np.exp(2j * pi / period * np.arange(period // 2 + 1))
     closed = ClosedLoop(FrequencyGrid(channel, z=z), tuning)
     grown = radius ** np.arange(samples)
 
-    def in_time(response: Complex) -> Array:
+    def to_time(response: Complex) -> Array:
         return np.asarray(np.fft.irfft(response / (1.0 - 1.0 / z), period)[:samples] * grown)
 
-    return Steps(in_time(closed.angle_response), in_time(closed.command_response), in_time(closed.load_response))
+    return Steps(to_time(closed.angle_response), to_time(closed.command_response), to_time(closed.load_response))
 
 
-def _nearest(x: Array, y: Array, angle: Array) -> float:
+def _least_maximum(x: Array, y: Array, angle: Array) -> float:
     """Return the least ``max(|x|, |y|)`` along the straight lines between points that follow each other.
 
     Where the angle behind ``y`` jumps by a turn there is no line.

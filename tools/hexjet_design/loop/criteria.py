@@ -11,10 +11,10 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.tuning import Tuning
 
-# Overshoot in flight above the promised one, for noise and nonlinearity.
+# Fraction of a step by which the overshoot in flight may exceed the computed one, for noise and nonlinearity.
 OVERSHOOT_ROOM = 0.10
 # Factor on requirements at a corner of the tolerances, where only stability is promised.
-CORNER = 2.0
+CORNER_FACTOR = 2.0
 FINE_POINTS = 4000  # frequencies to check a tuning
 
 
@@ -28,7 +28,7 @@ def objective(closed: ClosedLoop) -> float:
 
 
 def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
-    """Return by how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
+    """Return the sum of the relative excesses over the requirements; 0 where all are met."""
     return sum(max(part, 0.0) for part in excesses(closed, need, spare).values())
 
 

@@ -22,7 +22,7 @@ from cosim.spec.vehicle import RateModel
 FORMS: tuple[tuple[str, ...], ...] = ((), ("zero",), ("zero", "lag"), ("zero", "lag", "quick"))
 # Forms with a zero in the right half plane, where thrust first goes the wrong way; tried if no other form fits.
 WRONG_WAY_FORMS: tuple[tuple[str, ...], ...] = (("right",), ("right", "lag"))
-NEARBY = 5  # either side of the free delay
+MAX_DELAY_CHANGE = 5  # samples, from the best free delay
 # A design takes larger misfits into account; smaller ones change a peak sensitivity of 1.7 by less than 3 %.
 MIN_CARRIED_MISFIT = 0.01
 
@@ -102,7 +102,7 @@ class Dynamics:
         numerator = np.real(np.poly(A - B @ C)) - denominator  # C adj(zI - A) B
         numerator = numerator[1:]
         zeros = np.roots(numerator)
-        real, pairs = _in_z(self.poles, self.step)
+        real, pairs = _sample_poles(self.poles, self.step)
         return RateModel(
             gain=float(numerator[0]),
             zeros=sorted(float(z.real) for z in zeros if not z.imag),
@@ -115,7 +115,7 @@ class Dynamics:
         )
 
 
-def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tuple[float, float]]]:
+def _sample_poles(poles: Sequence[complex], step: float) -> tuple[list[float], list[tuple[float, float]]]:
     """Return the sampled poles: distinct real ones, and the upper one of each pair.
 
     A pair that is over within a step, or that swings so little in one that rounding leaves nothing of it, is two real
@@ -147,16 +147,16 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
     best: Dynamics | None = None
     good = 0.001  # misfit at which no larger form is tried
     for form in FORMS:
-        fit = _fit(response, form, delay, lag)
-        if best is None or (fit.misfit < 0.7 * best.misfit and _runs(fit)):
+        fit = _fit_form(response, form, delay, lag)
+        if best is None or (fit.misfit < 0.7 * best.misfit and _is_realisable(fit)):
             best = fit
         if best.misfit <= good:
             break
     assert best is not None
     poor = 0.02  # misfit above which these are tried
     for form in WRONG_WAY_FORMS if best.misfit > poor else ():
-        fit = _fit(response, form, delay, lag)
-        if fit.misfit < 0.7 * best.misfit and _runs(fit):
+        fit = _fit_form(response, form, delay, lag)
+        if fit.misfit < 0.7 * best.misfit and _is_realisable(fit):
             best = fit
     return best
 
@@ -176,7 +176,7 @@ def with_misfit(dynamics: Dynamics, response: FrequencyResponse) -> Dynamics:
 
 
 def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
-    """Return how far a response is off its model, as :attr:`Dynamics.unsure`, without losing a mode between two points.
+    """Return bounds on a model's error, as :attr:`Dynamics.unsure`, without losing a mode between two points.
 
     The band in 80 parts, and at each end of a part the largest of the parts on both its sides.
     """
@@ -190,14 +190,14 @@ def bounds(hertz: Array, off: Array) -> tuple[tuple[float, float], ...]:
     return tuple((float(f), float(x)) for f, x in zip(ends, widest, strict=True))
 
 
-def _runs(dynamics: Dynamics) -> bool:
-    """Return whether a predictor can run it: each pair of complex zeros needs a pair of complex poles."""
+def _is_realisable(dynamics: Dynamics) -> bool:
+    """Return whether a predictor can run the dynamics: each pair of complex zeros needs a pair of complex poles."""
     model = dynamics.discrete("")
     return len(model.zero_pairs) <= len(model.pole_pairs)
 
 
 class _FormFit:
-    """The search for the parameters of a form that suit a response.
+    """Fit of a form's parameters to a frequency response.
 
     They are ``ln gain, ln natural frequency, ln damping, delay [samples]`` and the logarithms of the times of zero,
     further lag and quick zero, of which a form without them leaves the last ones alone.
@@ -221,7 +221,7 @@ class _FormFit:
 
     def dynamics(self, x: Array) -> Dynamics:
         """Return the dynamics at a point, with their misfit."""
-        misfit = float(np.sqrt(np.mean(np.abs(self._error(x)) ** 2)))
+        misfit = float(np.sqrt(np.mean(np.abs(self._log_error(x)) ** 2)))
         return Dynamics(*self._poles_and_zeros(x), float(x[3]), self._step, misfit)
 
     def search(self, delay: float, lag: float) -> Array:
@@ -246,7 +246,7 @@ class _FormFit:
         """Find the best point near ``best`` whose delay is a whole number of samples."""
         chosen: tuple[float, Array] = (inf, best)
         others = [k for k in self._free if k != 3]
-        for samples in sorted({max(0, round(best[3]) + k) for k in range(-NEARBY, NEARBY + 1)}):
+        for samples in sorted({max(0, round(best[3]) + k) for k in range(-MAX_DELAY_CHANGE, MAX_DELAY_CHANGE + 1)}):
             fixed = best.copy()
             fixed[3] = samples
             solution = self._solve(fixed, others)
@@ -266,7 +266,7 @@ class _FormFit:
             poles.append(complex(-exp(-x[5])))
         return tuple(poles), tuple(zeros)
 
-    def _error(self, x: Array) -> Complex:
+    def _log_error(self, x: Array) -> Complex:
         poles, zeros = self._poles_and_zeros(x)
         model = self._hold * exp(x[0]) * np.exp(-self._s * x[3] * self._step)
         for p in poles:
@@ -276,23 +276,23 @@ class _FormFit:
         return np.asarray(np.log(model / self._value))
 
     def _weighted_residuals(self, x: Array) -> Array:
-        off = self._error(x)
+        off = self._log_error(x)
         return np.concatenate([self._weight * off.real, self._weight * off.imag])
 
     def _solve(self, start: Array, free: list[int]) -> tuple[float, Array]:
         """Return cost and solution of the least squares from ``start`` over the entries ``free``, the others fixed."""
         from scipy.optimize import least_squares
 
-        def scatter(part: Array) -> Array:
+        def insert_free(part: Array) -> Array:
             x = start.copy()
             x[free] = part
             return x
 
         bounds = self._low[free], self._high[free]
-        solution = least_squares(lambda part: self._weighted_residuals(scatter(part)), start[free], bounds=bounds)
-        return float(solution.cost), scatter(solution.x)
+        solution = least_squares(lambda part: self._weighted_residuals(insert_free(part)), start[free], bounds=bounds)
+        return float(solution.cost), insert_free(solution.x)
 
 
-def _fit(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
+def _fit_form(response: FrequencyResponse, form: Sequence[str], delay: float, lag: float) -> Dynamics:
     search = _FormFit(response, form)
     return search.dynamics(search.round_delay(search.search(delay, lag)))

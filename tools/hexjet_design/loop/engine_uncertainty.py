@@ -27,7 +27,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.loop.channel import Channel
 
-MAX_TOLERANCES = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as on the command line
+MAX_TOLERANCES = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # limits of the options
 
 
 class LoopUncertainty(NamedTuple):
@@ -38,18 +38,18 @@ class LoopUncertainty(NamedTuple):
 
 
 class EngineSensitivity:
-    """The answers of an engine with each of its uncertain parameters moved either way."""
+    """Responses of an engine with each of its uncertain parameters moved either way."""
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> None:
         """Load the engine once more for each.  ``spec`` states its uncertainty.  Raises InputError as a flight."""
         assert spec.uncertainty is not None
         self.table, self._step = spec.uncertainty, scenario.step_s
         self._thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
-        self._moved: list[tuple[float, EngineSpec, EngineSpec] | None] = []
+        self._perturb: list[tuple[float, EngineSpec, EngineSpec] | None] = []
         source = find_source(str(spec.mapping) if spec.mapping else spec.name)
         widths = zip(self.table.parameters, self.table.deviation, self.table.spreads, strict=True)
         for name, deviation, spread in widths:
-            low, high = _moved(spec, name, max(deviation, spread))
+            low, high = _perturb(spec, name, max(deviation, spread))
             ends = [
                 load_engine(
                     source,
@@ -61,7 +61,7 @@ class EngineSensitivity:
                 )
                 for value in (low, high)
             ]
-            self._moved.append((high - low, ends[0], ends[1]) if high > low else None)
+            self._perturb.append((high - low, ends[0], ends[1]) if high > low else None)
 
     def at(self, hertz: float) -> LoopUncertainty:
         """Return the standard deviations at a frequency.  Raises InputError where the engine does not answer."""
@@ -74,11 +74,11 @@ class EngineSensitivity:
 
         Raises InputError where the engine does not answer.
         """
-        derivatives = np.zeros((len(self._moved), 2))
-        for row, moved in enumerate(self._moved):
+        derivatives = np.zeros((len(self._perturb), 2))
+        for row, moved in enumerate(self._perturb):
             if moved is not None:
                 width, low, high = moved
-                ratio = self._answer(high, hertz) / self._answer(low, hertz)
+                ratio = self._response(high, hertz) / self._response(low, hertz)
                 gain = 2.0 * (abs(ratio) - 1.0) / (abs(ratio) + 1.0)  # difference over mean
                 delay = -float(np.angle(ratio)) / (2.0 * pi * hertz)
                 derivatives[row] = np.array([gain, delay]) / width
@@ -93,11 +93,11 @@ class EngineSensitivity:
         each of them.  Raises InputError where the engine does not answer.  ``draws``: of an engine, of which a margin's
         95 % range leaves out five at either end.
         """
-        logs = np.zeros((len(self._moved), len(hertz)), np.complex128)
-        for row, moved in enumerate(self._moved):
+        logs = np.zeros((len(self._perturb), len(hertz)), np.complex128)
+        for row, moved in enumerate(self._perturb):
             if moved is not None:
                 width, low, high = moved
-                ratio = self._answers(high, hertz) / self._answers(low, hertz)
+                ratio = self._responses(high, hertz) / self._responses(low, hertz)
                 logs[row] = (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) / width
         from scipy.special import ndtr
 
@@ -111,11 +111,11 @@ class EngineSensitivity:
         ]
         return np.asarray(np.exp(np.column_stack(deviations) @ logs))
 
-    def _answer(self, spec: EngineSpec, hertz: float) -> complex:
-        return complex(self._answers(spec, np.array([hertz]))[0])
+    def _response(self, spec: EngineSpec, hertz: float) -> complex:
+        return complex(self._responses(spec, np.array([hertz]))[0])
 
-    def _answers(self, spec: EngineSpec, hertz: Array, secant: float = 0.02) -> Complex:
-        """Return N per throttle at frequencies, with one control step less delay."""
+    def _responses(self, spec: EngineSpec, hertz: Array, secant: float = 0.02) -> Complex:
+        """Return the response [N per unit of throttle] at frequencies, with one control step less delay."""
         curve = spec.rising_curve
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
         course = measure_small_steps(spec, throttle, self._step).response
@@ -128,8 +128,8 @@ class EngineSensitivity:
         return np.asarray(slope * (turns * increments).sum(axis=1))
 
 
-def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
-    """Return a parameter moved by ``width`` both ways within the FMU's limits; counts by at least one."""
+def _perturb(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
+    """Return a parameter's values ``width`` below and above, within the FMU's limits; counts move by at least one."""
     variable = next(v for v in spec.archive.parameters if v.name == name)
     value = spec.parameters[name]
     least = -inf if variable.min is None else variable.min
@@ -142,7 +142,7 @@ class EngineTolerances(NamedTuple):
     """Design tolerances from an engine's uncertainty, and words on their origin."""
 
     need: Requirements
-    words: str = ""  # empty: nothing comes from there
+    words: str = ""  # empty: no tolerance is from there
 
 
 def engine_tolerances(

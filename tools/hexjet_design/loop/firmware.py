@@ -41,58 +41,60 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.spec.vehicle import RateGains
 
-# As shipped, both of first order; the first does not rise with throttle here.
+# Betaflight's gyro low-passes as shipped, both of first order; here the first does not rise with throttle.
 GYRO_LPF1_HZ, GYRO_LPF2_HZ = 250.0, 500.0
 LEVEL_HZ = 50.0  # Betaflight's ATTITUDE_CUTOFF_HZ
 YAW_P_HZ = 100.0  # Betaflight's yaw_lowpass_hz
 # CUTOFF_CORRECTION_PT3: with it three equal lags together are 3 dB down at the cutoff.
-PT3 = 1.961459177
+PT3_CORRECTION = 1.961459177
 
 # One loop: state, set-point, gyro, loop period [s], derivative cutoff [Hz] -> new state, and P, I and D parts.
 Loop = Callable[[list[float], float, float, float, float], tuple[list[float], float, float, float]]
 
 
-def share(hertz: float, period: float) -> float:
+def lowpass_gain(hertz: float, period: float) -> float:
     """Return the gain of a first-order low-pass in one loop, by backward Euler as in all three autopilots."""
     return 2.0 * pi * hertz * period / (2.0 * pi * hertz * period + 1.0)
 
 
-def _betaflight(levels: bool, yaw: bool) -> Loop:
+def _make_betaflight_loop(levels: bool, yaw: bool) -> Loop:
     def loop(
         s: list[float], r: float, y: float, period: float, hertz: float
     ) -> tuple[list[float], float, float, float]:
         g1, g2, a, b, c, integral, slope, p = s
-        g1 += share(GYRO_LPF1_HZ, period) * (y - g1)
-        before, g2 = g2, g2 + share(GYRO_LPF2_HZ, period) * (g1 - g2)
+        g1 += lowpass_gain(GYRO_LPF1_HZ, period) * (y - g1)
+        before, g2 = g2, g2 + lowpass_gain(GYRO_LPF2_HZ, period) * (g1 - g2)
         if levels:
-            k = share(LEVEL_HZ * PT3, period)
+            k = lowpass_gain(LEVEL_HZ * PT3_CORRECTION, period)
             a += k * (r - a)
             b += k * (a - b)
             c += k * (b - c)
         error = (c if levels else r) - g2
-        p = p + share(YAW_P_HZ, period) * (error - p) if yaw else error
+        p = p + lowpass_gain(YAW_P_HZ, period) * (error - p) if yaw else error
         integral += period * error
-        slope += share(hertz, period) * ((before - g2) / period - slope)
+        slope += lowpass_gain(hertz, period) * ((before - g2) / period - slope)
         return [g1, g2, a, b, c, integral, slope, p], p, integral, slope
 
     return loop
 
 
-def _px4(s: list[float], r: float, y: float, period: float, hertz: float) -> tuple[list[float], float, float, float]:
+def _px4_loop(
+    s: list[float], r: float, y: float, period: float, hertz: float
+) -> tuple[list[float], float, float, float]:
     # The rate set-point is that of the attitude loop one step before.
     setpoint, last, slope, integral = s
-    slope += share(hertz, period) * ((last - y) / period - slope)
+    slope += lowpass_gain(hertz, period) * ((last - y) / period - slope)
     error = setpoint - y
     return [r, y, slope, integral + period * error], error, integral, slope  # the next step integrates this error
 
 
-def _ardupilot(
+def _ardupilot_loop(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
     # A loop runs the rate controller first, the attitude controller after it.
     setpoint, last, slope, integral = s
     error = setpoint - y
-    slope += share(hertz, period) * ((error - last) / period - slope)  # derivative of the error, with set-point
+    slope += lowpass_gain(hertz, period) * ((error - last) / period - slope)  # derivative of the error, with set-point
     integral += period * error
     return [r, error, slope, integral], error, integral, slope
 
@@ -101,11 +103,11 @@ _STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}  # states of each firmware
 
 
 def find_law(name: str, axis: str) -> Loop:
-    """Return an autopilot's rate loop on an axis as a function of one pass."""
+    """Return a function that runs an autopilot's rate loop on an axis once."""
     if name == "betaflight":
-        # Heading is held by the sticks, whoever moves them.
-        return _betaflight(axis != "yaw", axis == "yaw")
-    return _px4 if name == "px4" else _ardupilot
+        # Betaflight has no attitude loop in yaw: the pilot, or a program, holds the heading by the stick.
+        return _make_betaflight_loop(axis != "yaw", axis == "yaw")
+    return _px4_loop if name == "px4" else _ardupilot_loop
 
 
 Units = tuple[float, float, float, float]
@@ -168,15 +170,15 @@ def _loop_parts(name: str, axis: str, step: float, hertz: float, at: bytes) -> C
     response = np.empty((3, 2, len(z)), np.complex128)
     needed = (2,) if hertz else (0, 1)
     for part in needed:
-        keep = _reached(a, c[part])
+        keep = _reachable_states(a, c[part])
         small = z[:, None, None] * np.eye(len(keep)) - a[np.ix_(keep, keep)]
         solved = np.linalg.solve(small, np.broadcast_to(b[keep], (len(z), *b[keep].shape)))
         response[part] = (c[part][keep] @ solved + d[part]).T
     return np.asarray(response)
 
 
-def _reached(a: Array, c: Array) -> list[int]:
-    """Return the indices of the states that an output depends on."""
+def _reachable_states(a: Array, c: Array) -> list[int]:
+    """Return the indices of the states on which an output depends."""
     reached = {int(i) for i in np.flatnonzero(c)}
     while more := {int(j) for i in reached for j in np.flatnonzero(a[i])} - reached:
         reached |= more

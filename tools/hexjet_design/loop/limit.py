@@ -37,7 +37,7 @@ from cosim.base.errors import InputError
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
-from hexjet_design.loop.programme import EVEN_DELAYS, MAX_PEAK_FACTOR, Bounds, InvertedPlant, Programme, need_solver
+from hexjet_design.loop.programme import MAX_PEAK_FACTOR, UNIFORM_DELAYS, Bounds, InvertedPlant, Programme, need_solver
 
 PRICE_STEP = 0.1  # fraction by which a bound is relaxed
 PRICE_WORDS = {  # words for relaxing each bound
@@ -73,7 +73,7 @@ class AxisLimit:
 
     @property
     def times(self) -> float:
-        """The loop's load error by the least."""
+        """Ratio of the loop's load error to the least possible one."""
         return self.load_error / self.least.load_error
 
     @property
@@ -161,7 +161,7 @@ def _delay_error(closed: ClosedLoop) -> float:
 
 
 def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, most: float) -> float:
-    """Return the largest error, in steps of a quarter and up to ``most``, up to which the peak is at most ``allowed``.
+    """Return the largest error, in quarters and up to ``most``, up to which the peak is at most ``allowed``.
 
     ``peak_at`` gives the peak sensitivity with an error of the delay in samples; None where that is unstable.
     """
@@ -225,9 +225,9 @@ class Plant(InvertedPlant):
         integrals = self.delayed(acts, late + self.late).cumsum(0).cumsum(0)
         return np.asarray(lfilter(numerator, self.denominator, integrals, axis=0))
 
-    def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the command after impulses of noise of its size: the gyro's by ``t`` and by ``y``, and the angle's."""
-        t, y = (np.concatenate([each, np.zeros((EVEN_DELAYS * self.late, *each.shape[1:]))]) for each in (t, y))
+    def noise_responses(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return the command's responses to scaled impulses of noise: gyro by ``t``, gyro by ``y``, and angle."""
+        t, y = (np.concatenate([each, np.zeros((UNIFORM_DELAYS * self.late, *each.shape[1:]))]) for each in (t, y))
         late = self.angle_late + self.shift - self.rate_late
         of_rate = self.channel.rate_noise
         by_y = self.to_command(lfilter(np.r_[np.zeros(late), 0.5, 0.5], [1.0], y, axis=0))
@@ -236,7 +236,7 @@ class Plant(InvertedPlant):
 
     def evaluate(self, bounds: Bounds, t: Array, y: Array) -> Limit:
         """Return the loop that ``t`` and ``y`` make, from every sample and a fine grid of frequencies."""
-        by_t, by_y, of_angle = self.noise_of(t, y)
+        by_t, by_y, of_angle = self.noise_responses(t, y)
         acts = self.delayed(np.ones(1), 0) - self.delayed(t, self.late + self.rate_late)
         load, sensitivity = self.angle_of_load(acts), np.fft.rfft(acts, 1 << 17)
         return Limit(

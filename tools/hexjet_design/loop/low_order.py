@@ -48,7 +48,7 @@ class _LowOrderProgramme(Programme):
         super().__init__(plant, bounds, basis, frequencies)
         self._rows_at_rest, self._values = form.interpolation(basis[0])
 
-    def _at_rest(self) -> list[Cone]:
+    def _rest_cones(self) -> list[Cone]:
         return [
             Cone("zero", self._rows(t=self._rows_at_rest), self._values),
             Cone("zero", self._rows(y=self.of_y.sum(0)[None]), np.ones(1)),
@@ -60,7 +60,7 @@ def free_weights(model: RateModel, target: Target) -> Array:
     return np.asarray(null_space(ModelForm.of(model, target).interpolation(target.basis(model.sample_time_s))[0]))
 
 
-def reduce_limit(
+def reduce_order(
     channel: Channel,
     model: RateModel,
     bounds: Bounds,
@@ -69,7 +69,7 @@ def reduce_limit(
     rounds: int = 130,
     frequencies: int = FREQUENCY_COUNT,
 ) -> LowOrder:
-    """Return the target of the least load error within ``bounds`` that poles of this number reach.
+    """Return the target with as many pole pairs as ``start`` and the least load error within ``bounds``.
 
     The noise is that of ``channel``; ``model`` is what the controller believes of it, with the delay that it adds
     itself, and its loop keeps the bounds.  The answer to a set-point has three lags of ``lag_s``.  The poles are sought
@@ -86,7 +86,7 @@ def reduce_limit(
     impulse[0] = (1.0 - pole) ** LAGS
     of_y = np.asarray(lfilter([1.0], np.atleast_1d(np.poly([pole] * LAGS)), impulse))[:, None]
 
-    def at(x: Array) -> Target:
+    def target_at(x: Array) -> Target:
         pairs = [(exp(natural) / delay, exp(damping)) for natural, damping in x.reshape(-1, 2)]
         return Target(lag_s, tuple(pairs), (0.0,) * (2 * len(pairs)))
 
@@ -103,7 +103,7 @@ def reduce_limit(
 
     def cost(x: Array) -> float:
         try:
-            return solve(at(x), COARSE_POINTS).loop.load_error
+            return solve(target_at(x), COARSE_POINTS).loop.load_error
         except InputError:
             # An infeasible choice of poles costs as much as a million delays of load error.
             return 1e6 * delay
@@ -113,4 +113,4 @@ def reduce_limit(
     if rounds:
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
-    return solve(at(x), frequencies)
+    return solve(target_at(x), frequencies)

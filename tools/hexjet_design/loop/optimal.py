@@ -215,22 +215,22 @@ def make_predictor(
     length = len(functions)
     pad = np.zeros(length)
 
-    def extended(response: Array) -> Array:
+    def pad_response(response: Array) -> Array:
         return np.concatenate([response, pad])[:length]
 
     # y = kept top / bottom, but ``kept`` cancels in what follows.
     pole = target.lag(step)
     bottom, top = polynomial([pole] * LAGS), (1.0 - pole) ** LAGS
-    of_rate = extended(np.convolve(bottom / top, t)) - extended(np.array([0.5, 0.5]))
+    of_rate = pad_response(np.convolve(bottom / top, t)) - pad_response(np.array([0.5, 0.5]))
     of_rate = step * np.cumsum(of_rate)
-    ends = extended(np.array([1.0])) - extended(np.r_[np.zeros(form.late), np.convolve(form.kept, t)])
+    ends = pad_response(np.array([1.0])) - pad_response(np.r_[np.zeros(form.late), np.convolve(form.kept, t)])
     of_command = np.cumsum(ends)
     of_command = filter_response(np.convolve(form.numerator, bottom) * step / top, form.denominator, of_command)
     attitude = 1.0 / float(of_rate.sum())
     if not attitude > 0.0:
         raise InputError("the answer to a load is too fast for the answer to a set-point: less speed, or less response")
     of_rate, of_command = attitude * of_rate, attitude * of_command
-    tail = extended(of_command[form.late + 1 :])
+    tail = pad_response(of_command[form.late + 1 :])
     predictor = LinearPredictor(
         bases.transition.tolist(),
         (functions.T @ of_rate).tolist(),

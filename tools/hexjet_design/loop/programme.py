@@ -22,11 +22,11 @@ from scipy.signal import lfilter
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
-KNOTS_A_DELAY = 3.25  # spline knots within the plant's delay
-EVEN_DELAYS = 24  # delays with even knots, then sparser
-KNOT_GROWTH, FARTHEST = 1.08, 8.0  # ratio of knot distances; its limit
-FREQUENCY_COUNT = 620  # of the sensitivity, evenly in log
-MAX_PEAK_FACTOR = 2.0  # on the peak with an error of the delay
+KNOTS_PER_DELAY = 3.25  # spline knots within the plant's delay
+UNIFORM_DELAYS = 24  # delays with uniform knots
+KNOT_GROWTH, MAX_KNOT_RATIO = 1.08, 8.0  # ratio of knot distances; its limit
+FREQUENCY_COUNT = 620  # of the sensitivity's grid
+MAX_PEAK_FACTOR = 2.0  # factor on the peak if delay is off
 
 
 class Bounds(NamedTuple):
@@ -45,18 +45,18 @@ def need_solver() -> None:
 
 
 class InvertedPlant(ABC):
-    """A plant ``q^late kept inverted / denominator``, and how long its responses are looked at."""
+    """A plant ``q^late kept inverted / denominator``, and the length of its time responses."""
 
     name: str
     step: float
     samples: int
-    length: int  # of t
+    length: int  # samples of the response t
     late: int
     rate_late: int = 0
     kept: Array  # zeros that cannot be inverted, 1 at rest
     inverted: Array
     denominator: Array
-    is_double: bool  # integrates a load twice
+    is_double: bool  # True: integrates a load twice
 
     @abstractmethod
     def angle_of_load(self, acts: Array, late: int = 0) -> Array:
@@ -67,11 +67,11 @@ class InvertedPlant(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the command after impulses of noise of its size: the gyro's by ``t`` and by ``y``, and the angle's."""
+    def noise_responses(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return the command's responses to scaled impulses of noise: gyro by ``t``, gyro by ``y``, and angle."""
 
     def keep(self, basis: Array) -> Array:
-        """Return a basis with the zeros that cannot be inverted, as long as responses are looked at."""
+        """Return a basis filtered by the zeros that cannot be inverted, cut to the length of responses."""
         missing = self.length - len(basis)
         return np.asarray(lfilter(self.kept, [1.0], np.pad(basis, ((0, missing), (0, 0))), axis=0))
 
@@ -124,7 +124,7 @@ class Programme:
         self.tolerant = bounds.delay_error > 0.0
 
     @cached_property
-    def _theta(self) -> Array:
+    def _theta_grid(self) -> Array:
         return np.geomspace(2e-3, pi, self.frequencies)
 
     def _rows(self, t: Any = None, y: Any = None, load: Any = None, step: Any = None, sizes: Any = None) -> Any:
@@ -147,7 +147,7 @@ class Programme:
         """
         import clarabel
 
-        cones = [*self._at_rest(), *self._errors(), self._noise(), *self._sensitivity()]
+        cones = [*self._rest_cones(), *self._error_cones(), self._noise_cone(), *self._sensitivity_cones()]
         kinds = {
             "zero": clarabel.ZeroConeT,
             "nonnegative": clarabel.NonnegativeConeT,
@@ -156,8 +156,8 @@ class Programme:
         count, first = self.of_t.shape[1], self.of_t.shape[1] + self.of_y.shape[1]
         columns = sparse.vstack([cone.matrix for cone in cones]).tocsc()
         offset = np.concatenate([cone.offset for cone in cones])
-        of_t, offset, to_t = _condition(columns[:, :count].toarray(), offset)
-        of_y, offset, to_y = _condition(columns[:, count:first].toarray(), offset)
+        of_t, offset, to_t = _orthonormalise(columns[:, :count].toarray(), offset)
+        of_y, offset, to_y = _orthonormalise(columns[:, count:first].toarray(), offset)
         matrix = sparse.hstack([of_t, of_y, columns[:, first:]]).tocsc()
         width = matrix.shape[1]
         cost = np.zeros(width)
@@ -170,12 +170,12 @@ class Programme:
             [kinds[cone.kind](len(cone.offset)) for cone in cones], settings,
         ).solve()  # fmt: skip
         if str(solution.status) != "Solved":
-            raise InputError(f"{self.plant.name}: {_describe_none(self.bounds, str(solution.status))}")
+            raise InputError(f"{self.plant.name}: {_explain_no_optimum(self.bounds, str(solution.status))}")
         x = np.array(solution.x)
         return self.of_t @ to_t(x[:count]), self.of_y @ to_y(x[count:first])
 
-    def _at_rest(self) -> list[Cone]:
-        """Constraint at rest: ``t`` and ``y`` are 1; with a rate pole at 1, ``T_i`` has zero slope."""
+    def _rest_cones(self) -> list[Cone]:
+        """Return the constraint at rest: ``t`` and ``y`` are 1; with a rate pole at 1, ``T_i`` has zero slope."""
         cones = [Cone("zero", self._rows(t=self.of_t.sum(0)[None]), np.ones(1))]
         if self.of_y.size:
             cones.append(Cone("zero", self._rows(y=self.of_y.sum(0)[None]), np.ones(1)))
@@ -185,7 +185,7 @@ class Programme:
             cones.append(Cone("zero", self._rows(t=moments / late), np.zeros(1)))
         return cones
 
-    def _errors(self) -> list[Cone]:
+    def _error_cones(self) -> list[Cone]:
         plant, identity = self.plant, -sparse.identity(len(self.times), format="csr")
         free, load = plant.angle_of_load(np.ones(1)), plant.angle_of_load(self.of_t, plant.late + plant.rate_late)
         # The response to a load before any control can act.
@@ -206,8 +206,8 @@ class Programme:
             Cone("nonnegative", self._rows(step=self.weights[None]), np.array([self.bounds.step_error - before])),
         ]
 
-    def _noise(self) -> Cone:
-        by_t, by_y, of_angle = self.plant.noise_of(self.of_t, self.of_y)
+    def _noise_cone(self) -> Cone:
+        by_t, by_y, of_angle = self.plant.noise_responses(self.of_t, self.of_y)
         stacked = np.vstack([np.hstack([by_t, by_y]), np.hstack([np.zeros((len(of_angle), by_t.shape[1])), of_angle])])
         root: Array = np.asarray(np.linalg.qr(stacked, mode="r")) / self.bounds.noise
         rows = np.vstack([np.zeros(root.shape[1]), -root])
@@ -215,9 +215,9 @@ class Programme:
             "second-order", self._rows(t=rows[:, : by_t.shape[1]], y=rows[:, by_t.shape[1] :]), np.eye(len(rows))[0]
         )
 
-    def _sensitivity(self) -> list[Cone]:
+    def _sensitivity_cones(self) -> list[Cone]:
         late = self.plant.late + self.plant.rate_late
-        responses: Complex = np.exp(-1j * np.outer(self._theta, np.arange(len(self.of_t)) + late)) @ self.of_t
+        responses: Complex = np.exp(-1j * np.outer(self._theta_grid, np.arange(len(self.of_t)) + late)) @ self.of_t
         peak = self.bounds.peak_sensitivity
         if not self.tolerant:
             return [
@@ -226,7 +226,7 @@ class Programme:
             ]
         count = self.frequencies
         identity, ones = sparse.identity(count, format="csr"), np.ones(count)
-        turned = 2.0 * np.sin(0.5 * np.minimum(self._theta * self.bounds.delay_error, pi))
+        turned = 2.0 * np.sin(0.5 * np.minimum(self._theta_grid * self.bounds.delay_error, pi))
         nothing = sparse.csr_matrix((count, count))
         both = sparse.hstack([identity, sparse.diags(MAX_PEAK_FACTOR * peak * turned)])
         cones = [
@@ -242,8 +242,8 @@ class Programme:
         return cones
 
 
-def _describe_none(bounds: Bounds, status: str) -> str:
-    """Return why a programme has no solution, by the solver's status: it is shown to have none, or was not solved."""
+def _explain_no_optimum(bounds: Bounds, status: str) -> str:
+    """Return why a programme has no solution, by the status of the solver: infeasible, or not solved."""
     kept = f"a peak sensitivity of at most {bounds.peak_sensitivity:.3g}"
     kept += f", noise {bounds.noise:.3g}" if bounds.noise < inf else ""
     kept += f" and step error {bounds.step_error:.3g}" if bounds.step_error < inf else ""
@@ -252,8 +252,8 @@ def _describe_none(bounds: Bounds, status: str) -> str:
     return f"the limit with {kept} is not known: the solver stopped before it was found: {status}"
 
 
-def _condition(columns: Array, offset: Array) -> tuple[Any, Array, Callable[[Array], Array]]:
-    """Return orthonormal columns, the offset that they leave, and the way back to the unknowns of ``columns``.
+def _orthonormalise(columns: Array, offset: Array) -> tuple[Any, Array, Callable[[Array], Array]]:
+    """Return orthonormal columns (QR), the offset outside them, and a function that maps solutions back.
 
     Splines behind two integrals have errors of 1e7 that cancel, with which the solver stops too early.
     """
@@ -267,18 +267,18 @@ def _condition(columns: Array, offset: Array) -> tuple[Any, Array, Callable[[Arr
 
 
 def _plane(response: Complex) -> Array:
-    """Return rows with nothing, the real and the imaginary part."""
+    """Return three rows: zeros, the real part and the imaginary part of a response."""
     return np.vstack([np.zeros(len(response)), response.real, response.imag])
 
 
 def splines(plant: InvertedPlant) -> Array:
-    """Return cubic splines sample by sample, a column each: close together first, farther apart behind."""
+    """Return cubic splines over samples, a column each: close to each other at the start, wider apart later."""
     samples, late = plant.length - len(plant.kept) + 1, plant.late
-    distance = max(1.0, round(late / KNOTS_A_DELAY))
-    knots = [*np.arange(0.0, min(samples, EVEN_DELAYS * late) + 1.0, distance)]
+    distance = max(1.0, round(late / KNOTS_PER_DELAY))
+    knots = [*np.arange(0.0, min(samples, UNIFORM_DELAYS * late) + 1.0, distance)]
     apart = distance
     while knots[-1] < samples:
-        apart = min(apart * KNOT_GROWTH, FARTHEST * distance)
+        apart = min(apart * KNOT_GROWTH, MAX_KNOT_RATIO * distance)
         knots.append(min(float(samples), knots[-1] + apart))
     degree = 3  # degree of the splines
     clamped = np.r_[[0.0] * degree, knots, [knots[-1]] * degree]

@@ -22,7 +22,7 @@ def candidates() -> tuple[str, ...]:
 
 
 def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSpec:
-    """Return the predictor of a name that a design can use; ``others`` are further names that an error line offers.
+    """Return a predictor that a design can use, by name; ``others`` are further names for the error.
 
     Raises InputError for an unknown one, and for one that states no frequency response.
     """
@@ -39,12 +39,12 @@ class Tuning:
     """A controller on one channel with all designed parameters."""
 
     controller: str
-    angle_gain: float  # 1/s
+    angle_gain: float  # attitude gain, 1/s
     gains: RateGains
     predictor: PredictorTuning
     model: RateModel  # model in the predictor
     lead: EngineLead | None = None
-    firmware: Firmware | None = None  # whose loop has these gains; None: ours
+    firmware: Firmware | None = None  # autopilot with the gains; None: ours
     law: Mapping[str, float] | None = None  # parameters of the law at the limit
     matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # matrices of the law's predictor
 
@@ -63,7 +63,7 @@ class Tuning:
 
     @property
     def needs_model(self) -> bool:
-        """Whether it flies with a model of the engine."""
+        """Whether the controller flies with a model of the engine."""
         return self.law is not None or PREDICTORS[self.controller].needs_model
 
     def answer(self) -> PairResponse:

@@ -34,7 +34,7 @@ class MarginsResult(FolderResult):
 
     @property
     def axes(self) -> Mapping[str, AxisMargins]:
-        """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``."""
+        """Margins by axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``."""
         return self.measured.axes
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -167,7 +167,7 @@ def margins(
     for line in list_engine_notes(chosen):
         hears.note(line)
 
-    def tell(text: str) -> None:
+    def report_progress(text: str) -> None:
         nonlocal done
         hears.update(text, done, 2 * len(on) + 1)
         done += 1
@@ -182,7 +182,7 @@ def margins(
         period_s=period_s,
         periods=periods,
         limit=limit,
-        say=tell,
+        say=report_progress,
     )
     result = MarginsResult(measured, at_least)
     return result if out is None else result.write(out)

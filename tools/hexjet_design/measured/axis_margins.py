@@ -11,7 +11,7 @@ from hexjet_design.measured.engine_range import EngineRange
 from hexjet_design.measured.estimate import Response, relative_difference
 from hexjet_design.measured.excitation import Multisine
 
-NYQUIST_HZ = 0.5  # times the control step
+NYQUIST_CYCLES = 0.5  # per control step
 
 
 @dataclass(frozen=True)
@@ -33,17 +33,17 @@ class AxisMargins:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it was measured up to half the control rate, where a sampled loop ends."""
-        return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
+        """Whether the loop was measured up to half the control rate, where a sampled loop ends."""
+        return self.band_hz[1] * self.sine.step >= NYQUIST_CYCLES * (1.0 - 1e-9)
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """Lowest and highest line above the noise."""
+        """Lowest and highest measured frequency above the noise."""
         heard = self.response.hertz[self.response.used]
         return float(heard[0]), float(heard[-1])
 
     def in_deviations(self) -> tuple[float | None, float | None]:
-        """Return the margins of gain, the nearer of both, and of more delay in the engine's standard deviations."""
+        """Return the nearer gain margin and the delay margin in standard deviations of the engine's gain and delay."""
         if self.uncertainty is None:
             return None, None
         gains = [self._margin_value(name) for name in ("gain_db", "gain_down_db")]
@@ -60,7 +60,7 @@ class AxisMargins:
         return None if self.computed is None else self.computed.limit
 
     def off(self, name: str) -> float | None:
-        """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
+        """Return the relative error of the computed margin against the measured one (gains as factors), or None."""
         if self.computed is None or name not in self.response.margins:
             return None
         value, reference = self.response.margins[name].value, getattr(self.computed.margins, name)

@@ -16,7 +16,7 @@ from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.assessment import shipped_tuning
-from hexjet_design.design import identify_there, make_dynamics
+from hexjet_design.design import identify_hover, make_dynamics
 from hexjet_design.levels import THRUST_AXES, tunings_at
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels, hover_fraction
@@ -29,7 +29,7 @@ from hexjet_design.loop.tuning import Tuning
 
 @dataclass(frozen=True)
 class Computed:
-    """A loop as computed, broken at the plant's input."""
+    """Computed loop, broken at the input of the plant."""
 
     margins: LoopMargins
     hertz: Array
@@ -55,7 +55,7 @@ def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plant
     fuel = scenario.initial.fuel
     there = vehicle if fuel == 1.0 else vehicle.with_fuel(fuel)
     try:
-        engine = Actuator.of(spec.name, make_dynamics(identify_there(scenario, there, spec, None)))
+        engine = Actuator.of(spec.name, make_dynamics(identify_hover(scenario, there, spec, None)))
         return Plants(channels(scenario, there, spec, engine), spec, hover_fraction(there, spec))
     except InputError as error:
         return str(error)
@@ -74,7 +74,7 @@ def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seq
 def compute_margins(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str], limit: bool = False
 ) -> dict[str, Computed] | str:
-    """Compute the margins by axis, or say why not, without the scenario's mismatch.
+    """Compute the margins by axis, without the scenario's mismatch, or say why they cannot be computed.
 
     The engine is swept around the thrust that the vehicle hovers with.  ``limit``: with the limit of performance.
     """
@@ -104,7 +104,7 @@ def find_loop_limit(closed: ClosedLoop) -> AxisLimit | str:
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """Return what flies on a channel, with the predictor of :func:`.controllers.models.make_predictors`."""
+    """Return the tuning that flies on a channel, with a predictor of :func:`.controllers.models.make_predictors`."""
     tuning = shipped_tuning(channel, vehicle, spec)
     if channel.name == "altitude":
         return tuning

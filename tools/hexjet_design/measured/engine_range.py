@@ -16,7 +16,7 @@ import numpy as np
 
 from cosim.base.arrays import Complex
 from cosim.loops import loop_margins
-from hexjet_design.measured.estimate import QUANTITIES, Response, fill
+from hexjet_design.measured.estimate import QUANTITIES, Response, refine
 
 PERCENTILES = (2.5, 97.5)  # ends of a 95 % range
 NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIES}  # values of an unstable loop
@@ -33,25 +33,25 @@ class EngineRange:
     def to_dict(self) -> dict[str, Any]:
         """Return ranges and counts for JSON, null if absent."""
 
-        def number(value: float) -> float | None:
+        def to_json(value: float) -> float | None:
             return float(value) if isfinite(value) else None
 
-        ranges = {name: {"low": number(low), "high": number(high)} for name, (low, high) in self.ranges.items()}
+        ranges = {name: {"low": to_json(low), "high": to_json(high)} for name, (low, high) in self.ranges.items()}
         return {"margins_95": ranges, "draws": self.draws, "unstable_draws": self.unstable}
 
 
 def range_over_engines(response: Response, ratios: Complex, step: float, transport_s: float | None) -> EngineRange:
-    """Return the ranges of a measured loop's margins where the engine's answer is each of these times the nominal.
+    """Return the ranges of a measured loop's margins over engines whose response is ``ratios`` of the nominal.
 
     ``ratios``: a row a draw, a column a used line of the response.  ``step`` [s] and ``transport_s``: see
     :func:`cosim.loops.loop_margins`.
     """
     lines = response.hertz[response.used]
-    loop, hertz = fill(response.loop[response.used], lines)
+    loop, hertz = refine(response.loop[response.used], lines)
     found: dict[str, list[float]] = {name: [] for name in response.margins}
     unstable = 0
     for ratio in ratios:
-        drawn = loop * fill(ratio, lines)[0]
+        drawn = loop * refine(ratio, lines)[0]
         stable = stays_stable(loop, drawn)
         unstable += not stable
         margins = vars(loop_margins(drawn, hertz, step, transport_s))

@@ -70,11 +70,11 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
             f"only {int(used.sum())} of {len(hertz)} lines stand out of the noise: more amplitude or periods"
         )
 
-    def margins_of(rows: Complex) -> dict[str, float | None]:
-        return vars(loop_margins(*fill((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
+    def compute_margins(rows: Complex) -> dict[str, float | None]:
+        return vars(loop_margins(*refine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
 
-    estimates = margins_of(sensitivity)
-    without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
+    estimates = compute_margins(sensitivity)
+    without = [compute_margins(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
     bounded = {
         name: _jackknife(value, [margins[name] for margins in without])
         for name, value in estimates.items()
@@ -84,7 +84,7 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     return Response(hertz, loop, mean, spread, coherence, used, bounded)
 
 
-def fill(loop: Complex, hertz: Array, tiny: float = 1e-12) -> tuple[Complex, Array]:
+def refine(loop: Complex, hertz: Array, tiny: float = 1e-12) -> tuple[Complex, Array]:
     """Return a loop measured at these frequencies, and the frequencies, with :data:`REFINEMENT` times the points."""
     x = np.log(hertz)
     fine = np.interp(np.arange(0, (len(x) - 1) * REFINEMENT + 1) / REFINEMENT, np.arange(len(x)), x)

@@ -36,7 +36,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.tank import Tank
 
-USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak amplitude: of thrust, rad
+THRUST_PEAK, TILT_PEAK = 0.03, 0.06  # default peaks: thrust fraction, rad
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ def multisine(
 
 
 class Tap:
-    """One axis of a controller's output as a number: how to read it and how to add to it."""
+    """Access to one axis of the output of a controller: how to read it, and how to add to it."""
 
     def __init__(self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]) -> None:
         index = AXES.index(axis)
         self._moves: list[float] = []
         self._turns: list[float] = []
         self.tilts = not is_turned_by_throttle(vehicle, index)
-        self.unit, self.usual = ("rad of tilt", USUAL_TILT) if self.tilts else ("share of thrust", USUAL_SHARE)
+        self.unit, self.usual = ("rad of tilt", TILT_PEAK) if self.tilts else ("share of thrust", THRUST_PEAK)
         if vehicle.allocation == "effectiveness":
             self._by_effectiveness(axis, scenario, vehicle, stations)
             return
@@ -103,7 +103,7 @@ class Tap:
         arm_sum = sum(abs(lever) for lever in arms)
         if not self.tilts and not arm_sum:
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
-        slopes = [_slope(spec, vehicle.mass_kg * GRAVITY / len(vehicle.jets)) for spec in stations]
+        slopes = [_relative_slope(spec, vehicle.mass_kg * GRAVITY / len(vehicle.jets)) for spec in stations]
         if not self.tilts:
             self._weights = [lever * slope / arm_sum for lever, slope in zip(arms, slopes, strict=True)]
             self._adds = [float(np.sign(lever)) / slope for lever, slope in zip(arms, slopes, strict=True)]
@@ -117,12 +117,12 @@ class Tap:
         if not any(fractions):
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")
         spans = [spec.curve.thrust[-1] - spec.curve.thrust[0] for spec in stations]
-        newtons = [_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]
+        newtons = [_relative_slope(spec, weight / jets) * span for spec, span in zip(stations, spans, strict=True)]
         self.unit = "rad/s^2"
         self._weights = [effect * newton for effect, newton in zip(effects, newtons, strict=False)]
         self._adds = [fraction / newton for fraction, newton in zip(fractions, newtons, strict=False)]
         self._turns, self._moves = effects[jets:], fractions[jets:]
-        limits = [abs(add) / USUAL_SHARE for add in self._adds] + [abs(move) / USUAL_TILT for move in self._moves]
+        limits = [abs(add) / THRUST_PEAK for add in self._adds] + [abs(move) / TILT_PEAK for move in self._moves]
         self.usual = float(f"{1.0 / max(limits):.2g}")
 
     @property
@@ -150,7 +150,7 @@ class Tap:
         return actuation._replace(throttle=tuple([min(max(command, 0.0), 1.0) for command in throttle]))
 
 
-def _slope(spec: EngineSpec, thrust: float, secant: float = 0.02) -> float:
+def _relative_slope(spec: EngineSpec, thrust: float, secant: float = 0.02) -> float:
     """Return the slope of an engine's static curve at a thrust, N, over that of the curve's chord."""
     curve = spec.curve
     span = curve.thrust[-1] - curve.thrust[0]
@@ -198,13 +198,13 @@ class Record:
         What drifts over the periods, as a throttle does while something warms up, is taken off as a straight line.
         """
         added = self.behind - self.before
-        return np.asarray(self._lines(_level(self.behind)) / self._lines(added))
+        return np.asarray(self._spectrum(_remove_drift(self.behind)) / self._spectrum(added))
 
-    def _lines(self, values: Array) -> Complex:
+    def _spectrum(self, values: Array) -> Complex:
         return np.asarray(np.fft.rfft(values, axis=1)[:, self.sine.bins.astype(int)])
 
 
-def _level(values: Array) -> Array:
+def _remove_drift(values: Array) -> Array:
     """Return values by period and step without the straight line along which the periods' means drift."""
     periods, steps = values.shape
     slope = np.polyfit(np.arange(periods) * steps, values.mean(axis=1), 1)[0] if periods > 1 else 0.0

@@ -15,17 +15,17 @@ from cosim.simulation.controllers.controller_file import Requirements
 from hexjet_design.measured.axis_margins import AxisMargins
 from hexjet_design.measured.estimate import Bounded
 
-# narrow: only with a well-known engine; not told: outside the measured band.
-ENOUGH, NARROW, NOT_TOLD, TOO_LITTLE = BANDS = ("enough", "narrow", "not told", "too little")
+# Bands of a margin. Narrow: only for a well-known engine; not told: the margin is outside the measured band.
+ENOUGH, NARROW, NOT_MEASURED, TOO_LITTLE = BANDS = ("enough", "narrow", "not told", "too little")
 VERDICTS = {  # sentence of each verdict
     ENOUGH: "every margin is enough",
     NARROW: "fly it only with a well-known engine",
-    NOT_TOLD: "the margins are not told",
+    NOT_MEASURED: "the margins are not told",
     TOO_LITTLE: "do not fly on it",
 }
-PEAK, KNOWN_PEAK = 2.0, 2.5  # limits of |S|: usual, well-known engine
+MAX_PEAK, MAX_PEAK_KNOWN_ENGINE = 2.0, 2.5  # limits of |S|: usual, well-known engine
 CROSSOVER = "crossover_hz"  # judged only if there is none
-UNSTABLE = "unstable_engines"  # number of drawn engines
+UNSTABLE_ENGINES = "unstable_engines"  # number of drawn engines
 # Name, unit on a screen, factor to it, and digits of each quantity.
 JUDGED = {
     "gain_db": ("gain up", "dB", 1.0, 1),
@@ -35,10 +35,10 @@ JUDGED = {
     "delay_s": ("delay, more", "ms", 1e3, 0),
     "delay_less_s": ("delay, less", "ms", 1e3, 0),
     "peak_sensitivity": ("peak |S|", "", 1.0, 2),
-    UNSTABLE: ("unstable draws", "", 1.0, 0),
+    UNSTABLE_ENGINES: ("unstable draws", "", 1.0, 0),
     CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
-WITH_MAXIMUM = ("peak_sensitivity", UNSTABLE)  # others have a minimum of their magnitude
+WITH_MAXIMUM = ("peak_sensitivity", UNSTABLE_ENGINES)  # others have a minimum of their magnitude
 COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")  # heads of the table of judgements
 
 
@@ -52,7 +52,7 @@ def guaranteed_phase_deg(peak: float) -> float:
     return degrees(2.0 * asin(0.5 / peak))
 
 
-class Judged(NamedTuple):
+class JudgedMargin(NamedTuple):
     """One margin compared with its limit."""
 
     axis: str
@@ -83,7 +83,7 @@ class Judged(NamedTuple):
         return f"{self.axis} {JUDGED[self.margin][0]} {self.format(self.value)}{bound}{limit}"
 
     def format(self, value: float | None) -> str:
-        """Return a value in the unit of a screen."""
+        """Return a value as text, in the displayed unit."""
         if value is None:
             return "none"
         _, unit, factor, digits = JUDGED[self.margin]
@@ -97,34 +97,34 @@ class Judged(NamedTuple):
         return [self.axis, name, self.format(self.worst), limit, self.band or "not judged", self.source]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it for JSON, SI but dB and deg."""
+        """Return the margin and its judgement for JSON, in SI, but dB and deg."""
         return {name: value for name, value in self._asdict().items() if name != "axis"}
 
 
-def judge_axis(measured: AxisMargins) -> list[Judged]:
-    """Return the margins that an axis has beside their limits."""
+def judge_axis(measured: AxisMargins) -> list[JudgedMargin]:
+    """Return the margins of an axis, judged by their limits."""
     found = measured.response.margins
     rows = []
     if CROSSOVER not in found:
-        rows.append(Judged(measured.axis, CROSSOVER, None, None, None, None, NOT_TOLD, "widen the band"))
+        rows.append(JudgedMargin(measured.axis, CROSSOVER, None, None, None, None, NOT_MEASURED, "widen the band"))
     for name in JUDGED:
         if name in found and name != CROSSOVER:
-            rows.append(_judged(measured, name, found[name].value, _worse_end(name, found[name])))
+            rows.append(_judge_margin(measured, name, found[name].value, _worse_end(name, found[name])))
     over = measured.over_engine
-    return rows if over is None else [*rows, _judged(measured, UNSTABLE, over.unstable, over.unstable)]
+    return rows if over is None else [*rows, _judge_margin(measured, UNSTABLE_ENGINES, over.unstable, over.unstable)]
 
 
-def find_worst(rows: Iterable[Judged]) -> Judged:
-    """Return the decisive margin; peak sensitivity is always among them."""
+def find_worst(rows: Iterable[JudgedMargin]) -> JudgedMargin:
+    """Return the margin that decides the judgement; peak sensitivity is always among them."""
     return max(rows, key=lambda row: row.severity)
 
 
-def falls_below(rows: Iterable[Judged], band: str) -> bool:
+def falls_below(rows: Iterable[JudgedMargin], band: str) -> bool:
     """Return whether a margin is worse than a band."""
     return BANDS.index(find_worst(rows).band or ENOUGH) > BANDS.index(band)
 
 
-def judgement_line(rows: Sequence[Judged]) -> str:
+def judgement_line(rows: Sequence[JudgedMargin]) -> str:
     """Return a sentence on the worst margin, and how many others are as bad."""
     worst = find_worst(rows)
     others = sum(row.band == worst.band for row in rows) - 1
@@ -133,7 +133,7 @@ def judgement_line(rows: Sequence[Judged]) -> str:
 
 
 def _worse_end(name: str, bounded: Bounded) -> float:
-    """Return the judged end of a margin's interval, or its value; beyond 0 there is no margin."""
+    """Return the worse end of a margin's interval, or its value; beyond 0 there is no margin."""
     if name == "peak_sensitivity":
         end = bounded.high
     else:
@@ -141,27 +141,27 @@ def _worse_end(name: str, bounded: Bounded) -> float:
     return end if isfinite(bounded.low) else bounded.value
 
 
-def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Judged:
-    limit, known, source = _limit(name, measured)
+def _judge_margin(measured: AxisMargins, name: str, value: float, worst: float) -> JudgedMargin:
+    limit, known, source = _find_limit(name, measured)
     band = None
     if limit is not None:
         sign = -1.0 if name in WITH_MAXIMUM else 1.0
         is_kept = [sign * (abs(worst) - abs(each)) >= 0.0 for each in (limit, limit if known is None else known)]
         band = ENOUGH if is_kept[0] else NARROW if is_kept[1] else TOO_LITTLE
-    return Judged(measured.axis, name, value, worst, limit, known, band, source)
+    return JudgedMargin(measured.axis, name, value, worst, limit, known, band, source)
 
 
-def _limit(name: str, measured: AxisMargins, deviations: float = 3.0) -> tuple[float | None, float | None, str]:
+def _find_limit(name: str, measured: AxisMargins, deviations: float = 3.0) -> tuple[float | None, float | None, str]:
     """Return the limit, the one for a well-known engine if different, and their origin."""
     if name == "peak_sensitivity":
-        return PEAK, KNOWN_PEAK, "usual"
+        return MAX_PEAK, MAX_PEAK_KNOWN_ENGINE, "usual"
     if name in ("gain_db", "gain_down_db"):
         sign = -1.0 if name == "gain_down_db" else 1.0
-        limits = [sign * round(guaranteed_gain_db(peak), 1) for peak in (PEAK, KNOWN_PEAK)]
+        limits = [sign * round(guaranteed_gain_db(peak), 1) for peak in (MAX_PEAK, MAX_PEAK_KNOWN_ENGINE)]
         return limits[0], limits[1], "MIL-F-9490D"
     if name in ("phase_deg", "phase_lead_deg"):
-        return guaranteed_phase_deg(PEAK), guaranteed_phase_deg(KNOWN_PEAK), f"max |S| {PEAK}"
-    if name == UNSTABLE:
+        return guaranteed_phase_deg(MAX_PEAK), guaranteed_phase_deg(MAX_PEAK_KNOWN_ENGINE), f"max |S| {MAX_PEAK}"
+    if name == UNSTABLE_ENGINES:
         assert measured.over_engine is not None
         return 0.0, None, f"of {measured.over_engine.draws} engines"
     if measured.uncertainty is not None:

@@ -20,18 +20,18 @@ from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
 from hexjet_design.loop.engine_uncertainty import EngineSensitivity
 from hexjet_design.loop.limit import AxisLimit
 from hexjet_design.loop.programme import need_solver
-from hexjet_design.measured.axis_margins import NYQUIST_HZ, AxisMargins
+from hexjet_design.measured.axis_margins import NYQUIST_CYCLES, AxisMargins
 from hexjet_design.measured.computed import Computed, compute_margins
 from hexjet_design.measured.engine_range import EngineRange, range_over_engines
 from hexjet_design.measured.estimate import QUANTITIES, Response, measured, relative_differences
 from hexjet_design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
-from hexjet_design.measured.judgement import Judged, find_worst, judge_axis
+from hexjet_design.measured.judgement import JudgedMargin, find_worst, judge_axis
 
 # Periods of the multisine [s]: the longer one if fewer cycles of the crossover than this fit into the shorter one.
-PERIOD_S, LONG_S = 20.0, 60.0
+PERIOD_S, LONG_PERIOD_S = 20.0, 60.0
 MIN_CYCLES = 10.0  # fewer in a period: the longer period
-MIN_PERIODS = 3  # for an estimate of their spread
-AFTER_LOSS, TRIES = 0.4, 5  # on the amplitude after a loss; attempts
+MIN_PERIODS = 3  # fewest for an estimate of the scatter
+AMPLITUDE_FACTOR, MAX_TRIES = 0.4, 5  # on the amplitude after saturation
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
 
 Say = Callable[[str], None]
@@ -49,7 +49,7 @@ class MeasuredMargins:
     engine_ranges: tuple[ParameterRange, ...] = ()  # of the engine's uncertain parameters
 
     @property
-    def judged(self) -> list[Judged]:
+    def judged(self) -> list[JudgedMargin]:
         """Margins of all axes compared with the limits of ``docs/judging.md``."""
         return [row for measured in self.axes.values() for row in judge_axis(measured)]
 
@@ -64,7 +64,7 @@ class MeasuredMargins:
         return controller_shown(self.scenario)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that is not a curve, for JSON."""
+        """Return everything but the curves, for JSON."""
         scenario, own = self.scenario, self.source
         return {
             "aircraft": scenario.aircraft,
@@ -84,12 +84,12 @@ class MeasuredMargins:
             "engine_uncertainty_source": self.uncertainty_source,
             "engine_parameters": [row._asdict() for row in self.engine_ranges],
             "worst_margin": find_worst(self.judged)._asdict() if self.judged else None,
-            "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
+            "axes": {axis: _axis_to_dict(measured) for axis, measured in self.axes.items()},
         }
 
 
-def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
-    def number(value: float | None) -> float | None:
+def _axis_to_dict(measured: AxisMargins) -> dict[str, Any]:
+    def to_json(value: float | None) -> float | None:
         return None if value is None or not isfinite(value) else float(value)
 
     return {
@@ -102,15 +102,15 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         "least_coherence": float(measured.response.coherence.min()),
         "whole_band": measured.is_complete,
         "measured": {
-            name: {"value": bounded.value, "low": number(bounded.low), "high": number(bounded.high)}
+            name: {"value": bounded.value, "low": to_json(bounded.low), "high": to_json(bounded.high)}
             if bounded
             else None
             for name, bounded in ((name, measured.response.margins.get(name)) for name in QUANTITIES)
         },
         "computed": None
         if measured.computed is None
-        else {n: number(getattr(measured.computed.margins, n)) for n in QUANTITIES},
-        "off": {name: number(measured.off(name)) for name in QUANTITIES},
+        else {n: to_json(getattr(measured.computed.margins, n)) for n in QUANTITIES},
+        "off": {name: to_json(measured.off(name)) for name in QUANTITIES},
         "at_half_the_amplitude": {
             name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
         },
@@ -203,43 +203,43 @@ class _MarginRequest:
 
     def measure(self, computed: Computed | None) -> AxisMargins:
         period, to_hz = self.period_s or PERIOD_S, self.to_hz or 0.1 / self.scenario.step_s
-        sine, size, response = self._measured(period, to_hz, self.amplitude or self.tap.usual)
-        if self.period_s is None and _slow(response):
-            period = LONG_S
-            sine, size, response = self._measured(period, to_hz, size)
+        sine, size, response = self._measure_loop(period, to_hz, self.amplitude or self.tap.usual)
+        if self.period_s is None and _is_slow(response):
+            period = LONG_PERIOD_S
+            sine, size, response = self._measure_loop(period, to_hz, size)
         if self.to_hz is None and _stays_up(response):
-            sine, size, response = self._measured(period, NYQUIST_HZ / self.scenario.step_s, size)
+            sine, size, response = self._measure_loop(period, NYQUIST_CYCLES / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
         half = fly_excitation(self.scenario, self.axis, sine, 0.5 * size, MIN_PERIODS, self.source)
-        other = self._of(half, sine)
+        other = self._estimate(half, sine)
         crossing = response.margins.get("crossover_hz")
         known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
         return AxisMargins(
-            self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, _notes(response, other),
-            known, self._over_engine(response), self.transport_s,
+            self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, _list_notes(response, other),
+            known, self._range_over_engines(response), self.transport_s,
         )  # fmt: skip
 
-    def _over_engine(self, response: Response) -> EngineRange | None:
+    def _range_over_engines(self, response: Response) -> EngineRange | None:
         if self.sensitivity is None:
             return None
         ratios = self.sensitivity.draw_ratios(response.hertz[response.used])
         return range_over_engines(response, ratios, self.scenario.step_s, self.transport_s)
 
-    def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
+    def _measure_loop(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s
         count = self.scenario.count(period_s, "period_s")
         low = 2.0 / period_s if self.from_hz is None else self.from_hz
         sine = multisine(count * step, step, low, to_hz)
-        size, record = self._fitting(sine, size)
-        return sine, size, self._of(record, sine)
+        size, record = self._fly_within_range(sine, size)
+        return sine, size, self._estimate(record, sine)
 
-    def _of(self, record: Record, sine: Multisine) -> Response:
+    def _estimate(self, record: Record, sine: Multisine) -> Response:
         return measured(record.sensitivity(), sine.hertz, sine.step, self.transport_s)
 
-    def _fitting(self, sine: Multisine, size: float) -> tuple[float, Record]:
+    def _fly_within_range(self, sine: Multisine, size: float) -> tuple[float, Record]:
         """Fly with this amplitude, or a smaller one that fits.  Raises InputError if a requested one does not fit."""
         why = ""
-        for _ in range(TRIES):
+        for _ in range(MAX_TRIES):
             self.say(f"{self.axis}: amplitude {size:.2g}")
             try:
                 record = fly_excitation(self.scenario, self.axis, sine, size, self.periods, self.source)
@@ -252,21 +252,21 @@ class _MarginRequest:
                     raise
             if self.amplitude is not None:
                 raise InputError(f"{self.axis}: amplitude {size:g} is too much: {why}")
-            size = float(f"{AFTER_LOSS * size:.2g}")
+            size = float(f"{AMPLITUDE_FACTOR * size:.2g}")
         raise FlightError(
-            f"{self.axis}: {why}, with as little as {size / AFTER_LOSS:.2g} added: the loop is not stable"
+            f"{self.axis}: {why}, with as little as {size / AMPLITUDE_FACTOR:.2g} added: the loop is not stable"
         )
 
 
-def _slow(response: Response) -> bool:
-    """Return whether the crossover is near the band's lower end, or below it."""
+def _is_slow(response: Response) -> bool:
+    """Return whether the crossover is near or below the lower end of the band."""
     crossing = response.margins.get("crossover_hz")
     within = MIN_CYCLES if "gain_down_db" in response.margins else 2.0 * MIN_CYCLES
     return crossing is None or crossing.value * PERIOD_S < within
 
 
 def _stays_up(response: Response) -> bool:
-    """Return whether the loop's gain does not fall towards the band's end, so that a margin may lie above it."""
+    """Return whether the loop's gain stays up towards the band's end, so that a margin may lie above it."""
     hertz, size = response.hertz[response.used], abs(response.loop[response.used])
     octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
     # If |L| falls to no less than this in the band's last octave, measure up to half the control rate.
@@ -275,7 +275,7 @@ def _stays_up(response: Response) -> bool:
     return bool(size[-1] > min_gain and size[-1] > min_fall * octave)
 
 
-def _notes(response: Response, half: Response) -> tuple[str, ...]:
+def _list_notes(response: Response, half: Response) -> tuple[str, ...]:
     notes = []
     hidden = int((~response.used).sum())
     if hidden:

@@ -19,13 +19,13 @@ from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
 from hexjet_design.measured.judgement import judgement_line
 from hexjet_design.measured.margins import MeasuredMargins
 
-MEASURED = (  # note on the method
+METHOD_NOTE = (  # note on the method
     "The loop is broken between the controller and its actuators, all other loops closed, while the vehicle holds "
     "still and burns no fuel. Off: measured less computed, of gains that of their factors. Bounds: 95 %, from the "
     "periods' spread."
 )
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")  # heads of the table of margins
-OVER_ENGINE = "over the engine's uncertainty, 95 %"  # label of the uncertain range
+RANGE_LABEL = "over the engine's uncertainty, 95 %"  # label of the uncertain range
 ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")  # heads of the table of parameters
 QUANTITIES = (  # quantity, its name, its format
     ("gain_db", "gain up", "{:+.2f} dB"),
@@ -41,7 +41,7 @@ QUANTITIES = (  # quantity, its name, its format
 
 def columns(measured: AxisMargins) -> tuple[str, ...]:
     """Return the heads of :func:`rows`: :data:`COLUMNS`, and the engine's range if known."""
-    return COLUMNS if measured.over_engine is None else (*COLUMNS, OVER_ENGINE)
+    return COLUMNS if measured.over_engine is None else (*COLUMNS, RANGE_LABEL)
 
 
 def rows(measured: AxisMargins) -> list[list[str]]:
@@ -50,7 +50,7 @@ def rows(measured: AxisMargins) -> list[list[str]]:
     for name, title, form in QUANTITIES:
         estimate = measured.response.margins.get(name)
         computed = None if measured.computed is None else getattr(measured.computed.margins, name)
-        value, bounds = _none(name, measured), ""
+        value, bounds = _explain_missing(name, measured), ""
         if estimate is not None:
             value = form.format(estimate.value)
             low, high = form.split(" ")[0].format(estimate.low), form.format(estimate.high)
@@ -59,7 +59,7 @@ def rows(measured: AxisMargins) -> list[list[str]]:
         off = "" if difference is None else f"{100.0 * difference:+.1f} %"
         other = "none" if computed is None else form.format(computed)
         line = [title, value, bounds, "-" if measured.computed is None else other, off]
-        lines.append(line if measured.over_engine is None else [*line, _over_engine(name, form, measured.over_engine)])
+        lines.append(line if measured.over_engine is None else [*line, _format_range(name, form, measured.over_engine)])
     return lines
 
 
@@ -75,7 +75,7 @@ def answer(measured: AxisMargins) -> str:
     return f"{measured.axis.capitalize()}: {', '.join(parts) or 'no margin in the frequencies that were measured'}."
 
 
-def _over_engine(name: str, form: str, over: EngineRange) -> str:
+def _format_range(name: str, form: str, over: EngineRange) -> str:
     if name not in over.ranges:
         return ""
     ends = [form.split(" ")[0].format(end) if isfinite(end) else "none" for end in over.ranges[name]]
@@ -90,7 +90,7 @@ def engine_rows(ranges: Sequence[ParameterRange]) -> list[list[str]]:
     ]
 
 
-def _none(name: str, measured: AxisMargins) -> str:
+def _explain_missing(name: str, measured: AxisMargins) -> str:
     """Say that a margin does not exist, and in which band."""
     if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
         return "none"
@@ -141,7 +141,7 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
     data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
-    write_files({paths["json"]: data, paths["response"]: _csv(margins)})
+    write_files({paths["json"]: data, paths["response"]: _make_csv(margins)})
     make_page(margins).write(paths["report"])
     return paths
 
@@ -172,7 +172,7 @@ def make_page(margins: MeasuredMargins) -> Page:
         figures(margins),
         answer=[*map(answer, margins.axes.values()), sentence(judgement_line(margins.judged))],
         summary=summary,
-        source=MEASURED,
+        source=METHOD_NOTE,
     )
 
 
@@ -181,14 +181,14 @@ def figures(margins: MeasuredMargins) -> dict[str, Figure]:
     drawn: dict[str, Figure] = {}
     for axis, measured in margins.axes.items():
         drawn |= {
-            f"bode_{axis}": _bode(measured),
+            f"bode_{axis}": _bode_figure(measured),
             f"nyquist_{axis}": nyquist(_curves(measured), measured.response.margins["peak_sensitivity"].value, 560),
-            f"peak_{axis}": _peak(measured),
+            f"peak_{axis}": _sensitivity_figure(measured),
         }
     return drawn
 
 
-def _csv(margins: MeasuredMargins) -> str:
+def _make_csv(margins: MeasuredMargins) -> str:
     lines = [
         "axis,frequency_hz,loop_real,loop_imaginary,sensitivity_real,sensitivity_imaginary,sensitivity_spread,coherence"
     ]
@@ -211,7 +211,7 @@ def _curves(measured: AxisMargins) -> list[Curve]:
     return [*curves, Curve("measured", BLUE, hertz, measured.response.loop, dots)]
 
 
-def _bode(measured: AxisMargins) -> Figure:
+def _bode_figure(measured: AxisMargins) -> Figure:
     figure = bode(_curves(measured), 560, ["coherence"])
     coherence = trace("coherence", GREY, measured.sine.hertz, measured.response.coherence, 2)
     figure["data"].append(coherence | {"showlegend": True})
@@ -219,7 +219,7 @@ def _bode(measured: AxisMargins) -> Figure:
     return figure
 
 
-def _peak(measured: AxisMargins) -> Figure:
+def _sensitivity_figure(measured: AxisMargins) -> Figure:
     from scipy.special import stdtrit
 
     data: list[Figure] = []

@@ -29,7 +29,7 @@ class Measure:
         return after > self.factor * before and after - before > self.min_difference
 
 
-# Chosen by us: with the same noise 5 % is no chance; twice the travel halves the life of what wears.
+# Chosen by us: with equal noise a change of 5 % is not by chance; twice the travel halves the life of actuators.
 MEASURES = {
     "roll_rmse_deg": Measure("roll error, RMSE", "deg", 2, 1.05, 0.1),
     "pitch_rmse_deg": Measure("pitch error, RMSE", "deg", 2, 1.05, 0.1),
@@ -39,7 +39,7 @@ MEASURES = {
     "tilt_activity_deg_s": Measure("tilt activity", "deg/s", 1, 2.0, 1.0),
     "height_error_m": Measure("height error, largest", "m", 2, 1.05, 0.1),
 }
-STEPPED = ("overshoot_percent", "settling_s")  # measures of flights with steps
+STEP_MEASURES = ("overshoot_percent", "settling_s")  # measures of flights with steps
 WORSE = "WORSE as flown than what ships"  # mark of a worse flight
 WORSE_WORDS = (  # note on what worse means
     "worse means: error, settling and height by more than 5 % (and 0.1 deg, 0.1 s, 0.1 m), overshoot by more than 5 % "
@@ -79,7 +79,7 @@ class FlownPair:
     designed: FlownMeasures
 
     def worse(self) -> dict[str, float]:
-        """Return the worse measures by key, with the factor; infinite if there was none before."""
+        """Return the measures that are worse, by key, with the factor; infinite if the value was 0 before."""
         if self.shipped.failure or self.designed.failure:
             return {}
         factors = {}
@@ -115,7 +115,7 @@ def _degrees_or_none(value: float | None) -> float | None:
 
 
 def worse_lines(pairs: Sequence[FlownPair]) -> list[str]:
-    """Return a sentence for each flight that is lost as designed alone, and each measure that is worse in the worst."""
+    """Return a sentence for each flight that fails with designed gains only, and for each worse measure."""
     newly_lost = [pair for pair in pairs if pair.designed.failure and not pair.shipped.failure]
     lines = [f"{WORSE}: {pair.flight} {pair.designed.failure}, which the gains that ship fly" for pair in newly_lost]
     factors_of_pairs = [(pair, pair.worse()) for pair in pairs]
@@ -157,9 +157,9 @@ def comparison_rows(pairs: Sequence[FlownPair]) -> list[list[str]]:
     for key, measure in MEASURES.items():
         flights = [measures for pair in pairs for measures in (pair.shipped, pair.designed)]
         if any(measures.values.get(key) is not None for measures in flights):
-            rows.append([f"{measure.label}, {measure.unit}", *(_cell(measures, key) for measures in flights)])
+            rows.append([f"{measure.label}, {measure.unit}", *(_format_measure(measures, key) for measures in flights)])
     return rows
 
 
-def _cell(measures: FlownMeasures, key: str) -> str:
-    return "–" if key in STEPPED and not measures.steps else measures.cell(key)
+def _format_measure(measures: FlownMeasures, key: str) -> str:
+    return "–" if key in STEP_MEASURES and not measures.steps else measures.cell(key)

@@ -23,7 +23,7 @@ from cosim.spec.vehicle import Vehicle
 from hexjet_design.controller_table import make_controller_table
 from hexjet_design.design import Design
 from hexjet_design.limits import Say
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM
+from hexjet_design.loop.criteria import CORNER_FACTOR, OVERSHOOT_ROOM
 from hexjet_design.proof.comparison import FlownMeasures, FlownPair, measure_flight
 from hexjet_design.proof.result import ProofFlight
 
@@ -79,7 +79,7 @@ def spread_of(need: Requirements) -> float:
 
 
 def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> dict[str, float]:
-    """Return the requirement that failed flights would need changed, and the largest value that passes.
+    """Return the requirement that failed flights would need relaxed, and the largest value that passes.
 
     The values are whole twentieths below the one that was flown, found by bisection; the gains stay.  Empty where a
     flight as designed failed: no tolerance is in its way.
@@ -93,7 +93,7 @@ def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> d
         name = "delay_tolerance" if first.later else "gain_tolerance"
         most = getattr(need, name)
 
-    def fly_with(value: float) -> Iterator[ProofFlight]:
+    def fly_with_value(value: float) -> Iterator[ProofFlight]:
         if first.engine:
             yield from (fly_with_odd_engine(design, tables, factor) for factor in (1.0 - value, 1.0 + value))
             return
@@ -108,7 +108,7 @@ def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> d
     while lost - kept > 1:
         middle = (kept + lost) // 2
         say(f"flight: {name.replace('_', ' ')} {middle * BOUNDS.allowed_step:.2f}")
-        if any(flight.fault for flight in fly_with(middle * BOUNDS.allowed_step)):
+        if any(flight.fault for flight in fly_with_value(middle * BOUNDS.allowed_step)):
             lost = middle
         else:
             kept = middle
@@ -122,13 +122,13 @@ def compare_with_shipped(design: Design, flights: Sequence[ProofFlight], say: Sa
     for flight in flights:
         if flight.is_as_designed and flight.scenario != GUST and flight.flown is not None:
             say(f"flight: {flight.scenario}, as shipped")
-            shipped = _fly_shipped(design, flight.scenario, tables[flight.scenario])
+            shipped = _fly_with_shipped_gains(design, flight.scenario, tables[flight.scenario])
             pairs.append(FlownPair(flight.scenario, shipped, flight.flown))
     return pairs
 
 
 def lean_of(vehicle: Vehicle) -> float:
-    """Return the largest lean, deg, that the vehicle's pilot may ask for; the doublet's own amplitude at least.
+    """Return the largest lean, deg, that the pilot of the vehicle may command; at least the doublet's amplitude.
 
     A pilot's sticks ask for ``[control.pilot] stick_lean_rad``, the place for ``[control.position] lean_rad``.
     """
@@ -165,8 +165,8 @@ def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float,
     """Fly one scenario with designed gains, plant gains times ``gain`` and ``later`` steps of delay."""
     inertia = [moment / gain for moment in design.vehicle.inertia_kg_m2]
     changes = {"vehicle": {"inertia_kg_m2": inertia} if gain != 1.0 else {}, "mismatch": {"delay_samples": later}}
-    run = _fly_designed(design, name, table, changes)
-    wider = 1.0 if (gain, later) == (1.0, 0) else CORNER
+    run = _fly_with_design(design, name, table, changes)
+    wider = 1.0 if (gain, later) == (1.0, 0) else CORNER_FACTOR
     fault = describe_fault(name, run, _promised_overshoot(design), wider)
     return ProofFlight(name, gain, later, fault, "", measure_flight(run))
 
@@ -197,9 +197,9 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
         "monitor": False,  # no engine has failed
         "mismatch": {f"thrust_factor_{jet}": factor} if factor > 1.0 else {},
     }
-    run = _fly_designed(design, "odd-engine", table, changes)
+    run = _fly_with_design(design, "odd-engine", table, changes)
     engine = f"engine {jet} with {factor:.2f} of its thrust and {1.0 + spread:.2f} times its lag"
-    fault = describe_fault(name, run, _promised_overshoot(design), CORNER)
+    fault = describe_fault(name, run, _promised_overshoot(design), CORNER_FACTOR)
     return ProofFlight(name, 1.0, 0, fault, engine, measure_flight(run))
 
 
@@ -221,19 +221,19 @@ def _engine_lag(design: Design) -> float:
     return lag if 0.0 < lag <= channel.pace_s else channel.pace_s
 
 
-def _fly_designed(design: Design, name: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
+def _fly_with_design(design: Design, name: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
     controller = make_controller_table(design)
     vehicle = merge(merge(table.get("vehicle", {}), design.scenario.vehicle), controller["vehicle"])
     changes = {**changes, "vehicle": merge(vehicle, changes.get("vehicle", {}))}
     changes["controller_parameters"] = controller.get("controller_parameters", {})
-    return fly(_scenario(design, name, table, controller["controller"], changes), report=False)
+    return fly(_make_scenario(design, name, table, controller["controller"], changes), report=False)
 
 
-def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMeasures:
+def _fly_with_shipped_gains(design: Design, name: str, table: Mapping[str, Any]) -> FlownMeasures:
     """Fly with the vehicle's own gains, and the predictor it has a model for, if any."""
     controller = design.axes["roll"].before.controller
     vehicle = merge(table.get("vehicle", {}), design.scenario.vehicle)
-    scenario = _scenario(design, f"{name}-as-shipped", table, controller, {"vehicle": vehicle})
+    scenario = _make_scenario(design, f"{name}-as-shipped", table, controller, {"vehicle": vehicle})
     try:
         return measure_flight(fly(scenario, report=False))
     except InputError as error:
@@ -241,7 +241,7 @@ def _fly_shipped(design: Design, name: str, table: Mapping[str, Any]) -> FlownMe
         return FlownMeasures(f"cannot fly: {error}", False, {})
 
 
-def _scenario(
+def _make_scenario(
     design: Design, name: str, table: Mapping[str, Any], controller: str, changes: Mapping[str, Any]
 ) -> Scenario:
     scenario = design.scenario
@@ -263,7 +263,7 @@ def _scenario(
 
 
 def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
-    """Return what a flight did beyond the promise, or nothing; ``wider`` scales the bounds."""
+    """Return in which way a flight exceeds its bounds, or an empty text; ``wider`` scales the bounds."""
     if run.outcome != "completed":
         return f"{run.outcome}, {run.reason}"
     log = run.log

@@ -58,7 +58,7 @@ class Proof:
             passed = sum(not flight.fault for flight in self.flights)
             lines.append(
                 f"flown in six degrees of freedom with noise and the engine itself: {passed} of {len(self.flights)} "
-                f"flights kept what was promised ({self._flown_words()})"
+                f"flights kept what was promised ({self._describe_flights()})"
             )
         if isfinite(self.measured_hz):
             lines.append(
@@ -68,7 +68,7 @@ class Proof:
             )
         return lines
 
-    def _flown_words(self) -> str:
+    def _describe_flights(self) -> str:
         names = ", ".join(dict.fromkeys(flight.scenario for flight in self.flights if not flight.engine))
         odd = "; one engine off" if any(flight.engine for flight in self.flights) else ""
         return f"{names}: as designed and at the tolerances' corners{odd}"

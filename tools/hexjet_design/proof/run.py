@@ -28,8 +28,8 @@ from hexjet_design.proof.flights import HOVER, compare_with_shipped, find_allowi
 from hexjet_design.proof.result import Proof, ProofFlight
 
 MAX_SENSITIVITY_RATIO = 1.25  # measured over required sensitivity
-NOT_KEPT = "flown with the engine itself it does not keep what it promises"  # reason of a failed proof
-LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
+UNMET_REQUIREMENTS = "flown with the engine itself it does not keep what it promises"  # reason of a failed proof
+NOISE_HINT = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]
 
@@ -82,20 +82,17 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
     less_noise = 0.125  # of the noise, if it moves a hover
     if bad:
         more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
-        hint = LESS_NOISE.format(less_noise * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
-        reason = f"{NOT_KEPT}: {bad[0].words}: {bad[0].fault}{more}{hint}"
+        hint = NOISE_HINT.format(less_noise * design.need.noise_share) if _oscillates_by_noise(bad[0]) else ""
+        reason = f"{UNMET_REQUIREMENTS}: {bad[0].words}: {bad[0].fault}{more}{hint}"
     compared = compare_with_shipped(design, flights, say)
     allowing = find_allowing(design, flights, say) if bad else {}
     lean = lean_of(design.vehicle)
     return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean, allowing=allowing)
 
 
-def _is_moved_by_noise(flight: ProofFlight) -> bool:
-    """Return whether a hover of a stable loop oscillates although nothing else moves."""
+def _oscillates_by_noise(flight: ProofFlight) -> bool:
+    """Return whether a hover oscillates in a stable loop although nothing but noise moves it."""
     return flight.is_as_designed and flight.scenario == HOVER and "swings" in flight.fault
-
-
-# ---- the loop with the measured response instead of the model
 
 
 def _check_measured(design: Design, dynamics: Dynamics) -> Proof:

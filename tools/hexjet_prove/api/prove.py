@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class ProofResult(Result):
-    """Whether a vehicle keeps its requirements, with what a review asks beside it.
+    """Proof that a vehicle meets its requirements, or does not, with the evidence that a review needs.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class ProofResult(Result):
         return self.proof.to_json()
 
     def lines(self) -> list[str]:
-        """Return the sentence, what belongs to it, what is not covered, and the command that repeats it."""
+        """Return the result in a sentence, further facts, what is not covered, and the command that repeats it."""
         from cosim.studies import with_referee
 
         proof = self.proof
@@ -52,7 +52,7 @@ class ProofResult(Result):
         ]
 
     def tables(self) -> list[Table]:
-        """Return the requirements, and what is on record of the model."""
+        """Return tables of the requirements, and of the evidence on the model."""
         proof = self.proof
         record = [(one.name, one.evidence) for one in proof.credibility]
         return [
@@ -86,7 +86,7 @@ def prove(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> ProofResult:
-    """Show or refute that a vehicle keeps its requirements, with what a review asks beside it.
+    """Show or refute that a vehicle meets its requirements, with the evidence that a review needs.
 
     Flies until the claim is decided, flies the worst again, compares the controller with the best linear one, and says
     what is not covered and what is on record of the model.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class SearchResult(Result):
-    """What a search found: where each controller breaks, and the flights that show it.
+    """Result of a search: where each controller fails, and the flights that show it.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class SearchResult(Result):
 
     @property
     def confirmed(self) -> bool:
-        """Whether every flight that shows it came out the same when it was flown again."""
+        """Whether every flight that shows the result ended alike when it was flown again."""
         return self.searched.confirmed
 
     def to_dict(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class SearchResult(Result):
         ]
 
     def tables(self) -> list[Table]:
-        """Return the edges, or the keys of what was found."""
+        """Return a table of the edges of failure, or of the keys of the worst or likeliest case."""
         from hexjet_prove.search.page import table
         from hexjet_prove.search.worst_case import WorstSearch
         from hexjet_prove.search.worst_page import rows, titles
@@ -77,7 +77,7 @@ class SearchResult(Result):
 
 
 class RareResult(Result):
-    """The probability of a failure that is too rare to be counted, and the most likely failures.
+    """Probability of a failure that is too rare to be counted, and the most likely failures.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class RareResult(Result):
 
     @property
     def confirmed(self) -> bool:
-        """Whether every failure came out the same when it was flown again."""
+        """Whether every failure ended alike when it was flown again."""
         return self.simulated.confirmed
 
     def to_dict(self) -> dict[str, Any]:
@@ -99,17 +99,17 @@ class RareResult(Result):
         return self.simulated.to_json()
 
     def lines(self) -> list[str]:
-        """Return the probability, how it was made, what decides, and the most likely failures."""
+        """Return the probability, the method, the requirements that decide, and the most likely failures."""
         from cosim.studies import with_referee
-        from hexjet_prove.rare.page import LIMITS, describe_deciders, describe_result
+        from hexjet_prove.rare.page import LIMITS_NOTE, describe_deciders, describe_result
 
         result = self.simulated.result
         deciders = [describe_deciders(result)] if result.deciders else []
         judged = with_referee(describe_result(result), self.simulated.folder)
-        return [*judged, *deciders, *self.simulated.lines(), LIMITS]
+        return [*judged, *deciders, *self.simulated.lines(), LIMITS_NOTE]
 
     def tables(self) -> list[Table]:
-        """Return where the failures lie in what is drawn."""
+        """Return a table of where the failures lie among the drawn values."""
         from hexjet_prove.rare.page import shift_rows
 
         result = self.simulated.result
@@ -220,7 +220,7 @@ def search(
     """
     from hexjet_prove.proof.design_study import design_study, find_design
     from hexjet_prove.search.folder import resolve_search, run_search
-    from hexjet_prove.search.worst_folder import RANGES, resolve_worst, run_worst
+    from hexjet_prove.search.worst_folder import WHOLE_RANGES, resolve_worst, run_worst
 
     lasting = study_settings(settings, aircraft, engine, metrics, wind)
     options: dict[str, Any] = {
@@ -237,7 +237,7 @@ def search(
         if within is not None:
             raise InputError("within: goes with worst or likely")
         study, plan = resolve_search(str(name), over=over, tolerance=tolerance, share=share, **sought, **options)
-        with _searching(out, resume, f"search-{study.name}", "search", fleet, progress) as (folder, tell, flying):
+        with _open_search(out, resume, f"search-{study.name}", "search", fleet, progress) as (folder, tell, flying):
             return SearchResult(run_search(study, plan, folder, flying, resume, tell))
     _check_worst(worst and likely, over=over, tolerance=tolerance, share=share)
     designed = find_design(Path(name))
@@ -246,15 +246,15 @@ def search(
     else:
         study = design_study(designed, "", 1, **options)
         if within is None and not likely and not any(entry.uncertainty for entry in study.vary):
-            within = RANGES
+            within = WHOLE_RANGES
         study, worst_plan = resolve_worst(study, likely=likely, within=within, budget=budget, **sought)
     kind = "likely" if likely else "worst"
-    with _searching(out, resume, f"{kind}-{study.name}", "search", fleet, progress) as (folder, tell, flying):
+    with _open_search(out, resume, f"{kind}-{study.name}", "search", fleet, progress) as (folder, tell, flying):
         return SearchResult(run_worst(study, worst_plan, folder, flying, resume, tell))
 
 
 def _check_worst(both: bool, **given: Any) -> None:
-    """Raise InputError for what a search over all keys at once has not."""
+    """Raise InputError for an option that a search over all keys at once does not have."""
     if both:
         raise InputError("likely: goes without worst; each is a search of its own")
     for option, value in given.items():
@@ -263,7 +263,7 @@ def _check_worst(both: bool, **given: Any) -> None:
 
 
 @contextmanager
-def _searching(
+def _open_search(
     out: str | Path | None,
     resume: bool,
     name: str,
@@ -271,7 +271,7 @@ def _searching(
     fleet: tuple[int | None, str | None, float | None],
     progress: Progress | None,
 ) -> Iterator[tuple[Path, Any, Workers]]:
-    """Yield the folder, a function that is told how many flights there are, and the workers."""
+    """Yield the folder, a function that reports the number of flights, and the workers."""
     from cosim.flight import new_folder
     from cosim.studies import choose_workers
 
@@ -379,5 +379,5 @@ def rare(
         seed=seed, nominal_engine=nominal_engine, batch=batch,
     )  # fmt: skip
     fleet = (workers, cluster, time_limit_s)
-    with _searching(out, resume, f"rare-{study.name}", "simulation", fleet, progress) as (folder, tell, flying):
+    with _open_search(out, resume, f"rare-{study.name}", "simulation", fleet, progress) as (folder, tell, flying):
         return RareResult(run_rare(study, plan, folder, flying, resume, tell))

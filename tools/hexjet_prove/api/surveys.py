@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hexjet_prove.surveys.failsafes import FailsafeSurvey
     from hexjet_prove.surveys.faults import FaultSurvey
 
-WORKERS = Limits(1, 64)
+WORKER_LIMITS = Limits(1, 64)
 
 
 class SurveyResult(SweepResult):
@@ -49,14 +49,14 @@ class SurveyResult(SweepResult):
 
 
 class FaultsResult(SurveyResult):
-    """Which single faults a vehicle survives, with which controller."""
+    """Result of a survey of faults: which ones a vehicle survives with which controller."""
 
 
 class FailsafesResult(SurveyResult):
-    """How flights end after what an autopilot has an answer to."""
+    """Result of a survey of failsafes: how each flight ended."""
 
 
-@check_types(workers=WORKERS)
+@check_types(workers=WORKER_LIMITS)
 def faults(
     aircraft: str | Path = "hexjet",
     engine: str | Path | None = None,
@@ -116,7 +116,7 @@ def faults(
     return FaultsResult(campaign, FaultSurvey(plan, campaign))
 
 
-@check_types(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
+@check_types(workers=WORKER_LIMITS, flights=Limits(1, 1000), seed=Limits(0))
 def failsafes(
     aircraft: str | Path = "hexjet",
     engine: str | Path | None = None,
@@ -134,7 +134,7 @@ def failsafes(
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> FailsafesResult:
-    """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
+    """Trigger every failure that the autopilot handles, and tell how each flight ended.
 
     Flown after a take-off to every height and some hover, several times, and moving, with the speeds of touch-down and
     the thrust ten seconds after disarming.

@@ -70,12 +70,12 @@ def read_comparison(path: Path) -> dict[str, Any]:
 
 
 def list_evidence(evidence: Evidence) -> list[Factor]:
-    """Return what is on record for each factor, in the standard's order."""
+    """Return the evidence on each factor of credibility, in the standard's order."""
     record = read_toml(RECORD)
     return [Factor(assessment, name, describe(evidence, record)) for assessment, name, describe in _FACTORS]
 
 
-def _data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
     where = f"the numbers of {evidence.aircraft} and {evidence.engine}"
     if not evidence.is_shipped:
         return f"{where} are of files outside the package, and nothing says where they are from"
@@ -109,7 +109,7 @@ def _describe_validation(evidence: Evidence, record: Mapping[str, Any]) -> str:
 
 
 def _describe_comparison(one: Mapping[str, Any], evidence: Evidence) -> str:
-    """Describe a replay.json: its result, log, and whether that is a flight of this vehicle."""
+    """Describe a replay.json: its result, its log, and whether the log is a flight of this vehicle."""
     of = [("aircraft", evidence.aircraft), ("engine", evidence.engine)]
     others = [f"another {kind}" for kind, flown in of if one[kind] != flown]
     what = f"{Path(one['log']).name} (sha256 {one['log_sha256'][:16]}, {one['aircraft']} with {one['engine']})"
@@ -119,7 +119,7 @@ def _describe_comparison(one: Mapping[str, Any], evidence: Evidence) -> str:
     return f"{said}; of {' and '.join(others)} than flew here" if others else said
 
 
-def _development_management(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_development(evidence: Evidence, record: Mapping[str, Any]) -> str:
     if evidence.is_shipped:
         return (
             "model files of the package, kept under versions; its rules are written down (CONTRIBUTING.md) and every "
@@ -132,7 +132,7 @@ def _describe_earlier_use(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return "; ".join([*evidence.warnings, "no earlier use is on record"])
 
 
-def _input_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_input_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> str:
     if not evidence.varied:
         return "nothing was varied"
     source = evidence.uncertainty_source
@@ -158,7 +158,7 @@ def _describe_robustness(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return text + ("; a search for the worst case over all keys together" if evidence.searched else "")
 
 
-def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> str:
+def _describe_use(evidence: Evidence, record: Mapping[str, Any]) -> str:
     kept = "every flight has the hashes of its log and of what it was made from"
     if not evidence.replayed:
         return f"{kept}; none was flown again"
@@ -166,22 +166,22 @@ def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> str:
     return f"{kept}; {flown} flights came out the same when they were flown again"
 
 
-def _describe_missing_review(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:
+def _make_review_gap(of: str) -> Callable[[Evidence, Mapping[str, Any]], str]:
     return lambda evidence, record: f"no review of {of} by others is on record"
 
 
 _FACTORS: tuple[tuple[str, str, Callable[[Evidence, Mapping[str, Any]], str]], ...] = (  # group, factor, function
-    (CAPABILITY, "Data pedigree", _data_pedigree),
+    (CAPABILITY, "Data pedigree", _describe_data_pedigree),
     (CAPABILITY, "Verification", _describe_verification),
     (CAPABILITY, VALIDATION, _describe_validation),
-    (CAPABILITY, "Development technical review", _describe_missing_review("the model")),
-    (CAPABILITY, "Development process and product management", _development_management),
+    (CAPABILITY, "Development technical review", _make_review_gap("the model")),
+    (CAPABILITY, "Development process and product management", _describe_development),
     (RESULTS, "Use assessment", _describe_earlier_use),
-    (RESULTS, "Input pedigree", _input_pedigree),
+    (RESULTS, "Input pedigree", _describe_input_pedigree),
     (RESULTS, "Uncertainty characterization", _describe_uncertainty),
     (RESULTS, "Results robustness", _describe_robustness),
-    (RESULTS, "Use and analysis technical review", _describe_missing_review("this proof")),
-    (RESULTS, "Use process and product management", _use_management),
+    (RESULTS, "Use and analysis technical review", _make_review_gap("this proof")),
+    (RESULTS, "Use process and product management", _describe_use),
 )
 
 

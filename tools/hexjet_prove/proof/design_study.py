@@ -24,7 +24,7 @@ from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name
 from cosim.studies import Study, default_draw, flatten_settings, open_study
-from hexjet_design.loop.criteria import CORNER, OVERSHOOT_ROOM
+from hexjet_design.loop.criteria import CORNER_FACTOR, OVERSHOOT_ROOM
 from hexjet_design.proof.flights import BOUNDS, lean_of, side_s
 
 CONTROLLER = "controller.toml"  # file that hexjet design writes
@@ -42,7 +42,7 @@ def find_design(path: Path) -> Path | None:
 
 
 def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
-    """Return the study of the design in a controller file, with its claim and so many draws at most.
+    """Return the study that tests a claim on the design in a controller file by at most ``runs`` draws.
 
     ``options``: ``settings``, ``success``, ``seed``, ``nominal_engine`` and ``batch``, as of a study; ``success``
     stands beside what the design promises.  Raises InputError, for any other too.
@@ -54,15 +54,15 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
             f"{file}: a design brings its own {refused}; leave it out, or prove a study that names the file"
         )
     made, nominal = read_purpose(file), bool(options.get("nominal_engine"))
-    settings = _settings(file, made, options.get("settings") or ())
-    _need_engine(file, made, str(settings["engine"]))
+    settings = _make_settings(file, made, options.get("settings") or ())
+    _require_engine(file, made, str(settings["engine"]))
     aircraft = str(settings.pop("aircraft"))
     texts = [f"{key}={dumps(value)}" for key, value in flatten_settings(settings)]
     designed = apply_controller(SCENARIO, file, texts, aircraft)
     texts += [f"aircraft={dumps(aircraft)}", f"command.0.amplitude={lean_of(designed.resolved_vehicle()[0])}"]
     is_drawn = default_draw(designed, nominal)[0] is not None
     roll = made.axes["roll"]
-    overshoot = 100.0 * CORNER * ((roll.overshoot or 0.0) + OVERSHOOT_ROOM)
+    overshoot = 100.0 * CORNER_FACTOR * ((roll.overshoot or 0.0) + OVERSHOOT_ROOM)
     study = open_study(
         SCENARIO,
         vary=[] if is_drawn else tolerance_box(made, designed),
@@ -70,7 +70,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
         controllers=[str(file)],
         success=[
             f"roll.overshoot_percent<={overshoot:.6g}",
-            f"roll.oscillation_rad<={radians(CORNER * BOUNDS.still_deg):.6g}",
+            f"roll.oscillation_rad<={radians(CORNER_FACTOR * BOUNDS.still_deg):.6g}",
             *options.get("success", ()),
         ],
         design="random",
@@ -84,7 +84,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     return study.changed(name=named, title=f"{file.name}: the design for {made.aircraft} with engine {made.engine}")
 
 
-def _need_engine(file: Path, made: Purpose, flown: str) -> None:
+def _require_engine(file: Path, made: Purpose, flown: str) -> None:
     """Raise InputError if the design's engine file is missing."""
     designed_for = made.find_engine(file)
     if flown != designed_for or Path(flown).is_file() or flown.removesuffix(FMI2_SUFFIX) in list_engine_names():
@@ -94,7 +94,7 @@ def _need_engine(file: Path, made: Purpose, flown: str) -> None:
 
 
 def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
-    """Return what varies over the tolerances of a design, as texts of a command line; evenly, for want of better."""
+    """Return distributions, as command-line texts, that are uniform over the tolerances of a design."""
     need = made.requirements
     with build(scenario) as simulation:
         late = sum_transport_samples(simulation.ledger, "roll") or 0
@@ -104,8 +104,8 @@ def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
     return box + ([f"mismatch.delay_samples=0:{later}"] if later else [])
 
 
-def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]:
-    """Return the scenario's settings: the design's, its proof's doublet, and ``given`` ones."""
+def _make_settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]:
+    """Return the scenario's settings: those of the design, the doublet of its proof, and ``given``."""
     roll = made.axes["roll"]
     width = side_s(roll.bandwidth_hz)
     settings: dict[str, Any] = {
@@ -117,7 +117,7 @@ def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]
         "added_delay_samples": made.added_delay_samples,
         "duration_s": 1.0 + 4.0 * width,
         "command": {"0": {"width_s": width}},
-        "limits": {**dict.fromkeys(NOT_PROMISED, False), "height_error_m": CORNER * BOUNDS.height_m},
+        "limits": {**dict.fromkeys(NOT_PROMISED, False), "height_error_m": CORNER_FACTOR * BOUNDS.height_m},
     }
     for text in given:
         keys, value = parse_setting(text)

@@ -33,8 +33,8 @@ KEPT_KEYS = (  # keys of rare.json in a proof
     "nearest",
     "shifts",
     "contradiction",
-)  # of rare.json
-HINT = "pip install cmaes"  # how to install the search's package
+)
+INSTALL_HINT = "pip install cmaes"  # how to install the search's package
 
 
 def search_failures(
@@ -47,7 +47,7 @@ def search_failures(
     """
     if find_spec("cmaes") is None:
         return {
-            name: Part(None, f"{NOT_SEARCHED[name]}: the package cmaes is not installed, {HINT}")
+            name: Part(None, f"{NOT_SEARCHED[name]}: the package cmaes is not installed, {INSTALL_HINT}")
             for name in NOT_SEARCHED
         }
     searched = study.changed(until=None, runs=1)
@@ -56,16 +56,16 @@ def search_failures(
         within = LIKELY_REGION if name == LIKELY else DEFAULT_WORST_REGION
         plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
         place = folder / name
-        saved = run_worst(searched, plan, place, workers, True, _tell(say, name))
-        parts[name] = _part(saved, f"{folder.name}/{name}")
+        saved = run_worst(searched, plan, place, workers, True, _report_count(say, name))
+        parts[name] = _make_part(saved, f"{folder.name}/{name}")
     return parts
 
 
-def _tell(say: Callable[[str], None], name: str) -> Progress:
+def _report_count(say: Callable[[str], None], name: str) -> Progress:
     return lambda tally, done, of: say(f"{name}: {done}")
 
 
-def _part(saved: SavedWorst, place: str) -> Part:
+def _make_part(saved: SavedWorst, place: str) -> Part:
     (found,), (case,) = saved.result.cases, saved.cases
     run = f"{place}/{CASES}/{case.name}"
     result = {name: getattr(found, name) for name in ("fails", "margin", "distance", "flights", "reason")} | {
@@ -76,11 +76,11 @@ def _part(saved: SavedWorst, place: str) -> Part:
         "says": saved.result.lines()[0],
         "notes": saved.result.notes,
     }
-    return Part(result, _describe(found, run, saved.result.plan))
+    return Part(result, _describe_case(found, run, saved.result.plan))
 
 
-def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
-    """Return what was found in a clause of the proof's sentence."""
+def _describe_case(found: WorstCase, run: str, plan: WorstPlan) -> str:
+    """Describe a found case in a clause of the proof's sentence."""
     moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:3]
     keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
     place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
@@ -107,7 +107,7 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
     """
     asked = study.changed(until=None, runs=flights)
     plan = Plan(Budget(MIN_PROBABILITY, flights))
-    saved = run_rare(asked, plan, folder, workers, True, _tell(say, "rare"))
+    saved = run_rare(asked, plan, folder, workers, True, _report_count(say, "rare"))
     told = saved.to_json()
     cases = [
         {

@@ -20,7 +20,7 @@ from hexjet_design.measured.computed import find_loop_limit, find_tunings, make_
 
 def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: None) -> dict[str, AxisLimit | str]:
     """Compare each axis of the nominal vehicle with the limit of performance, or say why not."""
-    loops = _loops(scenario)
+    loops = _find_loops(scenario)
     if isinstance(loops, str):
         return dict.fromkeys(AXES, loops)
     limits: dict[str, AxisLimit | str] = {}
@@ -32,8 +32,8 @@ def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: N
     return limits
 
 
-def _loops(scenario: Scenario) -> dict[str, tuple[Channel, Tuning]] | str:
-    """Return channel and tuning of each axis, or why they are not known."""
+def _find_loops(scenario: Scenario) -> dict[str, tuple[Channel, Tuning]] | str:
+    """Return channel and tuning of each axis, or the reason why they are unknown."""
     chosen = PREDICTORS.get(scenario.controller)
     if scenario.controller != LAW and (chosen is None or chosen.response is None):
         return "the controller is not one whose linear loop is known"

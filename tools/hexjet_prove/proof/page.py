@@ -14,20 +14,20 @@ from hexjet_prove.proof.result import Proof, WorstFlight
 
 BADGES = {"shown": "completed", "refuted": "", "open": "failed"}  # CSS class of each decision
 DECISION_WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}  # words for each decision
-METHOD = (  # note on the test
+METHOD_NOTE = (  # note on the test
     "Flights with independent draws are counted in the order of their numbers, by a test whose boundaries were fixed "
     "before the first. It is wrong in at most {error:g} % of such proofs, however often you look. "
     "At most {most:,} flights. Noise and turbulence of each flight have a seed of their own."
 )
-MARGIN = (  # note on margins
+MARGIN_NOTE = (  # note on margins
     "A margin is what is left to the nearest limit by that limit's size; below 0 the flight failed. Each folder flies "
     "again as it is: hexjet fly FOLDER/scenario.toml."
 )
-LEAST = (  # note on the limit of performance
+LIMIT_NOTE = (  # note on the limit of performance
     "Integrated absolute error after a unit step of load, rad s per unit of the command, of the nominal vehicle's "
     "linear loop; the least of any stabilising linear controller with the same peak sensitivity, noise and step error."
 )
-FORM = (  # note on the table of credibility
+CREDIBILITY_NOTE = (  # note on the table of credibility
     "A form: the factors of NASA-STD-7009B (2024) with what is on record. The levels, from 0, not enough evidence, to "
     "4, are for a person to state; none is computed."
 )
@@ -35,7 +35,7 @@ FORM = (  # note on the table of credibility
 
 def describe_method(proof: Proof) -> str:
     """Return how the flights were drawn and counted."""
-    return METHOD.format(error=100.0 * proof.claim.claim.error, most=proof.study["most_flights"])
+    return METHOD_NOTE.format(error=100.0 * proof.claim.claim.error, most=proof.study["most_flights"])
 
 
 def write_page(proof: Proof, path: Path) -> None:
@@ -54,13 +54,13 @@ def write_page(proof: Proof, path: Path) -> None:
         Card("What a flight must keep", ("", "requirement", "broken", "smallest margin"), kept),
         Card("How it is shown", text=campaign, lines=[*shown, *rare]),
         Card("The worst flights, flown again", ("flight", "why", "ended", "margin", "drawn", "again"),
-             [_worst_row(one) for one in proof.worst], MARGIN, lines=list(_searched(proof))),
+             [_worst_row(one) for one in proof.worst], MARGIN_NOTE, lines=list(_search_rows(proof))),
         *referee_cards(path.parent / "campaign"),
         _limits_card(proof),
         Card("What is not known, and where that is from", ("key", "drawn from", "nominal", "flown", "unit"), drawn,
              lines=[f"The probability is over {proof.over}."]),
         Card("What is not covered", lines=proof.not_covered),
-        Card("Credibility", ("of", "factor", "what is on record", "level", "why, by whom"), recorded, FORM),
+        Card("Credibility", ("of", "factor", "what is on record", "level", "why, by whom"), recorded, CREDIBILITY_NOTE),
         Card("Again, bit for bit", ("made with", "version"), list(repeat["versions"].items()),
              f"It is the same where its rows_sha256 is {repeat['rows_sha256']}.", code=repeat["command"]),
     ]  # fmt: skip
@@ -77,8 +77,8 @@ def write_page(proof: Proof, path: Path) -> None:
     page.write(path)
 
 
-def _searched(proof: Proof) -> Iterator[Markup]:
-    """Yield results of the searches for the worst flights, with flights and pages."""
+def _search_rows(proof: Proof) -> Iterator[Markup]:
+    """Yield a row for each search of the worst flights: its result, its flights and a link to its page."""
     for part in (proof.likely, proof.worst_case):
         if part.result:
             run = part.result["run"]
@@ -95,7 +95,7 @@ def _worst_row(one: WorstFlight) -> tuple[str, ...]:
 
 
 def _limits_card(proof: Proof) -> Card:
-    """Return how the controller compares with the best that is possible, by axis, or why that is not known."""
+    """Return the card that compares the controller with the best possible one by axis, or says why it cannot."""
     rows, missing = [], []
     for axis, limit in proof.limits.items():
         if isinstance(limit, str):
@@ -105,4 +105,4 @@ def _limits_card(proof: Proof) -> Card:
         numbers = f"{limit.load_error:.4g}", f"{limit.least.load_error:.4g}", f"{limit.times:.2f}", tolerant
         rows.append((axis, *numbers))
     columns = ("axis", "error after a load", "the least", "times the least", "with its tolerance of the delay")
-    return Card("How far the controller is from the best", columns, rows, LEAST if rows else "", lines=missing)
+    return Card("How far the controller is from the best", columns, rows, LIMIT_NOTE if rows else "", lines=missing)

@@ -61,8 +61,8 @@ from hexjet_prove.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
-RARE = "rare"  # folder of rare failures
-NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
+RARE_FOLDER = "rare"  # folder of rare failures
+NO_RARE_METHOD = "no method for rare failures was used: what flights that succeed can show is all that is shown"
 PACKAGE = "hexjet-cosim"  # package whose version is recorded
 
 Say = Callable[[str], None]
@@ -117,7 +117,7 @@ def conclude(
     if claim is None:
         raise InputError(f"{campaign.folder}: its study has no claim")
     searched = _search(campaign.study, out, request, workers, say)
-    proof = _conclude(out, campaign, claim, request, searched, say)
+    proof = _evaluate_flights(out, campaign, claim, request, searched, say)
     say("pages")
     write_campaign_report(campaign)
     write_whole(out / RESULT, json.dumps(proof.to_json(), indent=1, allow_nan=False) + "\n", FlightError)
@@ -127,24 +127,24 @@ def conclude(
 
 def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
     """Run the requested searches: most likely failure, worst case, and failure probability."""
-    parts = {name: Part(None, text) for name, text in NOT_SEARCHED.items()} | {RARE: Part(None, NOT_RARE)}
+    parts = {name: Part(None, text) for name, text in NOT_SEARCHED.items()} | {RARE_FOLDER: Part(None, NO_RARE_METHOD)}
     with open_workers(workers) as flying:
         if request.search:
             parts |= search_failures(study, out / SEARCHES, request.search, flying, say)
         if request.rare:
-            parts[RARE] = simulate_rare(study, out / SEARCHES / RARE, request.rare, flying, say)
+            parts[RARE_FOLDER] = simulate_rare(study, out / SEARCHES / RARE_FOLDER, request.rare, flying, say)
     return parts
 
 
-def _conclude(
+def _evaluate_flights(
     out: Path, campaign: Campaign, claim: ClaimResult, request: Request, searched: Mapping[str, Part], say: Say
 ) -> Proof:
-    """Do all that follows the flights."""
+    """Return the proof from the flights and searches; fly the worst flights again."""
     study, table = campaign.study, read_flight_table(campaign)
     scenario = with_values(study.base(), {"controller": study.tried[0]})
     worst = list(_fly_worst(campaign, table, out, say))
     limits = flown_limits(scenario, say) if request.limit else dict.fromkeys(AXES, "it was left out (limit)")
-    evidence = _evidence(study, table, scenario, worst, request, searched)
+    evidence = _collect_evidence(study, table, scenario, worst, request, searched)
     return Proof(
         folder=out,
         study={
@@ -159,7 +159,7 @@ def _conclude(
         worst=worst,
         likely=searched[LIKELY],
         worst_case=searched[WORST_CASE],
-        rare=searched[RARE],
+        rare=searched[RARE_FOLDER],
         limits=limits,
         axis=_commanded_axis(scenario),
         not_varied=evidence.not_varied,
@@ -169,7 +169,7 @@ def _conclude(
             table.not_flown,
         ),
         credibility=list_evidence(evidence),
-        repeat=_repeat(out, campaign, request),
+        repeat=_describe_repetition(out, campaign, request),
     )  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
         yield WorstFlight(number, why, str(row["outcome"]), reason, float(margins[index]), values, run, is_same, same)
 
 
-def _evidence(
+def _collect_evidence(
     study: Study,
     table: FlightTable,
     scenario: Scenario,
@@ -206,7 +206,7 @@ def _evidence(
     request: Request,
     searched: Mapping[str, Part],
 ) -> Evidence:
-    """Return what is on record of the model and of this proof."""
+    """Return the evidence on the model and on this proof."""
     source = find_source(scenario.engine, scenario.folder)
     uncertainty = source.uncertainty
     again = [*(one.is_same for one in worst), *(part.result["is_same"] for part in searched.values() if part.result)]
@@ -231,7 +231,7 @@ def _evidence(
 
 
 def _describe_draws(evidence: Evidence) -> str:
-    """Describe the population of the probability, and its origin."""
+    """Describe the population that the probability refers to, and its origin."""
     if not evidence.is_engine_drawn:
         return f"the {evidence.varied} numbers that are drawn here, as the study states them"
     source = evidence.uncertainty_source or "of no stated source"
@@ -245,8 +245,8 @@ def _commanded_axis(scenario: Scenario) -> str:
     return next((signal for signal in signals if signal in AXES), AXES[0])
 
 
-def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
-    """Return how to repeat the proof, and hashes to recognise the same result."""
+def _describe_repetition(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
+    """Return the command that repeats the proof, and hashes by which the same result is recognised."""
     study, digest = campaign.study, sha256()
     columns = [campaign.columns[name] for name in ("flight", "outcome", "success", "log_sha256")]
     for row in zip(*columns, strict=True):

@@ -15,20 +15,20 @@ NO_DEFAULT = {"throttle_activity_1_s", "tilt_activity_rad_s", "fuel_burnt_kg"}
 
 
 def proven_requirements(campaign: Campaign) -> list[ProvenRequirement]:
-    """Return what a flight must keep to count as a success: to fly, each formula, and each condition of the study."""
+    """Return the requirements of a successful flight: to reach its end, each formula, each condition."""
     outcomes, beyond = campaign.columns.get("outcome", []), campaign.columns.get("beyond", [])
     flown = [(outcome, limits) for outcome, limits in zip(outcomes, beyond, strict=True) if outcome != "failed"]
     lost = sum(outcome != "completed" or bool(limits) for outcome, limits in flown)
     listed = [ProvenRequirement("R1", _describe_flown(campaign), lost, len(flown), None, "", None)]
     for entry in campaign.study.base().require:
-        listed.append(_formula(campaign, f"R{len(listed) + 1}", entry))
+        listed.append(_prove_formula(campaign, f"R{len(listed) + 1}", entry))
     for name, allowed in campaign.study.success.items():
-        listed.append(_condition(campaign, f"R{len(listed) + 1}", name, allowed))
+        listed.append(_prove_condition(campaign, f"R{len(listed) + 1}", name, allowed))
     return listed
 
 
 def _describe_flown(campaign: Campaign) -> str:
-    """Return the requirement to fly to the end, with the limits that count and those that are off, by their keys."""
+    """Return the requirement to fly to the end, with the limits that count and those that are off, by key."""
     scenario, position = campaign.study.base(), LIMITED["place_error_m"]
     is_placed = any(value is not None for value in campaign.columns.get(position, []))
     absent = NO_DEFAULT | {"drift_m" if is_placed else "place_error_m"}
@@ -46,23 +46,23 @@ def _describe_flown(campaign: Campaign) -> str:
     )
 
 
-def _formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
+def _prove_formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
     """Return a requirement of scenario or study; failed flights miss it."""
     unit = parse_formula(entry.formula).unit
     says = f"{entry.name}: {entry.formula}"
     flown = [index for index, outcome in enumerate(campaign.columns["outcome"]) if outcome != "failed"]
-    return _proven(campaign, label, says, entry.name, flown, 1.0, "" if unit == "1" else unit)
+    return _make_requirement(campaign, label, says, entry.name, flown, 1.0, "" if unit == "1" else unit)
 
 
-def _condition(campaign: Campaign, label: str, name: str, allowed: Range) -> ProvenRequirement:
+def _prove_condition(campaign: Campaign, label: str, name: str, allowed: Range) -> ProvenRequirement:
     """Return the requirement on one metric, of the flights that completed."""
     of, outcomes = metric(name), campaign.columns["outcome"]
     completed = [index for index, outcome in enumerate(outcomes) if outcome == "completed"]
     says = f"{of.label} {describe_range(name, allowed)}"
-    return _proven(campaign, label, says, name, completed, of.factor, of.unit)
+    return _make_requirement(campaign, label, says, name, completed, of.factor, of.unit)
 
 
-def _proven(
+def _make_requirement(
     campaign: Campaign, label: str, says: str, name: str, indices: Sequence[int], factor: float, unit: str
 ) -> ProvenRequirement:
     """Return a requirement with its margins in rows ``indices``, displayed with ``factor``."""

@@ -53,7 +53,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Proof:
-    """All of a proof.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
+    """Proof of a claim.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
 
     folder: Path
     study: Mapping[str, Any]  # name, scenario, vehicle and seed
@@ -86,7 +86,7 @@ class Proof:
     def sentence(self) -> str:
         """Result in one sentence: who meets what, with which probability, by how many flights."""
         fixed = f"; not varied: {', '.join(self.not_varied)}" if self.not_varied else ""
-        return f"{self._shown()}{fixed}."
+        return f"{self._claim_clause()}{fixed}."
 
     @property
     def facts(self) -> dict[str, str]:
@@ -94,11 +94,11 @@ class Proof:
         return {
             "probability over": self.over,
             **({"rare failures": self.rare.says} if self.rare.result else {}),
-            "most likely failure": self._failure(),
-            "controller": self._limit(),
+            "most likely failure": self._failure_clause(),
+            "controller": self._limit_clause(),
         }
 
-    def _shown(self) -> str:
+    def _claim_clause(self) -> str:
         study = self.study
         who = f"the vehicle {study['aircraft']} with controller {study['controller']} and engine {study['engine']}"
         labels = [one.label for one in self.requirements]
@@ -122,7 +122,7 @@ class Proof:
         begin = f"{claimed} is refuted" if verdict.decision == "refuted" else f"{claimed} is neither shown nor refuted"
         return f"{begin}: {text}"
 
-    def _failure(self) -> str:
+    def _failure_clause(self) -> str:
         if self.likely.result is not None:
             return self.likely.says
         failed = [one for one in self.worst if one.why.endswith(NEAREST)]
@@ -132,7 +132,7 @@ class Proof:
             return f"{what} is {one.run or f'flight {one.flight}'}, and no {more} was searched for"
         return "no failure was searched for"
 
-    def _limit(self) -> str:
+    def _limit_clause(self) -> str:
         limit = self.limits[self.axis]
         if isinstance(limit, str):
             return f"how far its controller is from the best is not known: {limit}"
@@ -144,7 +144,7 @@ class Proof:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
+        """Return the proof as a table for JSON."""
         return {
             "format": FORMAT,
             "sentence": self.sentence,
@@ -157,9 +157,9 @@ class Proof:
             "uncertainty": [dict(one) for one in self.uncertainty],
             "over": self.over,
             "worst": [asdict(one) for one in self.worst],
-            "most_likely_failure": _part(self.likely),
-            "worst_case": _part(self.worst_case),
-            "rare": _part(self.rare),
+            "most_likely_failure": _part_to_dict(self.likely),
+            "worst_case": _part_to_dict(self.worst_case),
+            "rare": _part_to_dict(self.rare),
             "limit": {
                 axis: {"done": False, "says": limit} if isinstance(limit, str) else {"done": True, **limit.to_dict()}
                 for axis, limit in self.limits.items()
@@ -179,5 +179,5 @@ class Proof:
             yield one.label, one.says, f"{one.broken} of {one.told}", margin
 
 
-def _part(part: Part) -> dict[str, Any]:
+def _part_to_dict(part: Part) -> dict[str, Any]:
     return {**(part.result or {}), "done": part.result is not None, "says": part.says}

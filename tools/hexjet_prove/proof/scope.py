@@ -19,22 +19,22 @@ KINDS = {
     "aerodynamics": ("vehicle.aero",),
     "wind and air": ("environment.",),
 }
-_OF_ENGINES = ("gain", "thrust")  # parameters of an engine's thrust
+_THRUST_PARAMETERS = ("gain", "thrust")  # parameters of an engine's thrust
 
 
 def kinds_not_varied(study: Study) -> list[str]:
-    """Return the kinds of numbers of which a study varies none."""
+    """Return the kinds of numbers that a study does not vary at all."""
     drawn = study.drawn
     left = [kind for kind, begins in KINDS.items() if not any(key.startswith(begins) for key in drawn)]
     last = {key.rpartition(".")[2] for key in drawn if key.startswith(KINDS["engines"])}
-    told = {"delay": "delay_samples" in last, "thrust": bool(last & set(_OF_ENGINES))}
+    told = {"delay": "delay_samples" in last, "thrust": bool(last & set(_THRUST_PARAMETERS))}
     if any(key.startswith("disturbance.") and "velocity" in key for key in drawn):
         told["wind and air"] = True
     return [kind for kind in left if not told.get(kind, False)]
 
 
 def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) -> list[str]:
-    """Return what the result does not cover, one sentence each.
+    """Return sentences on what the result of a study does not cover.
 
     ``missing`` are the parts that were not done, and ``not_flown`` the reasons of the flights that could not be flown.
     """

@@ -22,7 +22,7 @@ from hexjet_prove.proof.design_study import design_study, find_design
 
 
 def proof_study(name: str, claim: str | None, budget: int | None = None, **options: Any) -> Study:
-    """Return the study that proves ``claim`` of what ``name`` is: a study, a scenario, or a design.
+    """Return the study that proves ``claim`` for ``name``: a study, a scenario, or a design.
 
     ``claim``: such as ``99.9%@95%``; None: that of the study.  ``budget``: the most flights, by default ten times as
     many as the claim needs at least.  ``options`` are those of ``open_study``.  Draws of any other design than
@@ -32,17 +32,17 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     if designed is not None:
         if claim is None:
             raise InputError(f"{name}: a design states no claim; claim says what is to be shown, such as 99.9%@95%")
-        runs = _most_flights(claim, "claim", budget)
-        return _checked(design_study(designed, claim, runs, **options))
+        runs = _max_flights(claim, "claim", budget)
+        return _check_single_controller(design_study(designed, claim, runs, **options))
     table = _study_table(name)
     stated = table.get("until")
     if not claim and stated is None:
-        _open(name, **options)  # an unknown name is reported first
+        _open_study(name, **options)  # an unknown name is reported first
         raise InputError(f"{name}: states no claim (until); claim says what is to be shown, such as 99.9%@95%")
     where = "claim" if claim else f"{name}: until ="
     claim = str(claim or stated)
-    runs = _most_flights(claim, where, budget)
-    study = _open(name, until=claim, design="random", runs=runs, **options)
+    runs = _max_flights(claim, where, budget)
+    study = _open_study(name, until=claim, design="random", runs=runs, **options)
     if not any(
         options.get(key) for key in ("settings", "controllers", "success", "vary")
     ):  # the title must state what flies
@@ -50,10 +50,10 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
         if "title" in said and stated is not None and claim != str(stated):  # the file's title is on its own claim
             said = {"title": f"{table['name']}: {claim} in place of the {stated} that its file states"}
         study = study.changed(**said)
-    return _checked(study)
+    return _check_single_controller(study)
 
 
-def _open(name: str, **options: Any) -> Study:
+def _open_study(name: str, **options: Any) -> Study:
     """Open a study as ``open_study``, without ``vary``."""
     try:
         return open_study(name, **options)
@@ -62,8 +62,8 @@ def _open(name: str, **options: Any) -> Study:
         raise InputError(f"{name}: nothing varies; {what}") from None
 
 
-def _most_flights(claim: str, where: str, budget: int | None) -> int:
-    """Return how many flights the proof has at most.
+def _max_flights(claim: str, where: str, budget: int | None) -> int:
+    """Return the largest number of flights of the proof.
 
     Raises InputError for a claim that compares controllers, and where so many flights cannot show it.
     """
@@ -88,7 +88,7 @@ def _study_table(name: str) -> dict[str, Any]:
     return read_toml(find_study(name)) if Path(name).is_file() or name in study_names() else {}
 
 
-def _checked(study: Study) -> Study:
+def _check_single_controller(study: Study) -> Study:
     """Raise InputError for a study with more than one controller."""
     only_controller(study, "a proof")
     return study

@@ -101,12 +101,12 @@ def estimate(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     alone, which is added to the upper end.
     """
     if all(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats):
-        return _counted(simulations)
-    led = [repeats for repeats in simulations if not _leads_nowhere(repeats)]
+        return _estimate_by_counting(simulations)
+    led = [repeats for repeats in simulations if not _has_no_next_level(repeats)]
     met = [repeats for repeats in led if 2 * _missing(repeats) <= len(repeats)]
     if not met:
-        return _bound(led)
-    filled = [[_filled(repeat) for repeat in repeats] for repeats in met]
+        return _bound_by_margins(led)
+    filled = [[_log_probability(repeat) for repeat in repeats] for repeats in met]
     low, high = lognormal_interval([float(value) for value in np.log(np.sum(np.exp(filled), axis=0))])
     missing = sum(map(_missing, met))
     if missing:
@@ -119,7 +119,7 @@ def estimate(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
 
 
 def _method(simulations: Sequence[object], led: Sequence[object], met: Sequence[Sequence[Repeat]], missing: int) -> str:
-    """Return in words how an interval was made."""
+    """Describe how an interval was computed."""
     repeats = len(met[0])
     if len(simulations) == 1:
         made = f"{repeats} subset simulations; the interval is that of their mean, by how far they lie apart"
@@ -138,16 +138,17 @@ def _method(simulations: Sequence[object], led: Sequence[object], met: Sequence[
     return made
 
 
-def _leads_nowhere(repeats: Sequence[Repeat]) -> bool:
+def _has_no_next_level(repeats: Sequence[Repeat]) -> bool:
     """Return whether no flight of the first level failed, and none of its margins begins a next level."""
     return all(len(repeat.levels) == 1 and not repeat.levels[0].below for repeat in repeats)
 
 
 def _missing(repeats: Sequence[Repeat]) -> int:
+    """Return how many repeats met no failure."""
     return sum(repeat.log_probability is None for repeat in repeats)
 
 
-def _filled(repeat: Repeat) -> float:
+def _log_probability(repeat: Repeat) -> float:
     """Return the log probability of a repeat; without failures one flight of its last level counts."""
     known = repeat.log_probability
     return repeat.log_reached - log(repeat.levels[-1].margins.size) if known is None else known
@@ -175,20 +176,20 @@ def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) ->
     return exp(mean + variance / 2.0 - reach), exp(min(mean + variance / 2.0 + reach, 0.0))
 
 
-def _counted(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
-    """Return the counted probability if failures are frequent or all margins equal."""
-    failed, flights = _first_level(simulations)
+def _estimate_by_counting(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return the fraction of failures among independent flights, if there are many or all margins are equal."""
+    failed, flights = _count_first_level(simulations)
     if not failed:
-        return _counted_bound(simulations)
+        return _bound_by_counting(simulations)
     method = f"{failed:,} of {flights:,} independent flights failed, counted"
     return Estimate(failed / flights, *proportion(failed, flights).exact, method)
 
 
-def _counted_bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
-    """Return the upper bound by counting alone, where margins lead no further."""
+def _bound_by_counting(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return the upper bound from the number of failures among independent flights alone."""
     from scipy.special import betaincinv
 
-    failed, flights = _first_level(simulations)
+    failed, flights = _count_first_level(simulations)
     return Estimate(
         None,
         0.0,
@@ -199,17 +200,17 @@ def _counted_bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     )
 
 
-def _first_level(simulations: Sequence[Sequence[Repeat]]) -> tuple[int, int]:
-    """Return how many of the independent flights of all first levels failed, and how many there are."""
+def _count_first_level(simulations: Sequence[Sequence[Repeat]]) -> tuple[int, int]:
+    """Return the number of failures among the independent flights of all first levels, and of these flights."""
     firsts = [[repeat.levels[0] for repeat in repeats] for repeats in simulations]
     failed = sum(float(np.sum(level.shares[level.margins < 0.0])) for levels in firsts for level in levels)
     return round(failed), sum(level.margins.size for level in firsts[0])
 
 
-def _bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
-    """Return an upper bound: the probability of a margin that every repeat has reached, which no failure exceeds."""
+def _bound_by_margins(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return an upper bound: the probability of a margin that every repeat has reached, above that of failure."""
     if any(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats if not repeat.levels[-1].below):
-        return _counted_bound(simulations)
+        return _bound_by_counting(simulations)
     # Upper bounds are added, so each has a smaller error probability, of which the sum is that of the whole.
     confidence = 1.0 - 2.0 * (1.0 - CONFIDENCE) / len(simulations)
     bounds = [_reached_by_all(repeats, confidence) for repeats in simulations]
@@ -225,14 +226,14 @@ def _bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
 
 
 def _reached_by_all(repeats: Sequence[Repeat], confidence: float) -> tuple[float, float]:
-    """Return a margin that every repeat has reached, and the upper end of the interval of the probability of less."""
-    reached = max(_reached(repeat) for repeat in repeats if repeat.log_probability is None)
+    """Return a margin that all repeats have reached, and the upper bound of the probability of a smaller one."""
+    reached = max(_find_reached(repeat) for repeat in repeats if repeat.log_probability is None)
     logs = [value for repeat in repeats if (value := repeat.log_below(reached)) is not None]
     return reached, lognormal_interval(logs, confidence)[1]
 
 
-def _reached(repeat: Repeat) -> float:
-    """Return the margin that the next level would have begun at, or else the last one did."""
+def _find_reached(repeat: Repeat) -> float:
+    """Return the margin at which the next level would have begun, or else that of the last level."""
     last = repeat.levels[-1].margins
     margin = float(np.sort(last)[round(LEVEL_FRACTION * last.size)])
     return repeat.levels[-2].threshold if repeat.log_below(margin) is None and len(repeat.levels) > 1 else margin

@@ -13,11 +13,11 @@ from cosim.studies import MAX_TESTED, NormalSpace, Progress, Study, Workers, onl
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.page import write_page
 from hexjet_prove.rare.simulation import SUBJECT, Plan, RareResult, simulate
-from hexjet_prove.search.question import Answered, fly_cases
+from hexjet_prove.search.question import SavedResult, fly_cases
 
 RESULT, REPORT = "rare.json", "rare.html"
-COMMAND = {"command": "hexjet search --rare"}  # as a folder records it
-SavedRare = Answered[RareResult]
+COMMAND = {"command": "hexjet search --rare"}  # command in the folder's record
+SavedRare = SavedResult[RareResult]
 
 
 def resolve_rare(
@@ -46,7 +46,7 @@ def resolve_rare(
 def run_rare(
     study: Study, plan: Plan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedRare:
-    """Simulate and write everything to ``out``; ``progress`` is told the number of flights.
+    """Simulate rare failures and write everything to ``out``; ``progress`` is given the number of flights.
 
     ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and the result is the
     same as without a stop.  Raises InputError if study or folder is not usable (another simulation's, in use, or one

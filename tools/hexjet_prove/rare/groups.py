@@ -19,7 +19,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 
-QUANTILES, DEVIATIONS = (0.1, 0.01), (1.2816, 2.3263)  # of a margin; same for a standard normal
+QUANTILES, DEVIATIONS = (0.1, 0.01), (1.2816, 2.3263)  # of margins, of a standard normal
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Group:
     others: tuple[tuple[int, ...], ...] = ()  # columns of every other group
 
     def judge(self, margins: Array) -> tuple[Array, Array]:
-        """Return each flight's margin for this group, and the fraction of a failure it counts."""
+        """Return the margin of each flight for this group, and the fraction by which it counts as a failure."""
         groups_broken = np.ones(len(margins))
         for columns in self.others:
             groups_broken += np.any(margins[:, columns] < 0.0, axis=1)

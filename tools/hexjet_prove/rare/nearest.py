@@ -44,7 +44,7 @@ class NearestSearch:
 
     @property
     def says(self) -> str:
-        """Sentence on the result."""
+        """Sentence on the result of the search."""
         if not self.flights:
             return f"no search for the nearest failure was made: it takes {MIN_SEARCHED} flights, and the package cmaes"
         if self.distance is None:
@@ -77,7 +77,7 @@ def search_nearest(
     study, requested = prober.study, set[tuple[Point, int]]()
     own_seed = study.base().seed if seed is None else seed
 
-    def margins(places: Array, seeds: Sequence[int] = (own_seed,)) -> Asking[Array]:
+    def fly_margins(places: Array, seeds: Sequence[int] = (own_seed,)) -> Asking[Array]:
         points = [Point.of(controller, values) for values in space.values(places)]
         asked = [(point, each) for point in points for each in seeds]
         requested.update(asked)
@@ -87,12 +87,12 @@ def search_nearest(
         return np.array([np.nan if row["outcome"] == "failed" else row_margin(row, study) for row in rows])
 
     steps = descend(Ball(LIKELY_REGION), space.dimension, budget, study.seed, nearest=True)
-    found = yield from answer_by(steps, margins)
+    found = yield from answer_by(steps, fly_margins)
     if not found.fails:
         return NearestSearch(len(requested))
     place = found.point[None, :]
     share = 1.0
     if seed is None:
-        tried = yield from margins(place, [flight_seed(study.seed, number) for number in range(SEEDS_TRIED)])
+        tried = yield from fly_margins(place, [flight_seed(study.seed, number) for number in range(SEEDS_TRIED)])
         share = float(np.mean(tried < 0.0))
     return NearestSearch(len(requested), found.distance, share, space.values(place)[0])

@@ -14,33 +14,33 @@ from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.rare.simulation import RareResult, describe_plan
 from hexjet_prove.rare.subset import Repeat
 from hexjet_prove.search.page import cases_card, list_facts
-from hexjet_prove.search.question import Answered
+from hexjet_prove.search.question import SavedResult
 
 Figure = dict[str, Any]
 
-CURVES = "A failure is a margin below 0, dotted; the interval is made from how far the curves lie apart there."
-SHIFTED = (  # note on the table of shifts
+CURVES_NOTE = "A failure is a margin below 0, dotted; the interval is made from how far the curves lie apart there."
+SHIFTS_NOTE = (  # note on the table of shifts
     "Where each key is in the failures, in standard deviations of what is drawn: of all flights the mean is 0 and the "
     "spread 1. Furthest out first."
 )
-LIMITS = (  # note on what the method can miss
+LIMITS_NOTE = (  # note on what the method can miss
     "The margin must lead there: failures that nothing announces, in a region that no level leads to, are not found, "
     "and not in the interval"
 )
 
 
-def write_page(saved: Answered[RareResult], path: Path) -> None:
+def write_page(saved: SavedResult[RareResult], path: Path) -> None:
     """Write the page of a simulation.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base, plan = result.study.base(), describe_plan(result.plan, len(result.groups))
     notes = (result.estimate.method, result.search_note, result.groups_note, result.study.engine_note)
     deciders = describe_deciders(result)
     cards = [
-        Card("How rare each margin is", text=f"{sentence(plan)} {CURVES} {LIMITS}.", figure="levels"),
+        Card("How rare each margin is", text=f"{sentence(plan)} {CURVES_NOTE} {LIMITS_NOTE}.", figure="levels"),
         Card("The simulations", ("requirements", "flights", "thresholds", "probability"), repeat_rows(result),
              is_half=True),
         Card("What the failures have in common", ("key", "mean", "spread"), shift_rows(result),
-             f"{SHIFTED} {sentence(deciders) if deciders else ''}", is_half=True) if result.shifts else None,
+             f"{SHIFTS_NOTE} {sentence(deciders) if deciders else ''}", is_half=True) if result.shifts else None,
         cases_card("The most likely failures that were met", saved, path, ("flight", "standard deviations"),
                    lambda case: (str(case.flight), f"{case.distance:.2f}")),
     ]  # fmt: skip
@@ -48,7 +48,7 @@ def write_page(saved: Answered[RareResult], path: Path) -> None:
         "rare failures",
         result.study.name,
         [*cards, *referee_cards(path.parent)],
-        {"levels": _levels(result)},
+        {"levels": _make_levels_figure(result)},
         answer=with_referee([sentence(result.sentence)], path.parent),
         problems=[sentence(line) for line in (result.contradiction, result.seed_note) if line],
         summary=[sentence(line) for line in notes if line],
@@ -77,7 +77,7 @@ def describe_result(result: RareResult) -> list[str]:
 def repeat_rows(result: RareResult) -> list[list[str]]:
     """Return a row for each simulation: its requirements, flights, thresholds and probability."""
     rows = []
-    for names, repeat in _named_repeats(result):
+    for names, repeat in _group_repeats(result):
         log = repeat.log_probability
         thresholds = ", ".join(f"{level.threshold:.3g}" for level in repeat.levels[:-1])
         probability = "no failure" if log is None else probability_text(float(np.exp(log)))
@@ -85,8 +85,8 @@ def repeat_rows(result: RareResult) -> list[list[str]]:
     return rows
 
 
-def _named_repeats(result: RareResult) -> list[tuple[list[str], Repeat]]:
-    """Return each simulation with the requirements that it is of."""
+def _group_repeats(result: RareResult) -> list[tuple[list[str], Repeat]]:
+    """Return each group's simulation with the names of its requirements."""
     pairs = zip(result.groups, result.simulations.repeats, strict=True)
     return [(names, repeat) for names, repeats in pairs for repeat in repeats]
 
@@ -102,10 +102,10 @@ def describe_deciders(result: RareResult) -> str:
     return f"what the failures break furthest is {named}" if named else ""
 
 
-def _levels(result: RareResult) -> Figure:
-    """Return the figure of the probability of a margin below a number, a curve a repeat, and the levels' thresholds."""
+def _make_levels_figure(result: RareResult) -> Figure:
+    """Return the figure of the probability of a smaller margin: a curve a repeat, and thresholds of levels."""
     data: list[Figure] = []
-    for number, (names, repeat) in enumerate(_named_repeats(result)):
+    for number, (names, repeat) in enumerate(_group_repeats(result)):
         margins, probabilities = _probability_curve(repeat)
         data.append(
             {
@@ -126,7 +126,7 @@ def _levels(result: RareResult) -> Figure:
 
 
 def _probability_curve(repeat: Repeat) -> tuple[list[float], list[float]]:
-    """Return margins, falling, and the probability of less than each, level by level."""
+    """Return falling margins of a repeat, and the probability of a smaller margin at each."""
     margins: list[float] = []
     points = 40  # points of a curve per level
     for level in repeat.levels:

@@ -25,12 +25,12 @@ class Simulations:
 
     @property
     def counted(self) -> bool:
-        """Whether the first level, whose flights are independent, was all."""
+        """Whether only the first level was flown, whose flights are independent and are counted."""
         return all(len(repeat.levels) == 1 for repeats in self.repeats for repeat in repeats)
 
     @property
     def flights(self) -> int:
-        """How many flights they took; the first level is of all groups."""
+        """Number of flights of the simulations; the first level is shared by all groups."""
         first = sum(repeat.levels[0].margins.size for repeat in self.repeats[0])
         later = sum(repeat.flights for repeats in self.repeats for repeat in repeats) - first * len(self.groups)
         return first + later

@@ -84,7 +84,7 @@ class RareResult:
 
     @property
     def groups(self) -> list[list[str]]:
-        """The requirements that share a simulation, by their names."""
+        """Names of the requirements in each group, which share a simulation."""
         return [[self.requirements[column] for column in group.columns] for group in self.simulations.groups]
 
     @property
@@ -148,7 +148,7 @@ class RareResult:
 
     @property
     def deciders(self) -> dict[str, float]:
-        """The requirements that failures break furthest, each with its part of the failures, the largest first."""
+        """Requirements that failures break furthest, with their fractions of the failures, the largest first."""
         parts: dict[str, float] = {}
         for failure in self.failures:
             name = str(self.rows[failure.number].get("decided_by") or "")
@@ -180,7 +180,7 @@ class RareResult:
             "failures": len(self.failures),
             "deciders": self.deciders,
             "shifts": [asdict(shift) for shift in self.shifts],
-            "nearest": None if nearest is None else self._flight_table(nearest),
+            "nearest": None if nearest is None else self._failure_table(nearest),
             "search": asdict(self.searched),
             "contradiction": self.contradiction,
             "simulations": [
@@ -198,7 +198,7 @@ class RareResult:
             ],
         }
 
-    def _flight_table(self, failure: Failure) -> dict[str, Any]:
+    def _failure_table(self, failure: Failure) -> dict[str, Any]:
         row = self.rows[failure.number]
         return {
             "flight": row["flight"],
@@ -279,7 +279,7 @@ class _Flyer:
 
 
 def describe_plan(plan: Plan, groups: int) -> str:
-    """Return what is simulated for so many groups of requirements, in words."""
+    """Describe what is simulated for so many groups of requirements."""
     budget = plan.budget
     several = "" if groups == 1 else f"in the first, and {budget.size_of(groups)} in every other of each group"
     return (

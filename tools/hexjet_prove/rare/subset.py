@@ -38,7 +38,7 @@ LEVEL_FRACTION = 0.1  # of flights that start the next level
 # Chosen by trials with known probabilities: fraction of candidates drawn by the linear model, and the agreement with
 # the level's flights that this needs.
 BY_MODEL, LEAST_AGREEMENT = 0.75, 0.3
-DIGITS = 9  # of a coordinate, same on all machines
+COORDINATE_DIGITS = 9  # rounded, same on all machines
 
 
 class Candidates(NamedTuple):
@@ -65,7 +65,7 @@ class Level:
 
     @property
     def fraction(self) -> float:
-        """The part of the level's flights that is below its threshold."""
+        """Fraction of the level's flights below its threshold."""
         return self.below / self.margins.size
 
 
@@ -90,7 +90,7 @@ class Repeat:
 
     @property
     def log_reached(self) -> float:
-        """The logarithm of the probability of the last level."""
+        """Logarithm of the probability to reach the last level."""
         return sum(log(level.fraction) for level in self.levels[:-1])
 
     def log_below(self, margin: float) -> float | None:
@@ -111,7 +111,7 @@ class _States:
         self.points, self.seeds, self.numbers = points, np.array(seeds, dtype=object), numbers
         self.margins, self.shares = margins, shares
 
-    def chosen(self, index: Index) -> _States:
+    def select(self, index: Index) -> _States:
         """Return a copy of the entries ``index``."""
         return _States(*(values[index] for values in self._columns()))
 
@@ -124,13 +124,13 @@ class _States:
         return self.points, self.seeds, self.margins, self.shares, self.numbers
 
     @staticmethod
-    def joined(parts: list[_States]) -> _States:
+    def join(parts: list[_States]) -> _States:
         return _States(*map(np.concatenate, zip(*(part._columns() for part in parts), strict=True)))
 
 
 def first_level(dimension: int, size: int, random: np.random.Generator, seed: int | None = None) -> Candidates:
     """Return the independent flights of the first level, with this ``seed`` or one each."""
-    points = np.round(random.standard_normal((size, dimension)), DIGITS)
+    points = np.round(random.standard_normal((size, dimension)), COORDINATE_DIGITS)
     return Candidates(points, [draw_seed(random) if seed is None else seed for _ in range(size)], 0)
 
 
@@ -168,20 +168,20 @@ def subset_simulation(
         levels.append(Level(states.margins, states.numbers, threshold, starting.size, states.shares))
         model = _LinearModel(states, threshold, starting)
         random.shuffle(starting)
-        chains = states.chosen(starting)
-        parts = [states.chosen(starting)]
+        chains = states.select(starting)
+        parts = [states.select(starting)]
         spread = np.minimum(1.0, np.std(chains.points, axis=0)) if starting.size > 1 else np.ones(dimension)
         left, steps = size - starting.size, 0
         while left:
             moving, steps = min(starting.size, left), steps + 1
-            now = chains.chosen(np.arange(moving))
+            now = chains.select(np.arange(moving))
             step = np.minimum(1.0, scale * spread)
             normal = random.standard_normal((moving, dimension))
             by_model = random.random(moving) < model.fraction
             candidates: Array = np.where(
                 by_model[:, None], model.draw(normal, random), np.sqrt(1.0 - step**2) * now.points + step * normal
             )
-            candidates = np.round(candidates, DIGITS)
+            candidates = np.round(candidates, COORDINATE_DIGITS)
             redrawn = random.random(moving) < (redraw_probability if seed is None else 0.0)
             seeds = [draw_seed(random) if new else old for new, old in zip(redrawn, now.seeds, strict=True)]
             margins, shares = group.judge((yield Candidates(candidates, seeds, len(levels))))
@@ -196,7 +196,7 @@ def subset_simulation(
                 scale = min(scale * exp((float(np.mean(accepted[judged])) - target_accepted) / sqrt(steps)), 10.0)
             parts.append(now)
             flights, left = flights + moving, left - moving
-        states = _States.joined(parts)
+        states = _States.join(parts)
 
 
 def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -241,10 +241,10 @@ class _LinearModel:
         self._residual = max(deviation, 1e-3 * float(np.std(margins)))
         self._norm = sqrt(float(self._slopes @ self._slopes) + self._residual**2)
         weights = np.exp(self.log_weight(points))
-        chosen = weights[below]
+        select = weights[below]
         # Fraction of the model's weight that is below the threshold, times how evenly it covers the points there.
-        agreement = float(np.sum(chosen)) ** 3 / max(
-            float(np.sum(weights)) * below.size * float(chosen @ chosen), 1e-300
+        agreement = float(np.sum(select)) ** 3 / max(
+            float(np.sum(weights)) * below.size * float(select @ select), 1e-300
         )
         self.fraction = BY_MODEL if agreement > LEAST_AGREEMENT else 0.0
 

@@ -29,13 +29,13 @@ from cosim.studies import (
 )
 from hexjet_prove.search.page import write_page
 from hexjet_prove.search.probe import Point
-from hexjet_prove.search.question import Answered, fly_cases
+from hexjet_prove.search.question import SavedResult, fly_cases
 from hexjet_prove.search.search import Edge, Plan, SearchResult, SecondKey, search
 from hexjet_prove.search.span import span
 
 RESULT, REPORT = "search.json", "search.html"  # files of a search
-COMMAND = {"command": "hexjet search"}  # as a folder records it
-SavedSearch = Answered[SearchResult]
+COMMAND = {"command": "hexjet search"}  # command in the folder's record
+SavedSearch = SavedResult[SearchResult]
 
 
 def resolve_search(
@@ -74,7 +74,7 @@ def resolve_search(
     study = study.changed(nominal_engine=bool(options.get("nominal_engine")))
     if len(study.vary) > len(keys):
         raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
-    fine = _tolerances(tolerance, [entry.key for entry in varied])
+    fine = _parse_tolerances(tolerance, [entry.key for entry in varied])
     over_key = study.key(over_entries[0].key) if over_entries else None
     plan = Plan(
         spans=tuple(span(entry, study.key(entry.key), fine.get(entry.key)) for entry in varied),
@@ -110,7 +110,7 @@ def _parse_over(text: str | None) -> list[Vary]:
     return [second]
 
 
-def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
+def _parse_tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
     """Parse ``X`` for one key, else ``KEY=X``."""
     tolerances: dict[str, float] = {}
     for text in texts:
@@ -125,7 +125,7 @@ def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
 def run_search(
     study: Study, plan: Plan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedSearch:
-    """Search and write everything to ``out``; ``progress`` is told the number of flights.
+    """Search and write everything to ``out``; ``progress`` is given the number of flights.
 
     ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and what is found is the
     same as without a stop.  Raises InputError if study or folder is not usable (another search's, in use, or one that
@@ -133,14 +133,14 @@ def run_search(
     """
     asked = COMMAND | plan.table()
     campaign, result = run_sampler(study, out, partial(search, plan), workers, resume, progress, asked)
-    cases = ((name, _number(result, point, breaks), breaks, None) for name, point, breaks in _points_to_record(result))
+    cases = ((name, _flight(result, point, breaks), breaks, None) for name, point, breaks in _points_to_record(result))
     saved = SavedSearch(out, result, fly_cases(campaign, cases))
     saved.write(RESULT)
     write_page(saved, out / REPORT)
     return saved
 
 
-def _number(result: SearchResult, point: Point, breaks: bool) -> int:
+def _flight(result: SearchResult, point: Point, breaks: bool) -> int:
     """Return the flight that shows that a point breaks, or holds."""
     rows = [result.prober.rows[point, seed] for seed in result.plan.seeds]
     holds = next((row for row in rows if row["success"]), rows[0])
@@ -154,7 +154,7 @@ def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]
     """
     for controller in result.study.controller_names:
         label = short_name(controller)
-        for edge in _edges(result, controller):
+        for edge in _select_edges(result, controller):
             where = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{label}-{edge.key}-{edge.side}")
             for breaks, value in ((True, edge.breaks), (False, edge.holds)):
                 if value is not None:
@@ -162,7 +162,7 @@ def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]
                     yield f"{where}-{'breaks' if breaks else 'holds'}", point, breaks
 
 
-def _edges(result: SearchResult, controller: str) -> list[Edge]:
+def _select_edges(result: SearchResult, controller: str) -> list[Edge]:
     edges = [edge for edge in result.edges if edge.controller == controller]
     if result.plan.over is None:
         return edges

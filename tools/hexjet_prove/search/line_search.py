@@ -24,11 +24,11 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Scan:
-    """Result of one walk: all evaluated positions from the start, and whether each fails."""
+    """Result of one line search: all evaluated positions from the start, and whether each fails."""
 
     positions: tuple[float, ...]
     breaks: tuple[bool, ...]
-    change: tuple[float, float] | None  # last as at the start, first that is not
+    change: tuple[float, float] | None  # last like the start, first unlike it
 
     @property
     def start_breaks(self) -> bool:
@@ -78,7 +78,7 @@ def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None
 def run_together(
     generators: Mapping[Name, Generator[Asked, Answer, Result]],
 ) -> Generator[dict[Name, Asked], Mapping[Name, Answer], dict[Name, Result]]:
-    """Run generators in parallel: yields their joint requests, and is sent the answers by name."""
+    """Run generators in parallel: yield their joint requests, and send each the answers to its own."""
     answers: Mapping[Name, Answer | None] = dict.fromkeys(generators)
     ended: dict[Name, Result] = {}
     while answers:

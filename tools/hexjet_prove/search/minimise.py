@@ -34,7 +34,7 @@ from hexjet_prove.search.line_search import scan_outward
 R = TypeVar("R")  # what a search returns
 Steps = Generator[Array, Array, R]  # yields rows of points, is sent margins
 
-DISTANCE_RESOLUTION = 0.01  # standard deviations, of a failure
+DISTANCE_RESOLUTION = 0.01  # of a failure, standard deviations
 
 
 class BudgetSpentError(Exception):
@@ -101,8 +101,8 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Found:
-    """The outcome of a descent.
+class DescentResult:
+    """Result of the descents in a region.
 
     ``evaluations`` are all that were made, ``since`` those after
     the last that was better than all before, ``starts`` the descents that were begun.
@@ -125,7 +125,7 @@ class Found:
         return float(np.linalg.norm(self.point))
 
 
-def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest: bool = False) -> Steps[Found]:
+def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest: bool = False) -> Steps[DescentResult]:
     """Return the point of least margin that ``budget`` evaluations find in a region, or the failure nearest to 0.
 
     The same seed gives the same points in the same batches, whatever evaluates them.
@@ -165,14 +165,14 @@ def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest:
             else:
                 start, sigma = descent.region.draw(random, dimension), size / 5.0
             starts += 1
-            yield from _run(descent, _optimiser(start, sigma, int(random.integers(2**31))))
+            yield from _run_descent(descent, _make_optimiser(start, sigma, int(random.integers(2**31))))
     except BudgetSpentError:
         pass
     best = descent.best
     return replace(best, evaluations=descent.evaluations, since=descent.evaluations - descent.best_at, starts=starts)
 
 
-def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
+def _run_descent(descent: _Descent, optimiser: Any) -> Steps[None]:
     """Run one descent until it converges or approaches an earlier end."""
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
     # A generation whose spread is below this fraction of the region has converged, if it is the best so far.
@@ -202,7 +202,7 @@ def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
             return
 
 
-def _optimiser(start: Array, sigma: float, seed: int) -> Any:
+def _make_optimiser(start: Array, sigma: float, seed: int) -> Any:
     try:
         from cmaes import CMA
     except ImportError as error:
@@ -218,7 +218,7 @@ class _Descent:
         self.left = budget
         self._nearest = nearest
         self.evaluations = self.best_at = 0
-        self.best = Found(np.zeros(dimension), inf)
+        self.best = DescentResult(np.zeros(dimension), inf)
         self.ends: list[tuple[Array, float]] = []  # where descents ended
 
     def margins(self, points: Array) -> Steps[Array]:
@@ -234,7 +234,7 @@ class _Descent:
         self.evaluations += len(allowed)
         for point, margin in zip(allowed, found, strict=True):
             if self._is_better(point, float(margin)):
-                self.best, self.best_at = Found(point.copy(), float(margin)), self.evaluations
+                self.best, self.best_at = DescentResult(point.copy(), float(margin)), self.evaluations
         if len(allowed) < len(points):
             raise BudgetSpentError
         return found
@@ -252,7 +252,7 @@ class _Descent:
         return any(low <= margin and float(np.linalg.norm(point - end)) < near for end, low in self.ends)
 
     def shrink(self) -> Steps[None]:
-        """Find the first failure on the way to the nearest one, and shrink the region to it."""
+        """Find the failure on the way to the nearest one that lies nearest to the origin; shrink the region to it."""
         if not self._nearest or not self.best.fails or self.best.distance > self.region.size:
             return
         end, reach = self.best.point, self.best.distance
@@ -260,11 +260,11 @@ class _Descent:
             self.region = Ball(0.0)
             return
 
-        def between(a: float, b: float) -> float | None:
+        def bisect(a: float, b: float) -> float | None:
             return None if (b - a) * reach <= DISTANCE_RESOLUTION * (1.0 + 1e-9) else 0.5 * (a + b)
 
         count = 4  # points per step towards a failure
-        way = scan_outward([step / count for step in range(count + 1)], between)
+        way = scan_outward([step / count for step in range(count + 1)], bisect)
         try:
             asked = next(way)
             while True:

@@ -11,13 +11,13 @@ from cosim.pages import GREEN, GREY, RED, Card, Page, closest, dotted, link, mar
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.studies import Value, referee_cards, with_referee
-from hexjet_prove.search.question import Answered, case_rows
+from hexjet_prove.search.question import SavedResult, case_rows
 from hexjet_prove.search.search import Edge, SearchResult
 from hexjet_prove.search.span import Span
 
 Figure = dict[str, Any]
 
-BOUNDARY = (  # note on the figure
+BOUNDARY_NOTE = (  # note on the figure
     "The first value that breaks; a triangle where it holds to the end of the range. Dotted: where the search starts."
 )
 ROW_PX = 44  # height of a row in the figure
@@ -25,7 +25,7 @@ ROW_PX = 44  # height of a row in the figure
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")  # table of boundaries
 
 
-def write_page(searched: Answered[SearchResult], path: Path) -> None:
+def write_page(searched: SavedResult[SearchResult], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = searched.result
     base, drawn = result.study.base(), figures(result)
@@ -36,7 +36,7 @@ def write_page(searched: Answered[SearchResult], path: Path) -> None:
     several = len(result.plan.spans) > 1
     fine = [f"{line}." for line in (*map(describe_resolution, result.plan.spans), *together_lines(result))]
     cards = [
-        Card("The boundary", text=BOUNDARY, figure="curve") if "curve" in drawn else None,
+        Card("The boundary", text=BOUNDARY_NOTE, figure="curve") if "curve" in drawn else None,
         *(Card(span.key.path, text="Green: holds; red: breaks; dotted: where the search starts.", figure=f"key{number}")
           for number, span in enumerate(result.plan.spans) if f"key{number}" in drawn),
         Card("Each key alone" if several else "Where it breaks", *table(result), " ".join(fine)),
@@ -63,7 +63,7 @@ def list_facts(base: Scenario, flights: int, more: Sequence[tuple[str, str]]) ->
 
 def cases_card(
     title: str,
-    answered: Answered[Any],
+    answered: SavedResult[Any],
     page: Path,
     columns: Sequence[str] = (),
     cells: Callable[[Any], Sequence[str]] = lambda case: (),
@@ -93,16 +93,16 @@ def text(value: Value | None, unit: str = "") -> str:
 
 
 def table(result: SearchResult) -> tuple[list[str], list[list[str]]]:
-    """Return titles and rows of every edge, without the columns that the request makes the same in all of them."""
+    """Return titles and rows of every edge, without columns that are the same in all of them."""
     over = result.plan.over
     titles = [over.key.path if title == "at" and over else title for title in COLUMNS]
     omitted = {1} if len(result.plan.spans) == 1 else set()
     omitted |= set() if over else {2}
     columns = [k for k in range(len(COLUMNS)) if k not in omitted]
-    return [titles[k] for k in columns], [[_row(result, edge)[k] for k in columns] for edge in result.edges]
+    return [titles[k] for k in columns], [[_make_row(result, edge)[k] for k in columns] for edge in result.edges]
 
 
-def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
+def _make_row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
     """Return the cells of an edge, in the order of ``COLUMNS``."""
     over = result.plan.over
     level = text(edge.level, over.key.unit) if over else ""
@@ -116,11 +116,11 @@ def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
 
 
 def answers(result: SearchResult, at_most: int = 4) -> list[str]:
-    """Return one sentence per first boundary; the table has all."""
-    return [_answer(result, edge) for edge in result.edges[:at_most]]
+    """Return a sentence for each of the first boundaries, ``at_most`` of them."""
+    return [_describe_edge(result, edge) for edge in result.edges[:at_most]]
 
 
-def _answer(result: SearchResult, edge: Edge) -> str:
+def _describe_edge(result: SearchResult, edge: Edge) -> str:
     """Describe a boundary in one sentence."""
     over = result.plan.over
     where = f", {over.key.path} {text(edge.level, over.key.unit)}" if over else ""
@@ -171,27 +171,24 @@ def together_lines(result: SearchResult) -> list[str]:
     return ["each key was searched alone; hexjet search --likely searches all of them together"]
 
 
-# ---- figures
-
-
 def figures(result: SearchResult) -> dict[str, Figure]:
     """Return Plotly figures by name: ``curve``, or ``key0``, ``key1``, ..."""
     if result.plan.over:
-        return {"curve": _boundary_figure(result)}
-    return {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
+        return {"curve": _make_boundary(result)}
+    return {f"key{number}": _make_bands(result, span) for number, span in enumerate(result.plan.spans)}
 
 
-def _bands(result: SearchResult, span: Span) -> Figure:
-    """Draw where it passes and where it fails, one bar per controller."""
+def _make_bands(result: SearchResult, span: Span) -> Figure:
+    """Return the figure of where each controller passes and fails along a key, one bar each."""
     data: list[Figure] = []
     edges = [edge for edge in result.edges if edge.key == span.key.path]
     for edge in edges:
         for first, last, breaks in edge.bands:
-            data.append(_bar(short_name(edge.controller), float(first), float(last), RED if breaks else GREEN))
+            data.append(_make_bar(short_name(edge.controller), float(first), float(last), RED if breaks else GREEN))
     names = list(dict.fromkeys(short_name(edge.controller) for edge in edges))
     layout = closest(110 + ROW_PX * len(names), has_legend=False)
     layout["annotations"] = [
-        _label(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
+        _make_label(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
         for edge in edges
         if edge.breaks is not None and not edge.start_breaks
     ]
@@ -201,7 +198,7 @@ def _bands(result: SearchResult, span: Span) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def _bar(name: str, first: float, last: float, colour: str) -> Figure:
+def _make_bar(name: str, first: float, last: float, colour: str) -> Figure:
     does = "breaks" if colour == RED else "holds"
     return {
         "type": "scatter",
@@ -214,13 +211,13 @@ def _bar(name: str, first: float, last: float, colour: str) -> Figure:
     }
 
 
-def _label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
+def _make_label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
     x = log10(value) if logarithmic else value
     return {"x": x, "y": name, "text": label, "showarrow": False, "yshift": 15}
 
 
-def _boundary_figure(result: SearchResult) -> Figure:
-    """Return the figure of the first key's edge over the second one, a line for each controller and side."""
+def _make_boundary(result: SearchResult) -> Figure:
+    """Return the figure of the first key's edge over the second key, a line for each controller and side."""
     over, span = result.plan.over, result.plan.spans[0]
     assert over is not None
     data: list[Figure] = []
@@ -229,7 +226,7 @@ def _boundary_figure(result: SearchResult) -> Figure:
             edges = [e for e in result.edges if e.controller == controller and e.side == side]
             if edges:
                 name = short_name(controller)
-                data += _branch(edges, run_colour(number), name, not any(d["name"] == name for d in data))
+                data += _make_branch(edges, run_colour(number), name, not any(d["name"] == name for d in data))
     layout = closest(460)
     layout["shapes"] = [dotted(GREY, y=span.start)]
     layout["xaxis"] = {"title": {"text": f"{over.key.path} [{over.key.unit or '1'}]"}}
@@ -239,7 +236,7 @@ def _boundary_figure(result: SearchResult) -> Figure:
     return {"data": data, "layout": layout}
 
 
-def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figure]:
+def _make_branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figure]:
     broken = [e for e in edges if e.breaks is not None]
     line = {
         "type": "scatter",

@@ -35,7 +35,7 @@ class Point:
 
 @dataclass(frozen=True)
 class PointResult:
-    """The outcome of a point's flights."""
+    """Outcome of a point's flights."""
 
     broken: int
     flights: int
@@ -49,7 +49,7 @@ def count_needed(fraction: float, flights: int) -> int:
 
 
 class Prober:
-    """Requests of a sampler in order; ``rows`` has the row of each point and seed.
+    """Flights requested by a sampler, in order; ``rows`` has the row of each point and seed.
 
     A point is flown with all of ``seeds``.  It breaks if at least ``fraction`` of its flights do, and one in any case:
     where the flight does not end ``completed``, or misses what the study asks for.  All but the first seed bring a draw
@@ -96,7 +96,7 @@ class Prober:
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
         """Return the flight of a point with a seed."""
         drawn = self._engine if seed != self.seeds[0] else None
-        engine = {} if drawn is None else drawn.named(str(seed))
+        engine = {} if drawn is None else drawn.draw_by_name(str(seed))
         return Flight(number, number // len(self.seeds), point.controller, seed, engine | dict(point.values))
 
 

@@ -28,7 +28,7 @@ class Answer(Protocol):
     """Result of a search."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as a table."""
+        """Return the result as a table."""
         ...
 
 
@@ -37,9 +37,9 @@ A = TypeVar("A", bound=Answer)  # type of an answer
 
 @dataclass(frozen=True)
 class Case:
-    """A flight that shows the answer, flown again."""
+    """Flight that shows the result, flown again."""
 
-    name: str  # of its folder in cases/
+    name: str  # name of its folder in cases/
     flight: int
     controller: str
     breaks: bool
@@ -47,13 +47,13 @@ class Case:
     values: Mapping[str, Value | None]
     seed: int
     outcome: str
-    reason: str  # in words
+    reason: str  # how the flight ended
     same: bool  # True: same result again, see ``again``
     again: str  # what is the same
 
 
 @dataclass(frozen=True)
-class Answered(Generic[A]):
+class SavedResult(Generic[A]):
     """A result, its folder, and the repeated flights that show it."""
 
     folder: Path
@@ -88,7 +88,7 @@ class Answered(Generic[A]):
 
 
 def fly_cases(campaign: Campaign, chosen: Iterable[tuple[str, int, bool, float | None]]) -> tuple[Case, ...]:
-    """Fly flights once more, recorded in full in ``cases/``: of each the name, the number, and two fields of a case."""
+    """Fly flights again, recorded in full in ``cases/``; each has a name, a number, and two fields of a case."""
     shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # left by an interrupted search
     return tuple(_fly_case(campaign, *case) for case in chosen)
 
@@ -110,7 +110,7 @@ def _fly_case(campaign: Campaign, name: str, number: int, breaks: bool, distance
     return Case(name, number, str(row["controller"]), breaks, distance, values, seed, outcome, reason, same, what)
 
 
-def case_rows(answered: Answered[Any], page: Path) -> Iterator[dict[str, Any]]:
+def case_rows(answered: SavedResult[Any], page: Path) -> Iterator[dict[str, Any]]:
     """Yield each ``case`` with the link to its ``report``, or empty, and its scenario file."""
     for case in answered.cases:
         folder = answered.folder / CASES / case.name

@@ -43,7 +43,7 @@ class SecondKey:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is searched; the study defines how flights are made and judged."""
+    """Options of a search; the study defines how flights are made and judged."""
 
     spans: tuple[Span, ...]
     over: SecondKey | None = None
@@ -52,7 +52,7 @@ class Plan:
     draws_engine: bool = False  # True: engines drawn in further flights
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
-        """Return the point with all keys at the start except ``changed`` ones; ``level``: of the second key."""
+        """Return the point with all keys at the start but the ``changed`` ones; ``level`` is of the second key."""
         values = {span.key.path: span.value_at(0.0) for span in self.spans} | dict(changed)
         if self.over and level is not None:
             values[self.over.key.path] = level
@@ -96,7 +96,7 @@ class Edge:
 
     @property
     def comes_back(self) -> bool:
-        """Whether it passes again beyond the failure."""
+        """Whether the vehicle passes again beyond the failure."""
         first = next((number for number, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
         return any(not breaks for _, _, breaks in self.bands[first:])
 
@@ -148,7 +148,7 @@ class SearchResult:
             "aircraft": base.aircraft_name,
             "engine": base.engine,
             "controllers": self.study.controller_names,
-            "controller_sha256": {name: _sha256(base, name) for name in self.study.controller_names},
+            "controller_sha256": {name: _hash_controller(base, name) for name in self.study.controller_names},
             "criterion": self.criterion,
             **({"engine_note": self.engine_note} if self.engine_note else {}),
             **self.plan.table(),
@@ -157,7 +157,7 @@ class SearchResult:
         }
 
 
-def _sha256(base: Scenario, controller: str) -> str | None:
+def _hash_controller(base: Scenario, controller: str) -> str | None:
     """Return the hash of a user-supplied controller."""
     if is_design(controller):
         return None
@@ -185,12 +185,9 @@ def describe_flight(study: Study, row: Row) -> str:
     return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
 
 
-# ---- searches of one key
-
-
 @dataclass(frozen=True)
-class _Line:
-    """One walk: controller, key, direction, and level of the second key."""
+class _LineSearch:
+    """One line search: controller, key, direction, and level of the second key."""
 
     controller: str
     span: int
@@ -206,7 +203,7 @@ class _Line:
 def _search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> Asking[list[Edge]]:
     """Search each key separately, for each controller, side and level, all in parallel."""
     lines = [
-        _Line(controller, number, side, level)
+        _LineSearch(controller, number, side, level)
         for controller in controllers
         for number, span in enumerate(plan.spans)
         for side in span.sides
@@ -217,16 +214,16 @@ def _search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> As
         for line in lines
     }
 
-    def evaluate(asked: Mapping[_Line, Sequence[float]]) -> Asking[dict[_Line, list[bool]]]:
+    def evaluate(asked: Mapping[_LineSearch, Sequence[float]]) -> Asking[dict[_LineSearch, list[bool]]]:
         points = {line: [line.point(plan, position) for position in positions] for line, positions in asked.items()}
         yield from prober.evaluate([point for each in points.values() for point in each])
         return {line: [prober.result(point).breaks for point in each] for line, each in points.items()}
 
     scans = yield from answer_by(run_together(walks), evaluate)
-    return [_find_edge(plan, prober, line, scan) for line, scan in scans.items()]
+    return [_make_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 
-def _find_edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
+def _make_edge(plan: Plan, prober: Prober, line: _LineSearch, scan: Scan) -> Edge:
     span, side = plan.spans[line.span], line.side
     near, far = scan.change or (None, None)
     broken, holds = (0.0, far) if scan.start_breaks else (far, near)

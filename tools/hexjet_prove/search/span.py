@@ -32,7 +32,7 @@ class Span:
     @property
     def sides(self) -> tuple[int, ...]:
         """1 if there is room above the start, -1 if below."""
-        return tuple(side for side in (1, -1) if self._reach(side) > 0.0)
+        return tuple(side for side in (1, -1) if self._scaled_range(side) > 0.0)
 
     @property
     def quantum(self) -> float | None:
@@ -41,14 +41,14 @@ class Span:
 
     @property
     def step_text(self) -> str:
-        """The scan's step in words: a band that is narrower may be missed."""
+        """Step of the scan in words; a narrower band may be missed."""
         if self.logarithmic:
             return f"a factor of {(self.high / self.low) ** (1.0 / (self.points - 1)):.4g}"
         step = (self.high - self.low) / (self.points - 1)
         return f"{ceil(step / self.quantum - 1e-9) * self.quantum if self.quantum else step:.4g}"
 
     def end_value(self, side: int) -> Value:
-        """Return the last value on a side."""
+        """Return the value at the end of the range on a side."""
         return self.value_at(float(side))
 
     def value_at(self, deviation: float) -> Value:
@@ -58,20 +58,20 @@ class Span:
 
     def number_at(self, deviation: float) -> float:
         """Return the number at a deviation, whether or not the key accepts it."""
-        number = self._forward(self.start) + deviation * self._reach(1 if deviation >= 0.0 else -1)
+        number = self._to_scale(self.start) + deviation * self._scaled_range(1 if deviation >= 0.0 else -1)
         return exp(number) if self.logarithmic else number
 
     def deviation(self, value: float) -> float:
         """Return the deviation of a value, 1 or -1 at the range's ends."""
-        off = self._forward(value) - self._forward(self.start)
-        reach = self._reach(1 if off >= 0.0 else -1)
+        off = self._to_scale(value) - self._to_scale(self.start)
+        reach = self._scaled_range(1 if off >= 0.0 else -1)
         return off / reach if reach else 0.0
 
     def positions(self, side: int) -> list[float]:
         """Return the positions of a scan from the start to the end of a side, 0 to 1, all of different values."""
         whole = self.quantum
-        reach = self._reach(side)
-        step = (self._forward(self.high) - self._forward(self.low)) / (self.points - 1)
+        reach = self._scaled_range(side)
+        step = (self._to_scale(self.high) - self._to_scale(self.low)) / (self.points - 1)
         count = max(1, ceil(reach / step - 1e-9))
         if whole is None or self.logarithmic:
             positions = [min(1.0, number * step / reach) for number in range(count + 1)]
@@ -88,7 +88,7 @@ class Span:
         """
         whole = self.quantum
 
-        def middle(near: float, far: float) -> float | None:
+        def bisect(near: float, far: float) -> float | None:
             a, b = float(self.value_at(side * near)), float(self.value_at(side * far))
             if abs(b - a) <= max(self.tolerance, whole or 0.0) * (1.0 + 1e-9):
                 return None
@@ -97,14 +97,14 @@ class Span:
             value = round((a + b) / 2.0 / whole - 1e-9) * whole
             return abs(self.deviation(value))
 
-        return middle
+        return bisect
 
-    def _forward(self, value: float) -> float:
+    def _to_scale(self, value: float) -> float:
         return log(value) if self.logarithmic else value
 
-    def _reach(self, side: int) -> float:
+    def _scaled_range(self, side: int) -> float:
         end = self.high if side > 0 else self.low
-        return abs(self._forward(end) - self._forward(self.start))
+        return abs(self._to_scale(end) - self._to_scale(self.start))
 
 
 def span(vary: Vary, key: Key, tolerance: float | None) -> Span:

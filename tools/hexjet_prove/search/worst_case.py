@@ -24,7 +24,7 @@ from cosim.base.errors import InputError
 from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
 from cosim.studies import MAX_SIGMA, NOT_FLOWN, NormalSpace, Row, Study, Value, row_margin, scenario_of
-from hexjet_prove.search.minimise import Ball, Box, Found, descend
+from hexjet_prove.search.minimise import Ball, Box, DescentResult, descend
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 from hexjet_prove.search.search import describe_flight
 
@@ -34,7 +34,7 @@ LIKELY_REGION = 6.0  # beyond: 1e-9 of draws, on each side
 
 @dataclass(frozen=True)
 class WorstPlan:
-    """Whether the worst case is searched or the most likely failure, where, and with how many flights.
+    """Options of a search for the worst case or the most likely failure: region, and number of flights.
 
     ``within`` is a number of standard deviations; None: the whole range of every key.
     """
@@ -57,7 +57,7 @@ class WorstPlan:
 
     @property
     def where(self) -> str:
-        """The region in words."""
+        """Description of the searched region."""
         if self.within is None:
             return "the ranges of all keys"
         return f"{self.within:g} standard deviations of the middle of all keys"
@@ -122,7 +122,7 @@ class WorstSearch:
 
     def lines(self) -> list[str]:
         """Return what was found, in a sentence or two for each controller."""
-        return [_describe(self.plan, case) for case in self.cases]
+        return [_describe_case(self.plan, case) for case in self.cases]
 
     @property
     def notes(self) -> list[str]:
@@ -168,7 +168,7 @@ class WorstSearch:
 
 
 def check_region(study: Study, plan: WorstPlan) -> None:
-    """Raise InputError for ranges that are none: keys without bounds, correlated ones, an engine's uncertainty."""
+    """Raise InputError for keys that have no range to search: unbounded, correlated, or of an uncertain engine."""
     if plan.within is not None:
         return
     if study.correlate:
@@ -191,7 +191,7 @@ def search_worst(plan: WorstPlan, study: Study) -> Asking[WorstSearch]:
     prober, space = Prober(study, plan.seeds), NormalSpace(study)
     cases = []
     for controller in study.controller_names:
-        cases.append((yield from _search(plan, prober, space, controller)))
+        cases.append((yield from _search_controller(plan, prober, space, controller)))
     return WorstSearch(study, plan, tuple(cases), prober.flights)
 
 
@@ -224,20 +224,20 @@ class PlaceMargins:
         """Return the margins at these places."""
         points = self.points(places)
         yield from self._prober.evaluate(points)
-        margins = np.array([self._margin(point) for point in points])
+        margins = np.array([self._margin_or_nan(point) for point in points])
         self.counts.update(margins[~np.isnan(margins)].tolist())
         return margins
 
-    def _margin(self, point: Point) -> float:
+    def _margin_or_nan(self, point: Point) -> float:
         margin, row = worst_row(self._prober, point)
         if row["outcome"] != "failed" or row["steps"]:
             return margin
-        if point not in self.impossible and (reason := self._reason_of_none(point)):
+        if point not in self.impossible and (reason := self._why_impossible(point)):
             self.impossible[point] = reason
         return nan if point in self.impossible else margin
 
-    def _reason_of_none(self, point: Point) -> str:
-        """Return why a point has no flight; empty if it has one."""
+    def _why_impossible(self, point: Point) -> str:
+        """Return why a point has no flight; an empty text if it has one."""
         study = self._prober.study
         if study.autopilot is not None:
             return ""
@@ -248,7 +248,7 @@ class PlaceMargins:
         return ""
 
 
-def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> Asking[WorstCase]:
+def _search_controller(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> Asking[WorstCase]:
     study, before = prober.study, prober.flights
     margins = PlaceMargins(plan, prober, space, controller)
     region = Box() if plan.within is None else Ball(plan.within)
@@ -264,7 +264,7 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
     (point,) = margins.points(found.point[None, :])
     margin, row = worst_row(prober, point)
     (middle,) = yield from margins.evaluate(np.zeros((1, space.dimension)))
-    effects = yield from _effects(margins, space, found, dict(point.values))
+    effects = yield from _compute_effects(margins, space, found, dict(point.values))
     return WorstCase(
         controller=controller,
         margin=margin,
@@ -285,8 +285,8 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
     )
 
 
-def _effects(
-    margins: PlaceMargins, space: NormalSpace, found: Found, values: Mapping[str, Value]
+def _compute_effects(
+    margins: PlaceMargins, space: NormalSpace, found: DescentResult, values: Mapping[str, Value]
 ) -> Asking[tuple[KeyEffect, ...]]:
     """Return the effect of each coordinate: the margin with it reset, and with it alone."""
     place, count = found.point, space.dimension
@@ -312,7 +312,7 @@ def _number_or_none(margin: float) -> float | None:
     return None if isnan(margin) else float(margin)
 
 
-def _describe(plan: WorstPlan, case: WorstCase) -> str:
+def _describe_case(plan: WorstPlan, case: WorstCase) -> str:
     name = short_name(case.controller)
     effort = f"{case.flights} flights in {case.starts} descent{'s' if case.starts != 1 else ''}"
     if not case.fails:
@@ -337,5 +337,5 @@ def _describe(plan: WorstPlan, case: WorstCase) -> str:
 
 
 def important(effects: Sequence[KeyEffect]) -> list[KeyEffect]:
-    """Return the coordinates that were moved, the largest share first."""
+    """Return the coordinates that differ from the middle, the largest share of the distance first."""
     return sorted((effect for effect in effects if effect.share > 0.0), key=lambda effect: -effect.share)

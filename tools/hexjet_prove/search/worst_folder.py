@@ -12,7 +12,7 @@ from cosim.base.errors import InputError
 from cosim.spec.controller_name import short_name
 from cosim.studies import Progress, Study, Workers, open_study, parse_number, run_sampler
 from hexjet_prove.search.folder import COMMAND, REPORT, RESULT, point_seeds
-from hexjet_prove.search.question import Answered, fly_cases
+from hexjet_prove.search.question import SavedResult, fly_cases
 from hexjet_prove.search.worst_case import (
     DEFAULT_WORST_REGION,
     LIKELY_REGION,
@@ -23,8 +23,8 @@ from hexjet_prove.search.worst_case import (
 )
 from hexjet_prove.search.worst_page import write_page
 
-RANGES = "ranges"  # option value: search ranges
-SavedWorst = Answered[WorstSearch]
+WHOLE_RANGES = "ranges"  # value of the option within: no radius
+SavedWorst = SavedResult[WorstSearch]
 
 
 def resolve_worst(
@@ -45,15 +45,16 @@ def resolve_worst(
     """
     opened: dict[str, Any] = {"design": "random", "runs": 1, "until": ""} | options
     study = name if isinstance(name, Study) else open_study(name, **opened)
-    plan = WorstPlan(likely, _within(within, likely), point_seeds(study, seed, seeds), budget, study.seed)
+    plan = WorstPlan(likely, _parse_region(within, likely), point_seeds(study, seed, seeds), budget, study.seed)
     check_region(study, plan)
     return study, plan
 
 
-def _within(text: str | float | None, likely: bool) -> float | None:
+def _parse_region(text: str | float | None, likely: bool) -> float | None:
+    """Return the search radius in standard deviations, or None to search the whole ranges."""
     if text is None:
         return LIKELY_REGION if likely else DEFAULT_WORST_REGION
-    if text == RANGES:
+    if text == WHOLE_RANGES:
         if likely:
             raise InputError("within ranges: says nothing of what is likely; give a number of standard deviations")
         return None

@@ -9,10 +9,10 @@ from cosim.pages import Card, Page, bars, closest, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from cosim.studies import referee_cards, with_referee
 from hexjet_prove.search.page import ROW_PX, cases_card, list_facts, text
-from hexjet_prove.search.question import Answered
+from hexjet_prove.search.question import SavedResult
 from hexjet_prove.search.worst_case import WorstCase, WorstSearch, important
 
-MEANT = (  # note on the table
+SHARES_NOTE = (  # note on the table
     "A margin below 0 is a failure. The share is of the squared distance from the middle; without it: the key is put "
     "back to the middle and all others are kept; with it alone: all others are put back."
 )
@@ -40,7 +40,7 @@ def _case_rows(case: WorstCase) -> list[list[str]]:
     return listed
 
 
-def write_page(saved: Answered[WorstSearch], path: Path) -> None:
+def write_page(saved: SavedResult[WorstSearch], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base, kind = result.study.base(), "most likely failure" if result.plan.likely else "worst case"
@@ -48,11 +48,11 @@ def write_page(saved: Answered[WorstSearch], path: Path) -> None:
         f"the {kind}",
         result.study.title or base.title or base.name,
         [
-            Card("Which keys matter", titles(result), rows(result), MEANT, "places"),
+            Card("Which keys matter", titles(result), rows(result), SHARES_NOTE, "places"),
             cases_card("The flight", saved, path),
             *referee_cards(path.parent),
         ],
-        {"places": _places(result)},
+        {"places": _make_places_figure(result)},
         answer=with_referee([f"{line}." for line in result.lines()], path.parent),
         summary=[sentence(note) for note in result.notes],
         facts=list_facts(base, result.flights, [("searched in", result.plan.where)]),
@@ -60,8 +60,8 @@ def write_page(saved: Answered[WorstSearch], path: Path) -> None:
     page.write(path)
 
 
-def _places(result: WorstSearch) -> dict[str, Any]:
-    """Return the figure of how far each key is moved in what was found, a bar for each controller."""
+def _make_places_figure(result: WorstSearch) -> dict[str, Any]:
+    """Return the figure of how far the found case is from the middle in each key, a bar a controller."""
     names = list(dict.fromkeys(effect.name for case in result.cases for effect in case.effects))
     data = []
     for number, case in enumerate(result.cases):

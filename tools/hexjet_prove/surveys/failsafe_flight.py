@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from cosim.simulation.step import Simulation
     from cosim.spec.scenario import Scenario
 
-# Chosen by us: s of steady flight before the failure, twice what the estimate of the drag needs.
-MOVING_S = 10.0  # the drag is learnt in half of it
-SLOW_M_S, SLOW_S = 0.3, 1.0  # slower for this many s: it holds
-MAX_SETTLING_S = 60.0  # then it fails at any speed
+# Steady flight before the failure, chosen by us: twice what the estimate of the drag needs.
+STEADY_S = 10.0
+SLOW_M_S, SLOW_S = 0.3, 1.0  # slower for this long: it holds
+MAX_SETTLING_S = 60.0  # then the failure comes at any speed
 MAX_FLIGHT_S = 180.0  # three descents from 30 m
 MAX_S_PER_METRE = 4.0  # of height: slower than any vehicle
-WATCH_S = 10.0  # flown on after disarming
+DISARMED_S = 10.0  # flown on after disarming
 MAX_HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
 MAX_HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
 MAX_HOLD_S = 60.0  # s of holding that are watched
@@ -50,7 +50,7 @@ MEASURED = (
     *("touchdown_m_s", "sideways_m_s", "thrust_n", "after_s", "drift_m", "off_m", "height_off_m", "hover_s"),
     *("margin_m_s", "margin_m"),
 )
-OWN = "own."  # prefix of measures in a row
+OWN = "own."  # prefix of the measures' columns
 
 
 class FailsafeAutopilot(Model):
@@ -75,7 +75,7 @@ class FailsafeAutopilot(Model):
 
     @property
     def before_s(self) -> float:
-        """Nothing is flown before the first step."""
+        """Time flown before the first step [s]: none."""
         return 0.0
 
     def program(self, folder: Path) -> Path | None:
@@ -134,7 +134,7 @@ class FailsafeFlight:
         if table.speed_m_s:
             # Whatever it was flying to, it gets a target out of reach, so that it does not brake.
             self.ask((Goto(1000.0, speed=table.speed_m_s),))
-            self.fly(MOVING_S)
+            self.fly(STEADY_S)
         if case.waits:
             self.fly(MAX_SETTLING_S, lambda: bool(self.pilot.failsafe))
         return self.fail()
@@ -167,7 +167,7 @@ class FailsafeFlight:
         """Fly for so many seconds, or until a condition, or a crash."""
         last = self.simulation.k + round(seconds / self.simulation.dt)
         while self.simulation.k < last and self._ending is None and not until():
-            self._step()
+            self._fly_step()
 
     def settle(self) -> None:
         """Fly until the vehicle holds its position."""
@@ -175,7 +175,7 @@ class FailsafeFlight:
         dt = simulation.dt
         min_settled_s = 5.0  # s of hover before the failure, at least
         while simulation.k * dt < MAX_SETTLING_S:
-            self._step()
+            self._fly_step()
             north, east, down = simulation.state.velocity
             slow = slow + 1 if hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S else 0
             if simulation.k * dt >= min_settled_s and slow * dt >= SLOW_S:
@@ -205,14 +205,14 @@ class FailsafeFlight:
         self._acted = pilot.failsafe if case.waits else ""
         last = begin + round((MAX_HOLD_S if case.holds else MAX_FLIGHT_S + MAX_S_PER_METRE * table.height_m) / dt)
         disarmed_s = 1.0  # s, flights of a cell but the first
-        watched, disarmed, thrust = WATCH_S if table.number <= 1 else disarmed_s, -1, nan
+        watched, disarmed, thrust = DISARMED_S if table.number <= 1 else disarmed_s, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
-            sample = self._step()
+            sample = self._fly_step()
             self._acted = self._acted or pilot.failsafe
             disarmed = -1 if pilot.armed else k if disarmed < 0 else disarmed
             if disarmed >= 0 and (k - disarmed) * dt >= watched:
-                thrust = sum(sample.engines.thrust) if watched == WATCH_S else nan
+                thrust = sum(sample.engines.thrust) if watched == DISARMED_S else nan
                 break
             if case.holds and target.is_held() and (k - begin) * dt >= 8.0:
                 break
@@ -225,7 +225,7 @@ class FailsafeFlight:
         )
         return dict(zip(MEASURED, measured, strict=True)), self._verdict(disarmed >= 0, target)
 
-    def _step(self) -> Sample:
+    def _fly_step(self) -> Sample:
         simulation, previous = self.simulation, self.simulation.state
         sample = simulation.step()
         for look in self._observe:
@@ -244,10 +244,10 @@ class FailsafeFlight:
         if isnan(self._touched):
             return nan
         limit = self.simulation.vehicle.limits.touchdown_m_s
-        return min(limit - self._touchdown, self._trip_m_s - self._sideways)
+        return min(limit - self._touchdown, self._tipping_speed_m_s - self._sideways)
 
     @property
-    def _trip_m_s(self) -> float:
+    def _tipping_speed_m_s(self) -> float:
         return inf if self.table.trip_m_s is None else self.table.trip_m_s
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
@@ -260,7 +260,7 @@ class FailsafeFlight:
         if disarmed and not on_ground:
             return Verdict.CRASHED
         if disarmed:
-            return Verdict.SLID if self._sideways > self._trip_m_s else Verdict.LANDED
+            return Verdict.SLID if self._sideways > self._tipping_speed_m_s else Verdict.LANDED
         if self.pilot.landed is LandedState.ON_GROUND or on_ground:
             return Verdict.STANDS_ARMED
         return Verdict.HOLDS if self.case.holds and target.is_held() else Verdict.FLIES_ON
@@ -288,12 +288,12 @@ class HoldTarget:
         return hypot(state.position[0] - north, state.position[1] - east), state.altitude - self._height
 
     def margin(self) -> float:
-        """Return by how much the vehicle is within of the place and of the height, m."""
+        """Return the smaller margin of distance and height to the limits of holding, m."""
         distance, height_error = self.deviation()
         return min(self._within - distance, MAX_HOLD_HEIGHT_M - abs(height_error))
 
     def is_held(self) -> bool:
-        """Return whether it is slow in HOLD near its position and height."""
+        """Return whether the vehicle is in HOLD, slow, and near its position and height."""
         north, east, down = self._simulation.state.velocity
         is_slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
         return self._pilot.mode is Mode.HOLD and self.margin() > 0.0 and is_slow

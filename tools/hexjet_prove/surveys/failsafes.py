@@ -24,7 +24,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
 from cosim.studies import Campaign, Study, default_draw
 from hexjet_prove.surveys.failsafe_cases import Case, cases
-from hexjet_prove.surveys.failsafe_flight import MAX_FLIGHT_S, MAX_S_PER_METRE, MAX_SETTLING_S, MEASURED, MOVING_S, OWN
+from hexjet_prove.surveys.failsafe_flight import MAX_FLIGHT_S, MAX_S_PER_METRE, MAX_SETTLING_S, MEASURED, OWN, STEADY_S
 from hexjet_prove.surveys.survey import Subject, load_subject, make_study, select_cases
 from hexjet_prove.surveys.tipping import tip_speed
 
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from cosim.control.autopilot.energy import Energy
 
 HEIGHTS_M = (3.0, 10.0, 30.0)
-TALL_M = (100.0, 300.0)  # heights of waits for low fuel, one each
+FUEL_HEIGHTS_M = (100.0, 300.0)  # where low fuel is waited for
 WINDS_M_S = (0.0, 5.0, 10.0)  # winds flown
 # Chosen by us: range of the time from take-off to the failure.
-HOVER_S = (2.0, 20.0)
+HOVER_RANGE_S = (2.0, 20.0)
 
 
 class Start(NamedTuple):
-    """State at the failure: m, m/s from abeam, m/s forward (0: hover)."""
+    """State at the failure: height m, wind from abeam m/s, forward speed m/s (0: hover)."""
 
     height: float
     wind: float
@@ -118,12 +118,12 @@ class Conditions:
                 (start, 0) for start in (*begun, *(Start(height, min(self.winds), self.speed) for height in moving))
             ]
         if case.waits and not self.heights:
-            heights = (*heights, *TALL_M)
+            heights = (*heights, *FUEL_HEIGHTS_M)
         lowest = min(self.winds)
         return [
             (start._replace(wind=start.wind if start.speed else self.winds[(number - 1) % len(self.winds)]), number)
             for start in (*(Start(h, lowest) for h in heights), *(Start(h, lowest, self.speed) for h in moving))
-            for number in range(1, 1 + (1 if start.height in TALL_M else self.flights))
+            for number in range(1, 1 + (1 if start.height in FUEL_HEIGHTS_M else self.flights))
         ]
 
 
@@ -146,7 +146,7 @@ class PlannedFlight(NamedTuple):
 
 
 class FailsafePlan(NamedTuple):
-    """Study of a survey, and its cases."""
+    """Study of a failsafe survey, and its flights by case."""
 
     subject: Subject
     controller: str
@@ -190,7 +190,7 @@ def plan_failsafes(
             settings |= drawn
             table |= {"number": each.number} | more
         if draw is not None:
-            settings |= draw.named(f"{conditions.seed} {each.case.name} {each.start} {each.number}")
+            settings |= draw.draw_by_name(f"{conditions.seed} {each.case.name} {each.start} {each.number}")
         tables.append({"name": each.name, "settings": settings, "autopilot": table})
     tallest = max(each.start.height for each in planned)
     study = make_study(
@@ -214,7 +214,7 @@ class FailsafeSurvey:
         self.controller, self.engine_note = plan.controller, plan.engine_note
         # A leg that touches faster counts as a crash; a sideways speed above the tipping speed counts as a slide.
         self.limit_m_s, self.trip_m_s = plan.subject.vehicle.limits.touchdown_m_s, plan.trip_m_s
-        self.rows = [_row(plan.flights[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
+        self.rows = [_make_row(plan.flights[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table for JSON, null if there is no number."""
@@ -231,10 +231,10 @@ class FailsafeSurvey:
     def table(self) -> list[list[str]]:
         """Return a line for each failsafe and a column for each start: the head and the lines of a table."""
         rows = sorted(self.rows, key=lambda row: (row.speed_m_s > 0.0, row.height_m))
-        columns = list(dict.fromkeys(map(_column, rows)))
+        columns = list(dict.fromkeys(map(_make_title, rows)))
         cells: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
-            cells.setdefault((row.failsafe, _column(row)), []).append(row)
+            cells.setdefault((row.failsafe, _make_title(row)), []).append(row)
         names = dict.fromkeys(row.failsafe for row in self.rows)
         lines = [[name, *(format_cell(cells.get((name, column), ())) for column in columns)] for name in names]
         return [["failsafe", *columns], *lines]
@@ -249,7 +249,7 @@ class FailsafeSurvey:
         ]
 
 
-def _row(planned: PlannedFlight, row: Mapping[str, Any]) -> Row:
+def _make_row(planned: PlannedFlight, row: Mapping[str, Any]) -> Row:
     values: dict[str, Any] = {name: nan if row[OWN + name] is None else row[OWN + name] for name in MEASURED}
     values |= {name: row[name] for name in ("reason", "log_sha256", "flight")}
     return Row(planned.case.name, *planned.start, verdict=Verdict(row["verdict"]), number=planned.number, **values)
@@ -264,7 +264,7 @@ def draw_flight(
     """
     case, start, number = planned
     draw = Random(f"{seed} {vehicle.name} {case.name} {start} {number}")
-    hover = float(round(draw.uniform(*HOVER_S)))
+    hover = float(round(draw.uniform(*HOVER_RANGE_S)))
     initial: dict[str, Any] = {"on_ground": True}
     table = {"hover_s": hover}
     if case.waits:
@@ -288,7 +288,7 @@ def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, A
     """Return the settings of a flight that begins in the air, without its requests."""
     return subject.settings(
         height,
-        MAX_SETTLING_S + MOVING_S + MAX_FLIGHT_S + 2.0 * MAX_S_PER_METRE * height,
+        MAX_SETTLING_S + STEADY_S + MAX_FLIGHT_S + 2.0 * MAX_S_PER_METRE * height,
         monitor=subject.vehicle.control.monitor is not None,
         environment={"wind_ned_m_s": [0.0, wind, 0.0]},
     )
@@ -300,8 +300,8 @@ def scenario_of(subject: Subject, controller: str, height: float, wind: float) -
     return Scenario.from_table(settings | {"name": "failsafe", "controller": controller}, Path(), "failsafe")
 
 
-def _column(row: Row) -> str:
-    """Return the column's head for a flight in one of several winds."""
+def _make_title(row: Row) -> str:
+    """Return the title of the column that a flight is shown in."""
     return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
 
 
@@ -320,15 +320,15 @@ def format_cell(rows: Sequence[Row]) -> str:
         ends.append(end)
 
     numbers = (
-        (_worst(rows, "off_m"), "{:.2f} m off"),
-        (_worst(rows, "touchdown_m_s"), "{:.2f} m/s"),
-        (_worst(rows, "sideways_m_s"), "sideways {:.2f} m/s"),
-        (_worst(rows, "drift_m") if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
-        (_worst(rows, "thrust_n"), "{:.1f} N"),
+        (_max_value(rows, "off_m"), "{:.2f} m off"),
+        (_max_value(rows, "touchdown_m_s"), "{:.2f} m/s"),
+        (_max_value(rows, "sideways_m_s"), "sideways {:.2f} m/s"),
+        (_max_value(rows, "drift_m") if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
+        (_max_value(rows, "thrust_n"), "{:.1f} N"),
     )
     return ", ".join([*ends, *(form.format(value) for value, form in numbers if not isnan(value))])
 
 
-def _worst(rows: Sequence[Row], column: str) -> float:
+def _max_value(rows: Sequence[Row], column: str) -> float:
     """Return the largest number of a column; NaN without one."""
     return max((value for row in rows if not isnan(value := getattr(row, column))), default=nan)

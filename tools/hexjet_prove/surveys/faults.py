@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
     from cosim.simulation.controllers.source import Source
 
-WHOLE_CONTROLLER = "controller"  # a level: cascade and engine monitor
-STARTS = ("hover", "roll")  # flights at the time of the fault
+WHOLE_CONTROLLER = "controller"  # level of a controller that is whole
+START_STATES = ("hover", "roll")  # flights at the time of the fault
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # s before the fault; the roll has settled
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")  # sensors that fail
 AFTER_S = 6.0  # s flown after the fault
-LIMIT = "limit"  # kind of cases that find the limits
+LIMIT_KIND = "limit"  # kind of cases that find the limits
 LOSSES = tuple(k / 10 for k in range(1, 11))  # fractions of thrust lost
 CONFIRMATIONS_S = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3)  # detection times tried
 
@@ -49,7 +49,7 @@ class Case(NamedTuple):
         return "-".join(re.findall(r"\w+", f"{self.kind} {self.place} {start}"))
 
     def settings_from(self, start: str) -> dict[str, Any]:
-        """Return the scenario's settings of the case."""
+        """Return the scenario's settings for the case, in hover or in a roll."""
         begin = SETTLED_S[start]
         roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": 10.0}
         return {
@@ -139,11 +139,11 @@ def cases(vehicle: Vehicle, limits: bool = False) -> list[Case]:
     ]
     for share in LOSSES if limits else ():
         found.append(
-            Case(f"{LIMIT}, {share:.0%} thrust lost", "jet 1", {"kind": "thrust_loss", "share": share, "jet": 1})
+            Case(f"{LIMIT_KIND}, {share:.0%} thrust lost", "jet 1", {"kind": "thrust_loss", "share": share, "jet": 1})
         )
     for seconds in CONFIRMATIONS_S if limits else ():
         settings = {"vehicle.control.monitor.confirm_s": seconds}
-        found.append(Case(f"{LIMIT}, found in {seconds:g} s", "jet 1", {"kind": "flame_out", "jet": 1}, settings))
+        found.append(Case(f"{LIMIT_KIND}, found in {seconds:g} s", "jet 1", {"kind": "flame_out", "jet": 1}, settings))
     return [Case("none", "", None), *found]
 
 
@@ -178,22 +178,22 @@ def plan_faults(
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
     subject = load_subject(aircraft, engine)
-    kinds = [*kinds, LIMIT] if limits and kinds else kinds
+    kinds = [*kinds, LIMIT_KIND] if limits and kinds else kinds
     chosen = select_cases(cases(subject.vehicle, limits), kinds, "fault", lambda case: case.kind)
     height_m = 30.0
     scenario = subject.scenario("survival", BASELINE.name, height_m, AFTER_S)
     draw, note = default_draw(scenario, nominal_engine)
-    planned = {case.name(start): (case, start) for case in chosen for start in STARTS}
+    planned = {case.name(start): (case, start) for case in chosen for start in START_STATES}
 
-    def settings(case: Case, start: str) -> dict[str, Any]:
-        drawn = {} if draw is None else draw.named(f"{case.kind} {case.place} {start}")
+    def case_settings(case: Case, start: str) -> dict[str, Any]:
+        drawn = {} if draw is None else draw.draw_by_name(f"{case.kind} {case.place} {start}")
         return {"seed": scenario.seed, **case.settings_from(start), **drawn}
 
     study = make_study(
         f"faults-{subject.vehicle.name}",
         f"Every single fault of {subject.vehicle.name}, engine {subject.engine}",
         subject.settings(height_m, AFTER_S) | Case("none", "", None).settings_from("roll"),
-        [{"name": name, "settings": settings(*each)} for name, each in planned.items()],
+        [{"name": name, "settings": case_settings(*each)} for name, each in planned.items()],
         controllers=list(controllers or subject.controllers()),
     )
     return FaultPlan(subject, study, planned, note)
@@ -206,8 +206,8 @@ class FaultSurvey:
 
     def __init__(self, plan: FaultPlan, campaign: Campaign) -> None:
         self.aircraft, self.engine, self.engine_note = plan.subject.vehicle.name, plan.subject.engine, plan.engine_note
-        self.rows = [_row(*plan.cases[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
-        self.custom_controllers = list(_custom_controllers(plan.study))
+        self.rows = [_make_row(*plan.cases[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
+        self.custom_controllers = list(_list_custom_controllers(plan.study))
         # If a design flies with other inputs than it was made for.
         self.warnings = design_warnings(plan.study)
 
@@ -256,7 +256,7 @@ class FaultSurvey:
         return lines + ([self.engine_note] if self.engine_note else [])
 
 
-def _row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
+def _make_row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
     """Return the outcome that a row of the campaign states."""
     margin, detected = row[f"{MARGIN_OF}held"], row["own.detected_s"]
     return Row(
@@ -276,7 +276,7 @@ def _row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
 
 
 def judge(outcome: str, margin: float | None) -> Verdict:
-    """Return whether a vehicle was held, only airborne, or lost; ``margin`` to being held."""
+    """Return whether a vehicle was held, only airborne, or lost; ``margin`` is that of being held."""
     if outcome != "completed":
         return Verdict.LOST
     return Verdict.HELD if margin is not None and margin >= 0.0 else Verdict.AIRBORNE
@@ -289,8 +289,8 @@ def _format_cell(rows: Sequence[Row]) -> str:
     return f"{held}/{len(rows)}{more}  {lean:3.0f} deg {lost:4.1f} m"
 
 
-def _custom_controllers(study: Study) -> Iterator[Source]:
-    """Yield the controllers from outside."""
+def _list_custom_controllers(study: Study) -> Iterator[Source]:
+    """Yield the user-supplied controllers of a study."""
     for name in study.controllers:
         with build(with_values(study.base(), {"controller": name})) as simulation:
             if simulation.controller_source is not None:

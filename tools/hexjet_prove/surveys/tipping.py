@@ -21,7 +21,7 @@ from hexjet_prove.surveys.survey import Subject
 # Chosen by us: directions of motion relative to the nose, each 45 degrees.
 HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # of motion, relative to the nose
 MAX_TIPPING_S = 8.0  # a turbine idles after 3 to 5 s
-TIPPED = radians(60.0)  # past any centre of gravity over legs
+TIPPED_ANGLE = radians(60.0)  # past any centre of gravity over legs
 
 
 class _ClosedThrottles:
@@ -87,6 +87,6 @@ def _tips(scenario: Scenario, speed: float, heading_deg: float) -> bool:
         for _ in range(round(MAX_TIPPING_S / simulation.dt)):
             simulation.step()
             roll, pitch, _ = simulation.state.euler
-            if acos(cos(roll) * cos(pitch)) > TIPPED:
+            if acos(cos(roll) * cos(pitch)) > TIPPED_ANGLE:
                 return True
     return False
