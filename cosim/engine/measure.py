@@ -149,7 +149,7 @@ def _small_step(
 def _starts_settled(
     archive: Archive, folder: Path, settings: tuple[Setting, ...], step: float, measured: EngineMeasurement, air: Air
 ) -> bool:
-    """Return whether the start parameter starts the engine steadily on its static curve at half throttle."""
+    """Return whether the start parameter starts the engine at rest on its static curve, at half throttle."""
     curve, response = measured.curve, measured.response
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]

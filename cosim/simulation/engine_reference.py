@@ -22,7 +22,7 @@ class SmallStepResponse(NamedTuple):
     delay: float | None  # control steps at low frequency, or None
     speed: float  # rad/s; 0: has no speed port
     speed_per_n: float  # rad/s per N of steady thrust
-    # Thrust change at the end of each step over the final change, mean of steps up and down; () as above.
+    # Thrust change at the end of each step over the final change, mean of steps up and down; (): no response.
     response: tuple[float, ...] = ()
 
 

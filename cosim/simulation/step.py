@@ -101,7 +101,7 @@ class Simulation:
         self.initial_throttle = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
         # Thrust depends on the air at the start, which is known only after the airframe's reset: reset twice.
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
-        # Until the autopilot is armed, and again whenever it has switched the engines off.
+        # The engines are off until the autopilot is armed, and again whenever it has switched them off.
         self._engines_were_off = self._engines_restart = initial.engines == "off"
         forces = propulsion.reset(throttle, at_rest, wind, self._engines_were_off)
         self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)

@@ -302,7 +302,7 @@ class Airframe:
             if disturbance.payload != self._disturbance.payload:
                 old = self._disturbance.payload
             self._apply_disturbance(disturbance)
-        push, twist = disturbance.force, _sum(disturbance.moment, moment)
+        push, twist = disturbance.force, _add(disturbance.moment, moment)
         run, runs = self._run, self.substeps
         try:
             if old is not None and runs > 1:
@@ -343,7 +343,7 @@ class Airframe:
             shift = _extrapolate(shift, (shift[0] + x, shift[1] + y, shift[2] + z), 0.5 * self._dt)
         jolt = (size * x, size * y, size * z)
         # The impulse acts at the centre of gravity as built, without moment about the present one.
-        self._write_loads(forces, _sum(push, jolt), _sum(twist, cross(after, jolt)))
+        self._write_loads(forces, _add(push, jolt), _add(twist, cross(after, jolt)))
         self._mass_change.shift_centre(rotate(self._read_state().attitude, shift))
         self._mass_change.evaluate(self._run)
         self._set_methods(GROUND_METHOD)
@@ -609,7 +609,7 @@ def _skip_run() -> bool:
     return True
 
 
-def _sum(a: Vector3, b: Vector3) -> Vector3:
+def _add(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 

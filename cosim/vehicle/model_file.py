@@ -162,22 +162,22 @@ def _find_lines(text: bytes, matches: Callable[[str], bool], tag: str = "") -> l
     depth = 0
     reader = expat.ParserCreate()
 
-    def check(words: str) -> None:
+    def record_match(words: str) -> None:
         if matches(words):
             numbers.append(reader.CurrentLineNumber)
 
-    def begin(name: str, attributes: dict[str, str]) -> None:
+    def enter(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth == 2 and name == tag:
             numbers.append(reader.CurrentLineNumber)
         for value in attributes.values():
-            check(value)
+            record_match(value)
 
-    def end(name: str) -> None:
+    def leave(name: str) -> None:
         nonlocal depth
         depth -= 1
 
-    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, check
+    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = enter, leave, record_match
     reader.Parse(text, True)
     return numbers

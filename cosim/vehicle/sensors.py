@@ -22,8 +22,7 @@ from cosim.vehicle._noise import Noise
 T = TypeVar("T")  # type of a delayed value
 Fix = tuple[Any, Any]  # vectors of position and velocity
 
-# Steps drawn at once, and normal numbers per step: gyro, attitude, position, velocity 3 each, height 1; accelerometer
-# 3.
+# Steps drawn at once, and standard normal numbers per step: for all sensors but the accelerometer, and for that.
 _DRAW_SHAPE, _FORCE_DRAW_SHAPE = (256, 13), (256, 3)
 _MEASURED: Final = Measured  # direct access in compiled code
 
@@ -296,18 +295,18 @@ def _repeat(measured: Measured, sensor: str, last: Measured) -> Measured:
 def _offset(measured: Measured, fault: SensorBias) -> Measured:
     x, y, z = fault.vector
     if fault.sensor == "gyro":
-        return measured._replace(rate=_sum(measured.rate, fault.vector))
+        return measured._replace(rate=_add(measured.rate, fault.vector))
     if fault.sensor == "attitude":
         turned = normalize(multiply(measured.attitude, (1.0, 0.5 * x, 0.5 * y, 0.5 * z)))
         return measured._replace(attitude=turned)
     if fault.sensor == "gnss":
         return measured._replace(
-            position=_sum(measured.position, fault.vector), velocity=_sum(measured.velocity, fault.velocity_bias)
+            position=_add(measured.position, fault.vector), velocity=_add(measured.velocity, fault.velocity_bias)
         )
     return measured._replace(altitude=measured.altitude + x)
 
 
-def _sum(a: Vector3, b: Vector3) -> Vector3:
+def _add(a: Vector3, b: Vector3) -> Vector3:
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
@@ -317,7 +316,7 @@ def _scale(vector: Vector3, factor: float) -> Vector3:
 
 def _draw_bias(bias: Vector3, sigma: float, draws: list[float], factor: float) -> Vector3:
     """Return the stated bias plus a drawn part; exactly the stated one if ``sigma`` is 0."""
-    return _sum(_scale(bias, factor), _scale((draws[0], draws[1], draws[2]), sigma * factor))
+    return _add(_scale(bias, factor), _scale((draws[0], draws[1], draws[2]), sigma * factor))
 
 
 def _quantise(vector: Vector3, resolution: float) -> Vector3:

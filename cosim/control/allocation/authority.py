@@ -121,7 +121,7 @@ class Reach:
         lines = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
         ends = [remaining.moment(line) for line in lines]
 
-        def moments(sizes: Sequence[float], upward: float) -> Vector3 | None:
+        def make_moment(sizes: Sequence[float], upward: float) -> Vector3 | None:
             if min(sizes) == -inf or upward < self._weight:
                 return None
             roll, pitch, yaw = (max(0.0, min(sizes[2 * axis : 2 * axis + 2])) for axis in range(3))
@@ -130,9 +130,9 @@ class Reach:
         return Authority(
             tuple(lost),
             max(lift.lower / self._weight, 0.0),
-            moments([end.lower for end in ends], lift.lower),
+            make_moment([end.lower for end in ends], lift.lower),
             max(lift.upper / self._weight, 0.0),
-            moments([end.upper for end in ends], lift.upper),
+            make_moment([end.upper for end in ends], lift.upper),
         )
 
     def moment(self, direction: Any) -> Range:

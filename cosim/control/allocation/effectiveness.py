@@ -211,7 +211,7 @@ class EffectivenessAllocator:
         return True
 
     def trim(self, collective: float) -> PerJet:
-        """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""
+        """Return the thrust fractions that balance the vehicle at ``collective``, with hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
         found, _ = self._solve(wanted, wanted[LIFT], MAX_FIRST, False)
         return self._thrust_fractions(found)
@@ -380,6 +380,7 @@ class EffectivenessAllocator:
         )
 
     def _thrust_fractions(self, found: Sequence[float]) -> PerJet:
+        """Return the thrust fraction of each jet for thrusts [N], limited to the range of the jet."""
         idle = self._low / self._span
         answer: list[float] = []
         for jet, health in enumerate(self._health):

@@ -229,30 +229,30 @@ def check_xml(name: str, xml: bytes) -> None:
     """Raise UnusableError for XML that FMI does not need: document types, deep nesting, unusual encodings."""
     depth = 0
 
-    def declaration(version: str, encoding: str | None, standalone: int) -> None:
+    def check_encoding(version: str, encoding: str | None, standalone: int) -> None:
         if encoding is not None and encoding.lower() not in ENCODINGS:
             raise UnusableError(f"{name} is in {to_one_line(encoding)}; allowed: {', '.join(sorted(ENCODINGS))}")
 
-    def doctype(*_: object) -> None:
+    def refuse_doctype(*_: object) -> None:
         raise UnusableError(f"{name} declares a document type or entities; FMI uses neither, and they can do harm")
 
-    def start(*_: object) -> None:
+    def enter_element(*_: object) -> None:
         nonlocal depth
         depth += 1
         if depth > LIMITS.max_xml_depth:
             raise UnusableError(f"{name} nests elements more than {LIMITS.max_xml_depth} deep")
 
-    def end(*_: object) -> None:
+    def leave_element(*_: object) -> None:
         nonlocal depth
         depth -= 1
 
     if xml.startswith((b"\xfe\xff", b"\xff\xfe")) or b"\0" in xml[:4]:
         raise UnusableError(f"{name} is in UTF-16 or UTF-32; allowed: {', '.join(sorted(ENCODINGS))}")
     parser = expat.ParserCreate(namespace_separator="}")  # also rejects unbound prefixes
-    parser.XmlDeclHandler = declaration
-    parser.StartDoctypeDeclHandler = doctype
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.XmlDeclHandler = check_encoding
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartElementHandler = enter_element
+    parser.EndElementHandler = leave_element
     try:
         parser.Parse(xml, True)
     except expat.ExpatError as error:

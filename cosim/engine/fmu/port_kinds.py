@@ -21,7 +21,7 @@ from cosim.engine.fmu.units import (
 )
 from cosim.engine.fmu.variables import REALS, SWITCH_TYPES, THROTTLE_TYPES
 
-# inputs in the order of the C loop
+# Inputs in the order of the C loop.
 BASE_INPUTS = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
 INPUTS = (*BASE_INPUTS, *DERIVED)  # all inputs
 SIDE_LOADS = ("force_forward", "force_right", "torque")  # loads on the airframe beside thrust

@@ -92,12 +92,12 @@ class Slave:
         function = self._prefix + name
         call = partial(self.function(name), c_void_p(self.component), *arguments)
 
-        def checked() -> None:
+        def call_checked() -> None:
             status = call()
             if status > 1:  # neither OK nor Warning
                 raise CallError(function, status)
 
-        return checked
+        return call_checked
 
     def call(self, name: str, *arguments: Any) -> None:
         """Call a function with C arguments.  Raises CallError."""

@@ -276,10 +276,10 @@ class Estimator:
         self._predict_attitude(measured.rate)
         if self._attitude_repeats == 0:
             self._correct_attitude(measured.attitude)
-        is_biased = self.has_rate and _largest(self.gyro_bias) > _MAX_GYRO_BIAS
+        is_biased = self.has_rate and _largest_magnitude(self.gyro_bias) > _MAX_GYRO_BIAS
         self._biased_s = self._biased_s + self._dt if is_biased else 0.0
         attitude = measured.attitude if self.has_attitude else self._attitude
-        return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
+        return attitude, _add_scaled(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
 
     def _predict_attitude(self, rate: Vector3, bias_walk: float = 2e-5) -> None:
         """Predict the attitude one step ahead by the gyro; without one the bias is minus the rate, and changes quickly.
@@ -288,17 +288,17 @@ class Estimator:
         """
         dt, has_rate, angle, raw = self._dt, self.has_rate, self._angle, ZERO3
         if has_rate:
-            raw = _scale(_sum(rate, self._last_rate, self._filter_gain - 1.0), 1.0 / self._filter_gain)
+            raw = _scale(_add_scaled(rate, self._last_rate, self._filter_gain - 1.0), 1.0 / self._filter_gain)
         if has_rate is self._gyro_has_failed:
             # Without a gyro the bias is minus the rate: convert it when it stops, start from 0 when it works again.
-            self.gyro_bias = ZERO3 if has_rate else _sum(self.gyro_bias, self._raw_rate, -1.0)
+            self.gyro_bias = ZERO3 if has_rate else _add_scaled(self.gyro_bias, self._raw_rate, -1.0)
             angle.uu = _GYRO_BIAS_UNKNOWN**2
             if not has_rate:
                 angle.vu = 0.0
         self._gyro_has_failed = not has_rate
         # Mean of the rates at both ends of the step, less the bias.
-        mean = _scale(_sum(self._raw_rate, raw), 0.5) if has_rate else ZERO3
-        x, y, z = _scale(_sum(mean, self.gyro_bias, -1.0), 0.5 * dt)
+        mean = _scale(_add_scaled(self._raw_rate, raw), 0.5) if has_rate else ZERO3
+        x, y, z = _scale(_add_scaled(mean, self.gyro_bias, -1.0), 0.5 * dt)
         self._last_rate, self._raw_rate = rate, raw
         self._attitude = normalize(multiply(self._attitude, (1.0, x, y, z)))
         self._past.append(self._attitude)
@@ -315,11 +315,11 @@ class Estimator:
         error = _scale((x, y, z), 2.0 if w >= 0.0 else -2.0)
         total = self._angle.vv + self._angle_noise
         if self._has_jumped:
-            self._has_jumped = _largest(error) > 5.0 * sqrt(total)
+            self._has_jumped = _largest_magnitude(error) > 5.0 * sqrt(total)
             self._last_error = error
             if self._has_jumped:
                 return
-        jump = _largest(_sum(error, self._last_error, -1.0))
+        jump = _largest_magnitude(_add_scaled(error, self._last_error, -1.0))
         if jump > max(max_jump, 10.0 * sqrt(2.0 * self._angle_noise)) and self.has_rate:
             self._has_jumped = True
             return
@@ -329,15 +329,15 @@ class Estimator:
         self._past = deque([normalize(multiply(past, (1.0, x, y, z))) for past in self._past])
         self._attitude = self._past[-1]
         self._last_error = _scale(error, 1.0 - angle_gain.real)
-        self.gyro_bias = _sum(self.gyro_bias, error, bias_gain.real)
+        self.gyro_bias = _add_scaled(self.gyro_bias, error, bias_gain.real)
 
     def _detect_new_bias(self, error: Vector3, total: float) -> None:
         """Increase the covariance of the gyro's bias if the mean error shows that the bias has changed."""
         gain = self._dt / _ERROR_MEAN_S
-        self._mean = _sum(self._mean, _sum(error, self._mean, -1.0), gain)
+        self._mean = _add_scaled(self._mean, _add_scaled(error, self._mean, -1.0), gain)
         self._quiet_s = max(0.0, self._quiet_s - self._dt)
         bound = max(_MAX_ERROR_RAD, _MAX_ERROR_SIGMAS * sqrt(0.5 * gain * total))
-        if self._quiet_s == 0.0 and _largest(self._mean) > bound:
+        if self._quiet_s == 0.0 and _largest_magnitude(self._mean) > bound:
             self._angle.uu = max(self._angle.uu, _GYRO_BIAS_UNKNOWN**2)
             self._quiet_s = _MIN_BETWEEN_S
 
@@ -443,7 +443,7 @@ class Estimator:
             self._correct_height(0, apart - self._offset, self._position_noise, latency)
 
 
-def _sum(a: Vector3, b: Vector3, factor: float = 1.0) -> Vector3:
+def _add_scaled(a: Vector3, b: Vector3, factor: float = 1.0) -> Vector3:
     """Return ``a + factor b``."""
     return (a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2])
 
@@ -452,5 +452,5 @@ def _scale(a: Vector3, factor: float) -> Vector3:
     return (factor * a[0], factor * a[1], factor * a[2])
 
 
-def _largest(a: Vector3) -> float:
+def _largest_magnitude(a: Vector3) -> float:
     return max(abs(a[0]), abs(a[1]), abs(a[2]))
