@@ -16,7 +16,7 @@ WIDTH, LEFT, RIGHT = 860.0, 64.0, 844.0  # px
 # Top and bottom of the figure's first two panels, px.
 PANELS = {"y": (40.0, 120.0), "y2": (140.0, 400.0)}
 MAX_POINTS = 1500  # a curve, about two a pixel
-TICKS = 5  # of an axis, about
+TICKS_PER_AXIS = 5  # of an axis, about
 STYLE = (
     "text { font: 12px system-ui, sans-serif; fill: #222; } .grid { stroke: #ddd; } .frame { fill: #fff; }"
     " polyline { fill: none; stroke-linejoin: round; }"
@@ -98,6 +98,6 @@ def _to_pixel(value: float, values: tuple[float, float], ends: tuple[float, floa
 
 def _round_ticks(low: float, high: float) -> list[float]:
     """Return round numbers between two limits."""
-    power = 10.0 ** floor(log10((high - low) / TICKS))
-    step = next(size * power for size in (1.0, 2.0, 5.0, 10.0) if size * power * TICKS >= high - low)
+    power = 10.0 ** floor(log10((high - low) / TICKS_PER_AXIS))
+    step = next(size * power for size in (1.0, 2.0, 5.0, 10.0) if size * power * TICKS_PER_AXIS >= high - low)
     return [float(f"{k * step:.12g}") for k in range(ceil(low / step), floor(high / step) + 1)]

@@ -82,7 +82,7 @@ def test_a_small_file_of_very_much_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_reader_that_crashes_is_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "_RUN", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    monkeypatch.setattr(reader, "_READER_CODE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     path = KINDS["csv"].make(tmp_path)
     with pytest.raises(
         InputError, match=r"bench\.csv: cannot be read: it is damaged; the process was ended by SIGSEGV$"

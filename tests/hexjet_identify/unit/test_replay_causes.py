@@ -11,7 +11,7 @@ from cosim.base.frames import from_euler, rotate
 from hexjet_identify.replay import Choices
 from hexjet_identify.replay.causes import CauseRow, Causes, FittedNumber, name_rows
 from hexjet_identify.replay.flown import delay_rows
-from hexjet_identify.replay.measures import LEVEL, ChannelMeasures, measure_bands, measure_ratio, theil
+from hexjet_identify.replay.measures import LEVEL_CHANNEL, ChannelMeasures, measure_bands, measure_ratio, theil
 from hexjet_identify.replay.misfit import Scores
 from hexjet_identify.replay.replay import are_beyond_tolerances, is_uncommanded
 from hexjet_identify.replay.wind import level_part
@@ -88,7 +88,7 @@ def test_what_no_command_moves_is_foreign() -> None:
     assert is_uncommanded(channel(blown, 0.01 * flown))
     assert not is_uncommanded(channel(blown, 0.4 * blown))
     assert not is_uncommanded(channel(blown, -0.4 * blown))
-    assert not is_uncommanded(channel(blown, 0.01 * flown + 100.0, LEVEL))
+    assert not is_uncommanded(channel(blown, 0.01 * flown + 100.0, LEVEL_CHANNEL))
 
 
 def test_forces_are_turned_as_an_attitude_turns_them() -> None:

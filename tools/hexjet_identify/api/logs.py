@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from hexjet_identify.prediction_error.result import LogIdentifyResult
     from hexjet_identify.prediction_error.validate import ValidateResult
 
-VALIDATION = ("validation.json", "report.html")
+VALIDATION_FILES = ("validation.json", "report.html")
 # The model of an axis is filed under this engine where nothing says whose it is.
-FAMILY = "edf-as-flown"
+DEFAULT_FAMILY = "edf-as-flown"
 
 
 @check_types(
@@ -119,7 +119,7 @@ def identify_log(
         hold=hold,
         lags=lags,
     )
-    result = LogIdentifyResult(found, step_s, family or read.engine or FAMILY)
+    result = LogIdentifyResult(found, step_s, family or read.engine or DEFAULT_FAMILY)
     return result if out is None else result.write(out)
 
 
@@ -188,7 +188,7 @@ def validate(
     from hexjet_identify.prediction_error.validate import ValidateResult, read_model
     from hexjet_identify.prediction_error.validate import validate as compare
 
-    check_results_folder(out, *VALIDATION)
+    check_results_folder(out, *VALIDATION_FILES)
     stated = read_model(Path(model), axis)
     read = read_flight_log(Path(log), time_column, time_unit)
     result = ValidateResult(compare(stated, read, begin, end))

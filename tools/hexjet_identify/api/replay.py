@@ -15,7 +15,7 @@ from cosim.spec.scenario import Scenario
 if TYPE_CHECKING:
     from hexjet_identify.replay import Replay
 
-WRITTEN = ("replay.json", "replay.csv", "report.html")
+WRITTEN_FILES = ("replay.json", "replay.csv", "report.html")
 
 
 class ReplayResult(FolderResult):
@@ -162,7 +162,7 @@ def replay(
     from hexjet_identify.replay import replay as fly_again
 
     hears, path = progress or Progress(), Path(log)
-    check_results_folder(out, *WRITTEN)
+    check_results_folder(out, *WRITTEN_FILES)
     if throttle_range is not None and not throttle_range[0] < throttle_range[1]:
         low, high = throttle_range
         raise InputError(f"throttle_range {low:g} {high:g}: the second must be the larger")

@@ -23,7 +23,7 @@ from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.forms import Limits
 
 # The parameter of an engine's delay, in its internal steps.
-DELAY = "delay_samples"
+DELAY_PARAMETER = "delay_samples"
 
 
 class Parameters(NamedTuple):
@@ -62,17 +62,17 @@ def engine_parameters(found: Identification) -> Parameters:
     sizes = np.sqrt(np.maximum(np.diag(covariance)[first:], 0.0))
     weights = 1.0 / np.hypot(sizes, 0.003 * max(float(np.ptp(levels)), 1e-300))
 
-    def quantity(theta: Array) -> dict[str, float]:
+    def values_of(theta: Array) -> dict[str, float]:
         x = np.concatenate([theta[:first], theta[first:]]) if isinstance(chosen.form, Limits) else theta[:first]
         named, law = chosen.form.natural(x), fit_power_law(knots, theta[first:], weights)
-        told = {DELAY: named["delay_s"] / FITTED_STEP_S, "lag": named["lag_s"]}
+        told = {DELAY_PARAMETER: named["delay_s"] / FITTED_STEP_S, "lag": named["lag_s"]}
         told |= {"lag_2": named["second_lag_s"]} if "second_lag_s" in named else {}
         told |= {name: named[name] / max(abs(law[0]), 1e-300) for name in ("rise", "fall") if name in named}
         told |= {"exponent": law[2]} if rows > 2 else {}
         return told | {"gain": unit * law[0], "offset": unit * law[1]}
 
     theta = np.concatenate([chosen.x[:first], levels])
-    at = quantity(theta)
+    at = values_of(theta)
     law = fit_power_law(knots, levels, weights)
     miss = levels - law[1] - law[0] * knots ** law[2]
     if rows > 3:
@@ -81,7 +81,7 @@ def engine_parameters(found: Identification) -> Parameters:
     values = np.array(list(at.values()))
     steps = np.concatenate([np.full(first, 1e-4), np.full(rows, 1e-3 * max(float(np.ptp(levels)), 1e-300))])
     slopes = [
-        (np.array(list(quantity(theta + row).values())) - values) / step
+        (np.array(list(values_of(theta + row).values())) - values) / step
         for row, step in zip(np.diag(steps), steps, strict=True)
     ]
     slope = np.array(slopes).T
@@ -95,7 +95,7 @@ def fit_power_law(
     """Return gain, offset and exponent of the power law nearest to weighted levels; a straight line of two."""
     from scipy.optimize import minimize_scalar
 
-    def solve(exponent: float) -> tuple[Array, float]:
+    def fit_line(exponent: float) -> tuple[Array, float]:
         matrix = np.column_stack([knots**exponent, np.ones(len(knots))]) * weights[:, None]
         linear = np.linalg.lstsq(matrix, levels * weights)[0]
         return np.asarray(linear), float(np.sum((levels * weights - matrix @ linear) ** 2))
@@ -103,10 +103,10 @@ def fit_power_law(
     exponent = 1.0
     if len(knots) > 2:
         tried = np.geomspace(*ends, 12)
-        best = int(np.argmin([solve(float(one))[1] for one in tried]))
+        best = int(np.argmin([fit_line(float(one))[1] for one in tried]))
         bounds = tried[max(best - 1, 0)], tried[min(best + 1, 11)]
-        exponent = float(minimize_scalar(lambda one: solve(one)[1], bounds=bounds, options={"xatol": 1e-8}).x)
-    gain, offset = solve(exponent)[0].tolist()
+        exponent = float(minimize_scalar(lambda one: fit_line(one)[1], bounds=bounds, options={"xatol": 1e-8}).x)
+    gain, offset = fit_line(exponent)[0].tolist()
     return gain, offset, exponent
 
 
@@ -134,7 +134,7 @@ def engine_table(found: Identification) -> dict[str, object]:
     told = engine_parameters(found)
     parameters: dict[str, object] = dict(zip(told.names, told.values.tolist(), strict=True))
     deviations = told.deviations
-    parameters[DELAY], deviations[0] = _round_delay(found.chosen, FITTED_STEP_S)
+    parameters[DELAY_PARAMETER], deviations[0] = _round_delay(found.chosen, FITTED_STEP_S)
     names = ", ".join(record.path.name for record in found.records)
     moves = sum(int(np.count_nonzero(np.diff(record.command))) for record in found.records)
     seconds = sum(float(record.times[-1] - record.times[0]) for record in found.records)
@@ -161,9 +161,9 @@ def own_engine_table(found: Identification, form: EngineForm) -> dict[str, objec
     parameters |= dict(form.choices.settings) | dict(zip(form.choices.fitted, chosen.x[1:].tolist(), strict=True))
     names, keep = list(form.choices.fitted), list(range(1, len(chosen.x)))
     deviations = [chosen.deviation(row) for row in keep]
-    if DELAY in spec.parameters:
-        parameters[DELAY], off = _round_delay(chosen, step)
-        names, deviations, keep = [DELAY, *names], [off, *deviations], [0, *keep]
+    if DELAY_PARAMETER in spec.parameters:
+        parameters[DELAY_PARAMETER], off = _round_delay(chosen, step)
+        names, deviations, keep = [DELAY_PARAMETER, *names], [off, *deviations], [0, *keep]
     kept, covariance = _keep_unfitted(spec.uncertainty, {*names, *form.choices.settings})
     covariance = block_diag(chosen.covariance[np.ix_(keep, keep)], covariance)
     deviations += np.sqrt(np.diag(covariance))[len(names) :].tolist()

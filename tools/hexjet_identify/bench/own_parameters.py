@@ -58,7 +58,7 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
     half = 1.96 * estimate.deviation(0) + spread_of_delay(problem, estimate, form.seconds, row)
     bounds = max(estimate.delay - half, 0.0), estimate.delay + half
     verdict = judge(problem, estimate, form.seconds, held_back)
-    notes = [*_describe_beginning(problem, estimate, records), *_at_the_ends(problem, estimate, form), *notes]
+    notes = [*_describe_beginning(problem, estimate, records), *_note_limits_reached(problem, estimate, form), *notes]
     if form.is_speed:
         notes.append(f"the log has no thrust: thrust, fuel and temperature are those of {engine.engine} as it is set")
     notes += [note for record in records for note in record.notes]
@@ -83,7 +83,7 @@ def _describe_beginning(
     return notes
 
 
-def _at_the_ends(problem: Problem, estimate: Estimate, form: EngineForm) -> list[str]:
+def _note_limits_reached(problem: Problem, estimate: Estimate, form: EngineForm) -> list[str]:
     low, high = form.limits(problem)
     return [
         f"{name} ends at {value:.4g}, a limit of what is looked for"

@@ -36,7 +36,7 @@ NEWTONS_PER_UNIT = {
     "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
 }  # fmt: skip
 CLIPPED_COLUMN = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
-LONGEST_GAP = 4.0  # rows: what is missing longer is said
+MAX_GAP_ROWS = 4.0  # rows: what is missing longer is said
 
 
 class Columns(NamedTuple):
@@ -238,7 +238,7 @@ def _make_record(
     step = float(np.median(np.diff(times)))
     lost = max(0.0, 1.0 - len(times) * step / (float(times[-1] - times[0]) + step))
     longest = float(np.diff(times).max())
-    if longest > LONGEST_GAP * step:
+    if longest > MAX_GAP_ROWS * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(

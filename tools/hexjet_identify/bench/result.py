@@ -20,7 +20,7 @@ from hexjet_identify.engine_file import DEVIATIONS_95, FITTED, engine_readme, wr
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.evidence import MOVEMENT_COLUMNS, describe_movements
 
-BOUNDS = (
+BOUNDS_TEXT = (
     "The first model is the one that is written. The delay's bounds are those of its profile likelihood with two lags, "
     "or 1.96 standard deviations like the others; they hold where the model explains the log."
 )
@@ -94,7 +94,7 @@ def page(found: Identification) -> Page:
     text = "Each by the model as fitted to every second movement, not to this one; times since the command moves."
     cards = [
         Card("Measured and modelled", figure="signals"),
-        Card("Models", columns, rows(found, every=True), BOUNDS),
+        Card("Models", columns, rows(found, every=True), BOUNDS_TEXT),
         Card("What the log does not tell, and the next test", lines=found.untold or ("nothing that was asked",)),
         *([Card("Movements, foretold", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
         *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),

@@ -44,7 +44,7 @@ def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, f
         behind.append((lag, weight * (state - own)))
     slope = sum(lags.values()) * slope
 
-    def answer(when: Array) -> Array:
+    def respond_at(when: Array) -> Array:
         row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
         since = np.maximum(when - delay - times[row], 0.0)[:, None]
         value = ahead[row]
@@ -54,7 +54,7 @@ def answer_of_lags(log: Log, inputs: Array, delay: float, lags: Mapping[float, f
             value += each[row] * np.exp(-since / lag)
         return value
 
-    return average_over_rows(log, answer)
+    return average_over_rows(log, respond_at)
 
 
 def answer_of_poles(log: Log, delay: float, poles: Mapping[float, float]) -> Array:
@@ -65,14 +65,14 @@ def answer_of_poles(log: Log, delay: float, poles: Mapping[float, float]) -> Arr
         for pole in poles
     ]
 
-    def answer(when: Array) -> Array:
+    def respond_at(when: Array) -> Array:
         row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
         since, value = np.maximum(when - delay - times[row], 0.0), np.zeros(len(when))
         for (pole, weight), state in zip(poles.items(), states, strict=True):
             value += weight * (state[row] * np.exp(-pole * since) + hold_response(pole, since) * log.command[row])
         return value
 
-    return average_over_rows(log, answer)
+    return average_over_rows(log, respond_at)
 
 
 def hold_response(pole: float, seconds: Array) -> Array:
@@ -123,12 +123,12 @@ def answer_of_limits(
     _, _, kept, own = advance(np.arange(len(gap)), gap)
     slopes = _recur(kept, np.vstack([np.concatenate([np.zeros(3), shares[0]]), own]))
 
-    def answer(when: Array) -> Array:
+    def respond_at(when: Array) -> Array:
         row = np.clip(np.searchsorted(times, when - delay, "right") - 1, 0, len(times) - 1)
         value, rate, kept, own = advance(row, np.maximum(when - delay - times[row], 0.0))
         return np.column_stack([value, -rate, kept[:, None] * slopes[row] + own])
 
-    return average_over_rows(log, answer)
+    return average_over_rows(log, respond_at)
 
 
 def _advance_limited_lag(state: float, goal: float, seconds: float, lag: float, rise: float, fall: float) -> float:
@@ -143,9 +143,9 @@ def _advance_limited_lag(state: float, goal: float, seconds: float, lag: float, 
     return goal - error * exp(-seconds / lag)
 
 
-def average_over_rows(log: Log, answer: Callable[[Array], Array]) -> Array:
-    """Return ``answer`` averaged over the width of each row of a log, by four samples."""
+def average_over_rows(log: Log, respond_at: Callable[[Array], Array]) -> Array:
+    """Return the response averaged over the width of each row of a log, by four samples."""
     if log.width <= 0.0:
-        return answer(log.times)
+        return respond_at(log.times)
     shifts = log.width * np.array([-0.375, -0.125, 0.125, 0.375])
-    return np.asarray(sum(answer(log.times + shift) for shift in shifts) / len(shifts))
+    return np.asarray(sum(respond_at(log.times + shift) for shift in shifts) / len(shifts))

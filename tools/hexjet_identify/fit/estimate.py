@@ -161,7 +161,7 @@ def solve(
 
     at, last, linear = np.empty(0), np.empty(0), np.empty(0)
 
-    def left(values: Array) -> Array:
+    def left_at(values: Array) -> Array:
         nonlocal at, last, linear, noise
         if not np.array_equal(at, values):
             x[free], noise = values[: len(free)], begin + terms @ values[len(free) :]
@@ -169,8 +169,8 @@ def solve(
             at, last = values.copy(), rest / size
         return last
 
-    def slopes(values: Array) -> Array:
-        base = left(values)
+    def slopes_at(values: Array) -> Array:
+        base = left_at(values)
         if (known := form.slopes(problem, x)) is not None:
             bound = np.pad(problem.binding, ((0, 0), (len(x) - len(problem.knots), 0)))
             return np.asarray(-np.concatenate([problem.whiten(known, noise), bound])[:, free] / size)
@@ -184,15 +184,15 @@ def solve(
             frame = np.linalg.qr(problem.whiten(answers, noise))[0]
             of_noise = (frame @ (frame.T @ late) - late) / size
         moved = np.pad(np.diag(widths), ((0, 0), (0, many)))
-        columns = [(left(values + step) - base) / width for step, width in zip(moved, widths, strict=True)]
+        columns = [(left_at(values + step) - base) / width for step, width in zip(moved, widths, strict=True)]
         return np.column_stack([*columns, of_noise])
 
     if len(free) + many:
         scale = np.concatenate([1e3 * form.widths(problem, x)[free], np.ones(many)])
         ends = [np.concatenate([end[free], sign * np.full(many, np.inf)]) for end, sign in ((low, -1.0), (high, 1.0))]
         values = np.concatenate([x[free], np.zeros(many)])
-        found = least_squares(left, values, slopes, bounds=ends, x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=40)
-        left(found.x)
+        found = least_squares(left_at, values, slopes_at, bounds=ends, x_scale=scale, xtol=1e-6, ftol=1e-8, max_nfev=40)
+        left_at(found.x)
     rest = project(problem, form, x, noise)[1]
     return x.copy(), noise, max(float(rest @ rest), len(problem.output) * (1e-7 * problem.swing) ** 2)
 
@@ -347,16 +347,16 @@ def _newey_west(jacobian: Array, white: Array, inverse: Array, width: int = 0) -
 
 
 def find_profile_end(
-    value: float, limit: float, width: float, wanted: float, risen: Callable[[float], float], near: float = 0.08
+    value: float, limit: float, width: float, wanted: float, drop: Callable[[float], float], near: float = 0.08
 ) -> float:
     """Return where a profile likelihood has fallen by ``wanted`` deviations between ``value`` and ``limit``.
 
-    ``risen``: the root of twice by how much the logarithm of the likelihood has fallen there; ``near`` is near enough.
+    ``drop``: root of twice the fall of the log-likelihood at a value; ``near``: relative tolerance of it.
     """
     inside, outside = value, limit
     at = value + float(np.copysign(min(width, abs(limit - value)), limit - value))
     for _ in range(12):
-        by = risen(at)
+        by = drop(at)
         if by < wanted:
             inside = at
         else:
@@ -383,10 +383,10 @@ def bound_delay(
     for limit in (end[0] for end in estimate.form.limits(problem)):
         x, noise = estimate.x, estimate.noise
 
-        def risen(at: float) -> float:
+        def drop(at: float) -> float:
             nonlocal x, noise
             x, noise, loss = solve(problem, estimate.form, np.array([at, *x[1:]]), noise, (0, *estimate.held))
             return float(np.sqrt(max(estimate.rows * np.log(loss / estimate.loss) + above, 0.0)))
 
-        ends.append(find_profile_end(estimate.delay, float(limit), width, deviations * estimate.widening, risen, near))
+        ends.append(find_profile_end(estimate.delay, float(limit), width, deviations * estimate.widening, drop, near))
     return ends[0], ends[1]

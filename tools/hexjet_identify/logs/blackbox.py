@@ -231,7 +231,7 @@ class _FrameReader:
     def _read_frame(self, kind: str, at: int) -> tuple[int, Callable[[], None] | None]:
         """Return where a frame ends and the function that applies it; None for no frame."""
         if kind == "E":
-            after, done = self._read_event(at + 1)
+            after, apply = self._read_event(at + 1)
         else:
             layout = self.head.layouts.get(kind)
             if layout is None:
@@ -240,12 +240,12 @@ class _FrameReader:
             if after - at > MAX_FRAME_BYTES:
                 return at, None
 
-            def done() -> None:
+            def apply() -> None:
                 self._store_frame(kind, layout, values)
 
         ended = kind == "E" and self.data[at + 1] == ENDEVENT
         is_whole = ended or after == len(self.data) or (after < len(self.data) and self.data[after] in FRAME_KINDS)
-        return after, done if is_whole else None
+        return after, apply if is_whole else None
 
     def _decode_values(self, layout: Layout, at: int) -> tuple[list[int], int]:
         data = self.data
@@ -367,11 +367,11 @@ class _FrameReader:
         else:
             return at, None
 
-        def done() -> None:
+        def apply() -> None:
             self.accepted = resumed or self.accepted
             self.ended = ended
 
-        return at, done
+        return at, apply
 
 
 def _is_successor(before: tuple[int, int], here: tuple[int, int]) -> bool:

@@ -73,9 +73,9 @@ def tag2_3(data: bytes, at: int, packed: Sequence[tuple[int, Sequence[tuple[int,
 
 
 # Packings by their tag: number of bytes, and shift and width [bits] of each value.
-_TWO = (1, ((4, 2), (2, 2), (0, 2)))
-EVEN = (_TWO, (2, ((8, 4), (4, 4), (0, 4))), (3, ((16, 6), (8, 6), (0, 6))))
-UNEVEN = (_TWO, (2, ((9, 5), (4, 5), (0, 4))), (3, ((14, 8), (7, 7), (0, 7))))
+_TWO_BIT_PACKING = (1, ((4, 2), (2, 2), (0, 2)))
+EVEN = (_TWO_BIT_PACKING, (2, ((8, 4), (4, 4), (0, 4))), (3, ((16, 6), (8, 6), (0, 6))))
+UNEVEN = (_TWO_BIT_PACKING, (2, ((9, 5), (4, 5), (0, 4))), (3, ((14, 8), (7, 7), (0, 7))))
 
 
 def tag8_4(data: bytes, at: int) -> tuple[list[int], int]:

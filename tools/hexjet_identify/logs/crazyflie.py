@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from cosim.base.errors import InputError
-from hexjet_identify.logs.flight_log import NUMBERS, Channel, FlightLog, numbers
+from hexjet_identify.logs.flight_log import NUMPY_TYPES, Channel, FlightLog, numbers
 
 MAGIC = 0xBC
 UNITS = {"acc": "g", "gyro": "deg/s"}  # by the group of the firmware's variable
@@ -39,7 +39,7 @@ def read(path: Path) -> FlightLog:
             layout = [("event", "<u2"), ("time", clock)]
             for _ in range(fields):
                 text, at = _read_text(data, at)
-                layout.append((text[:-3], NUMBERS[text[-2]]))
+                layout.append((text[:-3], NUMPY_TYPES[text[-2]]))
             kinds[number] = name, np.dtype(layout)
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path}: the head of the Crazyflie log is damaged or cut short") from error

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import SEARCHED_BYTES, Channel, FlightLog, name_instances, numbers
 
-HEAD = b"\xa3\x95"
+MESSAGE_HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
-MARK = HEAD + bytes([FMT, FMT, FMT_LENGTH]) + b"FMT\0"  # the format of formats, which comes first
+MARK = MESSAGE_HEAD + bytes([FMT, FMT, FMT_LENGTH]) + b"FMT\0"  # the format of formats, which comes first
 # By format character: numpy's type, and the value of a count.
 TYPES = {
     "b": ("i1", 1.0), "B": ("u1", 1.0), "M": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0),
@@ -37,7 +37,7 @@ _INTEGER_FORMATS = "bBhHiIqQM"  # format characters of whole numbers
 
 def recognises(head: bytes) -> bool:
     """Return whether the first bytes of a file are a DataFlash log's."""
-    return head.startswith(HEAD + bytes([FMT]))
+    return head.startswith(MESSAGE_HEAD + bytes([FMT]))
 
 
 def read(path: Path) -> FlightLog:
@@ -94,7 +94,7 @@ def read_notes(path: Path) -> DataFlashNotes:
     raw = np.frombuffer(data, np.uint8)
     kinds = {name: kind for kind, (name, _, _, _) in formats.items()}
 
-    def table(name: str, *labels: str) -> np.ndarray | None:
+    def read_table(name: str, *labels: str) -> np.ndarray | None:
         kind = kinds.get(name, -1)
         if kind < 0 or not set(labels) <= set(formats[kind][3]):
             return None
@@ -102,12 +102,12 @@ def read_notes(path: Path) -> DataFlashNotes:
 
     listed, version = (offsets.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
     parameters: dict[str, float] | None = None
-    if listed and version and version[0] > listed[0] and (rows := table("PARM", "Name", "Value")) is not None:
+    if listed and version and version[0] > listed[0] and (rows := read_table("PARM", "Name", "Value")) is not None:
         first = int(np.searchsorted(listed, version[0]))  # what comes behind was changed in flight
         pairs = zip(rows["Name"][:first].tolist(), rows["Value"][:first].tolist(), strict=True)
         parameters = {_as_text(name): float(value) for name, value in pairs}
-    said = table("MSG", "TimeUS", "Message")
-    named = table("VER", "FWS")
+    said = read_table("MSG", "TimeUS", "Message")
+    named = read_table("VER", "FWS")
     return DataFlashNotes(
         "" if named is None else _as_text(named["FWS"][0]),
         parameters,
@@ -168,8 +168,8 @@ def _index_messages(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int
         kind = data[at + 2]
         length = lengths[kind]
         if data[at] != 0xA3 or data[at + 1] != 0x95 or not length or at + length > end:
-            after = data.find(HEAD, at + 1)
-            if after < 0 and data.startswith(HEAD, at) and length:
+            after = data.find(MESSAGE_HEAD, at + 1)
+            if after < 0 and data.startswith(MESSAGE_HEAD, at) and length:
                 return _complete_formats(formats), offsets, passed, end - at
             after = end if after < 0 else after
             passed += after - at

@@ -33,7 +33,7 @@ MAX_INSTANCES = 256
 # Minimum share of common stamps of two channels of one clock.
 MIN_SHARED_STAMPS = 0.5
 # Types of numpy for numbers in a log's bytes, by the letters of struct.
-NUMBERS = {
+NUMPY_TYPES = {
     "b": "i1",
     "B": "u1",
     "h": "<i2",

@@ -21,7 +21,7 @@ KINDS = (
     ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet, "
     "and what hexjet export writes as .mcap and .mat"
 )
-HEAD = 512  # bytes by which a file is recognised
+RECOGNISED_BYTES = 512  # bytes by which a file is recognised
 
 _READERS = (
     (ulog.recognises, "ulog.read"),
@@ -76,7 +76,7 @@ def _read_head(path: Path) -> bytes:
 def _controller_reader(head: bytes) -> tuple[str, int] | None:
     """Return the reader of a flight controller's log by its first bytes, and how many bytes come before the log."""
     for recognises, reader in _READERS:
-        if recognises(head[:HEAD]):
+        if recognises(head[:RECOGNISED_BYTES]):
             return reader, 0
     for mark, reader in _BURIED_MARKS:
         if (before := head.find(mark)) > 0:
@@ -138,7 +138,7 @@ def _table_reader(path: Path, head: bytes) -> str:
     for mark, reader in _TABLES:
         if head.startswith(mark):
             return reader
-    begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
+    begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:RECOGNISED_BYTES]
     other = next((words for mark, words in _NO_LOGS if begins.startswith(mark)), "")
     if not other and b"\nFMT, " in head:
         other = dict(_NO_LOGS)[b"FMT, "]

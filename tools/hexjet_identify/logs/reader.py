@@ -28,10 +28,10 @@ from hexjet_identify.logs.table_columns import TableColumns
 MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0
 # Limits of address space [MB]: libraries take 300, the content ten times the file, of text twenty times.
 MAX_MB, MAX_MB_PER_MB = 1024.0, 40.0
-_RUN = "from hexjet_identify.logs.reader import main; main()"
+_READER_CODE = "from hexjet_identify.logs.reader import main; main()"
 # Threads and memory pools of libraries reserve address space that they do not use.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
-_ARRAY = "array"  # key of an array's number
+_ARRAY_KEY = "array"  # key of an array's number
 
 
 def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumns:
@@ -43,7 +43,7 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
     seconds, megabytes = MAX_CPU_S + MAX_CPU_S_PER_MB * size, MAX_MB + MAX_MB_PER_MB * size
     try:
         arguments, environ = (reader, str(path), *map(str, numbers)), dict(os.environ) | _ONE_THREAD
-        answer = run_code(_RUN, *arguments, seconds=seconds, megabytes=megabytes, environ=environ)
+        answer = run_code(_READER_CODE, *arguments, seconds=seconds, megabytes=megabytes, environ=environ)
     except HostError as error:
         raise InputError(f"{path}: cannot be read: it is damaged; {error}") from error
     return _unpack_answer(path, bytearray(answer), megabytes)
@@ -102,7 +102,7 @@ def _pack_answer(content: FlightLog | TableColumns | str, out: BinaryIO) -> None
         if id(value) not in numbered:
             numbered[id(value)] = len(arrays)
             arrays.append(value)
-        return {_ARRAY: numbered[id(value)]}
+        return {_ARRAY_KEY: numbered[id(value)]}
 
     fields = {"refused": content} if isinstance(content, str) else dict(vars(content))
     text = json.dumps(fields, default=replace_array)
@@ -123,7 +123,7 @@ def _unpack_answer(path: Path, answer: bytearray, megabytes: float) -> FlightLog
         at += 8 * length
 
     def restore_array(table: dict[str, Any]) -> Any:
-        return arrays[table[_ARRAY]] if table.keys() == {_ARRAY} and type(table[_ARRAY]) is int else table
+        return arrays[table[_ARRAY_KEY]] if table.keys() == {_ARRAY_KEY} and type(table[_ARRAY_KEY]) is int else table
 
     fields: Mapping[str, Any] = json.loads(answer[first + 1 : second], object_hook=restore_array)
     if "refused" in fields:

@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_identify.logs.flight_log import NUMBERS, Channel, FlightLog, name_instances, numbers
+from hexjet_identify.logs.flight_log import NUMPY_TYPES, Channel, FlightLog, name_instances, numbers
 
 # Loaded by name: of the ground station nothing is needed but what the build made of the messages.
 DIALECTS = (
@@ -35,7 +35,7 @@ MAX_LATE_S = 5.0
 MAX_NAMED = 10
 MIN_FRAME_BYTES = 8  # bytes of a frame without a payload
 # Longest array [numbers] that becomes channels; longer ones are pieces of files.
-MAX_ARRAY = 32
+MAX_ARRAY_LENGTH = 32
 
 Sender = tuple[int, int]  # system and component
 Key = tuple[int, int, Sender]
@@ -124,7 +124,7 @@ def _make_kind(message: Any, extra: bytes) -> Kind:
         if code == "c":
             fields.append((name, f"S{max(length, 1)}"))
         else:
-            fields.append((name, NUMBERS[code], (length,)) if length else (name, NUMBERS[code]))
+            fields.append((name, NUMPY_TYPES[code], (length,)) if length else (name, NUMPY_TYPES[code]))
     instance = getattr(message, "instance_field", None) or ""
     return Kind(message.msgname, np.dtype(fields), extra, dict(message.fieldunits_by_name), instance)
 
@@ -257,6 +257,6 @@ def _make_channels(name: str, kind: Kind, table: np.ndarray, times: Array) -> di
             continue
         if column.ndim == 1:
             columns[f"{name}.{label}"] = Channel(times, numbers(column), unit)
-        elif column.shape[1] <= MAX_ARRAY:
+        elif column.shape[1] <= MAX_ARRAY_LENGTH:
             columns |= {f"{name}.{label}[{n}]": Channel(times, numbers(part), unit) for n, part in enumerate(column.T)}
     return columns

@@ -26,7 +26,7 @@ from hexjet_identify.engine_file import (
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.prediction_error.identify_log import LogIdentification, information
 
-BOUNDS = (
+BOUNDS_TEXT = (
     "The first model is the one that is written. The bounds of the delay are those of its profile likelihood; the "
     "others are 1.96 standard deviations of the linearised problem, noise model included. They hold where the form "
     "fits, which the tests beside tell as far as they can."
@@ -91,7 +91,7 @@ def page(result: LogIdentification) -> Page:
     columns = [WITH_BOUNDS, *(estimate.form.label for estimate in result.estimates)]
     cards = [
         Card("Measured and modelled", text=ALONE_TEXT, figure="signals"),
-        Card("Models", columns, rows(result), BOUNDS),
+        Card("Models", columns, rows(result), BOUNDS_TEXT),
         Card("Tests of what is left over", ("test", "p", "share of the power"), tests),
         Card("What the log told", text=COHERENCE_TEXT, figure="tells"),
     ]

@@ -29,7 +29,7 @@ from hexjet_identify.prediction_error.estimate import noise_only_deviance
 from hexjet_identify.prediction_error.identify_log import MIN_DEVIANCE_FALL
 from hexjet_identify.prediction_error.stretches import prepare
 
-MODELLED = "Measured and modelled"
+SIGNALS_TITLE = "Measured and modelled"
 ERROR_TEXT = (
     "The model answers the command alone: what wind and noise did is in the error. Of an axis, which integrates, they "
     "add up over the flight, so that the fit of the change tells more than that of the whole."
@@ -38,7 +38,7 @@ ERROR_TEXT = (
 PREDICTION_S = 1.0
 # With a wider half of its 95 % interval the gain is not told.
 MAX_GAIN_BOUND = 2.0 * MAX_MISFIT
-OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
+OTHER_FORM_TEXT = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
 @dataclass(frozen=True)
@@ -186,15 +186,15 @@ def _read_model_file(file: Path, axis: str | None) -> StatedModel:
     label, model = candidates[0]
     step = model.sample_time_s
     if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
-        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM_TEXT}")
     rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
     if not all(pole > 0.0 for pole in fast) or not fast:
-        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM_TEXT}")
     lags = tuple(float(1.0 / pole) for pole in fast)
     unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
     gain = model.gain / unit.gain
     if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
-        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+        raise InputError(f"{file}: {label}: {OTHER_FORM_TEXT}")
     x = np.array([model.delay_samples * step, rate, *lags])
     return StatedModel(file, label, LogSignals("", ""), Poles(False, len(lags)), x, float(gain))
 
@@ -346,7 +346,7 @@ def page(validation: Validation) -> Page:
         "validation",
         f"{model.what}: the model beside {validation.log.name}",
         [
-            Card(MODELLED, figure="signals"),
+            Card(SIGNALS_TITLE, figure="signals"),
             Card("How well it fits", ("measure", "value"), rows(validation), ERROR_TEXT),
         ],
         {"signals": draw_signals(signals, units)},

@@ -61,7 +61,7 @@ class Candidate:
 def list_candidates(model: Model, flight: RecordedFlight) -> Iterator[Candidate]:
     """Yield all possible causes, numbers first."""
     yield from (Candidate(number.name, (number,)) for number in _list_numbers(model, flight))
-    x, y, z = _list_centre(model)
+    x, y, z = _list_centre_of_gravity(model)
     yield Candidate(CENTRE, (x, y))
     yield Candidate(z.name, (z,))
     yield from _list_exchanges(len(model.vehicle.jets), flight.throttle)
@@ -103,7 +103,7 @@ def _list_numbers(model: Model, flight: RecordedFlight) -> Iterator[Number]:
             yield _make_delay(f"further delay of the {name}", step, partial(_delay_sensor, sensor))
 
 
-def _list_centre(model: Model) -> list[Number]:
+def _list_centre_of_gravity(model: Model) -> list[Number]:
     span = model.vehicle.aero.span_m
     known, probe, most = 0.05 * span, 1e-5 * span, 0.5 * span
     return [

@@ -13,7 +13,7 @@ from hexjet_identify.replay.windows import CHANNELS, CutFlight
 # Edges of the bands, in periods a window.
 BAND_EDGES: Final = (1.0, 3.0, 8.0, 25.0)
 # The level of this channel is thrust over mass, which is told without any movement.
-LEVEL: Final = "specific_force_z"
+LEVEL_CHANNEL: Final = "specific_force_z"
 # Minimum rms of a channel, in units of its noise, to be judged.
 MIN_EXCITATION: Final = 2.0
 # Minimum share of the time within the envelope of an explained channel.
@@ -151,7 +151,7 @@ def measure_channels(flying: CutFlight, modelled: Array, low: Array, high: Array
         moved = float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2)))
         ratio = measure_ratio(y, x, step, noise)
         error = float(np.sqrt(np.mean((y - x) ** 2)))
-        level = float(np.sqrt(np.mean(y**2))) if name == LEVEL else moved
+        level = float(np.sqrt(np.mean(y**2))) if name == LEVEL_CHANNEL else moved
         excited = level > MIN_EXCITATION * noise
         bands = measure_bands(ratio, noise)
         values = (float(shares[c]), error, moved, noise, theil(y, x), bands, excited, ratio)

@@ -86,12 +86,12 @@ class Scores(NamedTuple):
         whole = axes.mT @ (rows.sum(axis=1) + windows)[..., None]
         whole = (axes @ (whole / np.sqrt(np.maximum(1.0 - shares, 1e-6))[..., None]))[..., 0]
 
-        def half(meat: Array, quantile: float) -> Array:
+        def half_width(meat: Array, quantile: float) -> Array:
             variances = np.diag(root @ (meat + priors.T @ priors) @ root.T)
             return np.asarray(quantile * np.sqrt(np.maximum(variances, 0.0)))
 
-        by_windows = half(whole.T @ whole, float(t.ppf(0.975, count - 1)))
-        return np.asarray(np.maximum.reduce([half(noisy.T @ noisy, 1.96), half(by_rows, 1.96), by_windows]))
+        by_windows = half_width(whole.T @ whole, float(t.ppf(0.975, count - 1)))
+        return np.asarray(np.maximum.reduce([half_width(noisy.T @ noisy, 1.96), half_width(by_rows, 1.96), by_windows]))
 
 
 class Step(NamedTuple):

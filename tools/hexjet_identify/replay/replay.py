@@ -18,7 +18,7 @@ from cosim.spec.vehicle import Vehicle
 from hexjet_identify.replay.candidates import CENTRE, INERTIA, MASS, SENSORS, THRUST
 from hexjet_identify.replay.causes import Causes, FittedNumber, find_causes
 from hexjet_identify.replay.flown import Change, Model, ModelOutput
-from hexjet_identify.replay.measures import LEVEL, MIN_TIME_WITHIN, Band, ChannelMeasures, measure_channels
+from hexjet_identify.replay.measures import LEVEL_CHANNEL, MIN_TIME_WITHIN, Band, ChannelMeasures, measure_channels
 from hexjet_identify.replay.misfit import settle_starts
 from hexjet_identify.replay.recorded import RecordedFlight
 from hexjet_identify.replay.wind import Wind, estimate_wind
@@ -96,7 +96,7 @@ class Replay:
             return NOT_EXPLAINED
         if not are_explained(moved, self.causes):
             return NOT_TOLD if all(is_uncommanded(c) for c in self._off_channels) else NOT_EXPLAINED
-        told = any(channel.name != LEVEL for channel in moved) and self.causes.tells_inertia
+        told = any(channel.name != LEVEL_CHANNEL for channel in moved) and self.causes.tells_inertia
         return EXPLAINED if told else NOT_TOLD
 
     @property
@@ -264,7 +264,7 @@ def is_uncommanded(channel: ChannelMeasures, max_u: float = 0.5) -> bool:
     Beyond a Theil's U of ``max_u`` a model that is coherent in no band does not do what was measured.
     """
     alike = any(band.gain_db is not None and abs(band.gain_db) <= MAX_GAIN_DB for band in channel.bands)
-    is_level = channel.name == LEVEL and channel.theil.bias > 0.5  # thrust over mass
+    is_level = channel.name == LEVEL_CHANNEL and channel.theil.bias > 0.5  # thrust over mass
     return channel.theil.u > max_u and not is_level and not alike
 
 
