@@ -1,4 +1,4 @@
-"""Recorded steps and ramps of a JetCat P300-PRO, and what our engines do of them: docs/real-engine.md."""
+"""Recorded steps and ramps of a JetCat P300-PRO, and what our engines do of them: docs/full-scale.md."""
 
 from __future__ import annotations
 

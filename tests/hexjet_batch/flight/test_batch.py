@@ -65,8 +65,8 @@ def test_what_is_not_covered_is_refused_by_name(name: str, settings: list[str], 
 
 
 def test_the_page_lists_what_is_refused() -> None:
-    page = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
-    assert page.partition("<!-- refused -->\n")[2].partition("<!-- end -->")[0].splitlines() == [
+    page = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    assert page.partition("<!-- refused -->\n")[2].partition("<!-- /refused -->")[0].splitlines() == [
         f"- {what}" for what in REFUSED
     ]
 

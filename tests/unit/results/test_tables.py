@@ -100,7 +100,7 @@ def test_the_figure_of_the_page_is_drawn(monkeypatch: pytest.MonkeyPatch, tmp_pa
     pytest.importorskip("matplotlib", reason="no matplotlib, which python-control brings: make setup")
     monkeypatch.setenv("MPLBACKEND", "pdf")
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"<!-- figure -->\n```python\n(.*?)```", page, re.DOTALL)
     exec(code.replace('load("roll-doublet")', 'load("roll-doublet").replace(duration_s=0.02)'), {})
     assert (tmp_path / "roll.pdf").stat().st_size > 5_000
