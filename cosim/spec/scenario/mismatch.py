@@ -10,6 +10,8 @@ from cosim.base.storage.toml import Model, Vector
 from cosim.spec.scenario.faults import StationNumber
 
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
+_Part = Annotated[float, Field(ge=-2.0, le=2.0)]
+Deformation = tuple[_Part, _Part, _Part]
 
 
 class Mismatch(Model):
@@ -22,6 +24,10 @@ class Mismatch(Model):
     mass_factor: Factor = 1.0  # of the mass; inertia is unchanged
     # Factor of all moments and products of inertia.
     inertia_factor: Annotated[Factor, Field(exclude_if=lambda factor: factor == 1.0)] = 1.0
+    # Stretch of the mass distribution along x, y, z, body, as the logarithm of a length's factor; any is a body's.
+    stretch: Annotated[Deformation, Field(exclude_if=lambda logs: not any(logs))] = (0.0, 0.0, 0.0)
+    # Shear of it in x by y, x by z, y by z, body: log-Cholesky (Rucker, Wensing, 2022), with mass, centre and stretch.
+    shear: Annotated[Deformation, Field(exclude_if=lambda shears: not any(shears))] = (0.0, 0.0, 0.0)
     centre_m: Vector = (0.0, 0.0, 0.0)  # body, offset from the nominal centre
     thrust_factor: Factor = 1.0  # of all engines, at equal spool speed
     thrust_factor_1: Factor = 1.0  # in addition, of jet 1

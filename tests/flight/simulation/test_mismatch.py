@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from math import exp
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.spec.scenario import Mismatch, Scenario
 from cosim.spec.vehicle import load_vehicle
 
 NAN6 = (float("nan"),) * 6
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # of the axes, in the order of moments and products
 
 
 def doublet(**changes: Any) -> Scenario:
@@ -120,6 +122,34 @@ def test_more_inertia_is_less_gain_and_unknown_to_the_controller() -> None:
         assert simulation.vehicle == stated
 
 
+@pytest.mark.parametrize("name", ["hexjet", "hexjet-p220", "trijet"])
+def test_every_draw_of_stretch_and_shear_is_a_body(name: str) -> None:
+    """The vehicle's own checks accept what is drawn, with its fuel; alike in all directions it is the one factor."""
+    stated, _ = load_vehicle(name)
+    for stretch, shear in np.random.default_rng(1).normal(0.0, 0.3, (100, 2, 3)).clip(-2.0, 2.0).tolist():
+        drawn = apply_mismatch(stated, Mismatch(stretch=stretch, shear=shear))
+        assert type(stated).model_validate(drawn.model_dump()) == drawn != stated
+    alike = apply_mismatch(load_vehicle("hexjet")[0], Mismatch(stretch=(0.1, 0.1, 0.1))).inertia_kg_m2
+    factor = apply_mismatch(load_vehicle("hexjet")[0], Mismatch(inertia_factor=exp(0.2))).inertia_kg_m2
+    assert alike == pytest.approx(factor, rel=1e-12)
+
+
+def test_stretch_and_shear_move_each_part_of_the_mass() -> None:
+    """A body of points about its centre, each moved by the matrix that the six numbers are."""
+    points, stated = np.random.default_rng(2).normal(size=(20, 3)) * 0.1, load_vehicle("quadrotor")[0]
+    points -= points.mean(axis=0)
+
+    def made_of(points: Any) -> dict[str, Any]:
+        xx, yy, zz, xy, xz, yz = (float(np.sum(points[:, i] * points[:, j])) for i, j in PAIRS)
+        return {"inertia_kg_m2": (yy + zz, xx + zz, xx + yy), "products_kg_m2": (xy, xz, yz)}
+
+    upper = np.array([[exp(0.2), 0.1, -0.2], [0.0, exp(-0.3), 0.3], [0.0, 0.0, exp(0.1)]])
+    before = stated.model_copy(update=made_of(points))
+    after = apply_mismatch(before, Mismatch(stretch=(0.2, -0.3, 0.1), shear=(0.1, -0.2, 0.3)))
+    for name, values in made_of(points @ upper.T).items():
+        assert getattr(after, name) == pytest.approx(values, rel=1e-12)
+
+
 def test_controller_is_made_from_what_is_known() -> None:
     changed = doublet(mismatch={"mass_factor": 1.3, "thrust_factor": 0.8, "centre_m": [0.01, 0.02, 0.03]})
     with build(doublet()) as known, build(changed) as other:
@@ -197,6 +227,7 @@ def test_a_resolved_flight_flies_again(tmp_path: Any) -> None:
         ),
         ({"aircraft": "hexjet-p220", "engine": "p220", "mismatch": {"mass_factor": 0.1}}, "of fuel in them"),
         ({"aircraft": "hexjet-p220", "engine": "p220", "mismatch": {"inertia_factor": 0.01}}, "that no body has"),
+        ({"mismatch": {"stretch": [3.0, 0.0, 0.0]}}, "mismatch.stretch.0 = 3.0: should be less than or equal to 2"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:

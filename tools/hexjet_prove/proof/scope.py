@@ -13,7 +13,7 @@ KINDS = {
     "delay": ("mismatch.delay_samples", "added_delay_samples"),
     "thrust": ("mismatch.thrust_factor",),
     "mass and balance": ("vehicle.mass_kg", "mismatch.mass_factor", "mismatch.centre_m", "disturbance."),
-    "moments of inertia": ("vehicle.inertia", "mismatch.inertia_factor"),
+    "moments of inertia": ("vehicle.inertia", "mismatch.inertia_factor", "mismatch.stretch", "mismatch.shear"),
     "sensors": ("vehicle.sensors",),
     "servos": ("vehicle.servo",),
     "aerodynamics": ("vehicle.aero",),
@@ -48,9 +48,6 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
     if any(vary.uncertainty for vary in study.vary):
         lines.append(f"an engine's parameters are drawn up to {MAX_SIGMA:g} standard deviations, and no further")
     if not base.fault:
-        lines.append("nothing fails in these flights; hexjet faults and failsafes say what then")
-    lines.append(
-        "the probability is that of the model under what is drawn here; how far the model is the vehicle's is what the "
-        "evidence on record says"
-    )
+        lines.append("nothing fails in these flights; hexjet faults says what then")
+    lines.append("the probability is that of the model; how far that is the vehicle's, the evidence on record says")
     return lines
