@@ -6,7 +6,14 @@ that flies, a mapping from its name to its ``PredictorSpec``.
 """
 
 from cosim.control.frequency import grid, impulse_response, pid_response, zeros_outside
-from cosim.control.margins import LoopMargins, crossings, delayed_margins, loop_margins, sample_delayed
+from cosim.control.margins import (
+    LoopMargins,
+    crossings,
+    delayed_margins,
+    loop_margins,
+    proper_fraction,
+    sample_delayed,
+)  # fmt: skip
 from cosim.control.predictors.linear import delayed_response, model_response
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
@@ -16,29 +23,9 @@ from cosim.results.metrics import overshoot, settling_time
 from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
 
 __all__ = [
-    "PREDICTORS",
-    "DelayLine",
-    "DelayedModel",
-    "DoubleIntegratorObserver",
-    "LoopMargins",
-    "PredictorSpec",
-    "PredictorTuning",
-    "RateAxis",
-    "RateGains",
-    "RateModel",
-    "StateModel",
-    "StatePredictor",
-    "crossings",
-    "delayed_margins",
-    "delayed_response",
-    "grid",
-    "impulse_response",
-    "loop_margins",
-    "model_response",
-    "overshoot",
-    "pid_response",
-    "rate_model",
-    "sample_delayed",
-    "settling_time",
+    "PREDICTORS", "DelayLine", "DelayedModel", "DoubleIntegratorObserver", "LoopMargins", "PredictorSpec",
+    "PredictorTuning", "RateAxis", "RateGains", "RateModel", "StateModel", "StatePredictor", "crossings",
+    "delayed_margins", "delayed_response", "grid", "impulse_response", "loop_margins", "model_response",
+    "overshoot", "pid_response", "proper_fraction", "rate_model", "sample_delayed", "settling_time",
     "zeros_outside",
-]
+]  # fmt: skip

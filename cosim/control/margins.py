@@ -138,7 +138,7 @@ def delayed_margins(
         For a closed loop that is not stable, a fraction that is not proper, and coefficients whose digits do not tell
         the loop at its crossover: of z, with poles that are slow against ``dt``.
     """
-    n, d = _check_fraction(numerator, denominator, dt, delay)
+    n, d = proper_fraction(numerator, denominator, dt, delay)
     if dt and abs(delay / dt - round(delay / dt)) > 1e-9:
         raise InputError(f"delay: {delay:g} s is not whole steps of {dt:g} s; sample_delayed has the exact loop")
 
@@ -186,8 +186,21 @@ def delayed_margins(
     return replace(found, gain_db=gain, peak_sensitivity=max(found.peak_sensitivity or 1.0, 1.0 / (1.0 - radius)))
 
 
-def _check_fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: float) -> tuple[Array, Array]:
-    """Return the coefficients without leading zeros.  Raises InputError for a fraction that is not proper."""
+def proper_fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: float) -> tuple[Array, Array]:
+    """Return the coefficients of a plant without leading zeros, highest power first.
+
+    Parameters
+    ----------
+    numerator, denominator : array_like, one dimension
+        Coefficients, highest power first.
+    dt, delay : float
+        Step and delay, s, of at least 0.
+
+    Raises
+    ------
+    InputError
+        For what is no proper fraction, and a step or a delay that is none.
+    """
     for name, value in (("dt", dt), ("delay", delay)):
         if not (isfinite(value) and value >= 0.0):
             raise InputError(f"{name}: {value:g} s; at least 0")
@@ -203,8 +216,11 @@ def _check_fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, del
     return n, d
 
 
-def _choose_frequencies(n: Array, d: Array, dt: float, delay: float) -> Array:
-    """Return frequencies [rad/s] that resolve the response: by decades, near each pole and zero, along the delay."""
+def _choose_frequencies(n: Array, d: Array, dt: float, delay: float, most: float = 1e7) -> Array:
+    """Return frequencies [rad/s] that resolve the response: by decades, near each pole and zero, along the delay.
+
+    Raises InputError where the delay would need more than ``most``, which are some hundred MB.
+    """
     roots = np.concatenate([np.roots(n), np.roots(d)]).astype(complex)
     roots = roots[roots != 0.0]
     corners, resonances = np.abs(roots), np.abs(roots.imag)
@@ -226,6 +242,10 @@ def _choose_frequencies(n: Array, d: Array, dt: float, delay: float) -> Array:
     ]
     if delay:
         last = high if dt else 10.0 * corners.max() + 4.0 * pi / delay
+        if last * delay / (2.0 * pi) * 24 > most:
+            raise InputError(
+                f"delay: {delay:g} s turns the loop too often below {last:.3g} rad/s; leave fast poles out"
+            )
         parts.append(np.arange(1.0, last * delay / (2.0 * pi) * 24) / 24 * 2.0 * pi / delay)
     omega = np.setdiff1d(np.concatenate(parts), resonances)
     return np.append(omega[(omega >= low) & (omega < high)], high)
@@ -265,7 +285,7 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
     """
     from scipy.linalg import expm
 
-    n, d = _check_fraction(numerator, denominator, dt, delay)
+    n, d = proper_fraction(numerator, denominator, dt, delay)
     if not dt:
         raise InputError("dt: 0 s; above 0")
     order = len(d) - 1

@@ -18,15 +18,7 @@ from cosim.engine import EngineSpec, load_engine
 from cosim.identify.sweep import Identification, identify_engine
 from cosim.simulation.controllers.controller_file import LAW, Requirements, read_controller
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import (
-    RateModel,
-    Schedule,
-    Vehicle,
-    aircraft_seen_from,
-    file_seen_from,
-    load_vehicle,
-    read_models,
-)
+from cosim.spec.vehicle import Schedule, Vehicle, aircraft_seen_from, file_seen_from, load_vehicle, read_models
 from hexjet_design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
 from hexjet_design.candidates import WITH_LEAD, candidate_names, design_axis_at_limit, find_simplest, servo_candidates
 from hexjet_design.levels import (
@@ -172,8 +164,7 @@ def design(
     say(f"uncertainty of {spec.name}")
     tolerances = engine_tolerances(need, scenario, vehicle, spec, plants.values())
     need = tolerances.need
-    stated = read_models(model) if model else {}
-    models = spec.models_in({family: {a: RateModel(**t) for a, t in each.items()} for family, each in stated.items()})
+    models = spec.models_in(read_models(model) if model else {})
     if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, of_axis in models.items():

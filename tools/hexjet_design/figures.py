@@ -70,12 +70,12 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
     The margins keep their signs: a gain margin is the change of gain to instability, a phase margin the lag to it.  The
     phase is between -360 and 0 deg.  ``more``: the titles of further panels below these, which stay empty.
     """
-    low, high = _crossover_range(curves)
+    points = [margin_points(curve.loop, curve.hertz) for curve in curves]
+    low, high = _crossover_range(curves, [phase for _, phase in points])
     data: list[Figure] = []
-    for curve in curves:
+    for curve, (gain, phase) in zip(curves, points, strict=True):
         seen = (curve.hertz >= low) & (curve.hertz <= high)
         hertz, loop = curve.hertz[seen], curve.loop[seen]
-        gain, phase = margin_points(curve.loop, curve.hertz)
         parts = [f"{-gain.value:.1f} dB"] if gain else []
         parts += [f"{phase.value + 180.0:.1f} deg"] if phase else []
         name = f"{curve.label}: {', '.join(parts)}" if parts else curve.label
@@ -134,13 +134,12 @@ def decibels(loop: Complex) -> Array:
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(loop), np.finfo(np.float64).tiny)))
 
 
-def _crossover_range(curves: Sequence[Curve]) -> tuple[float, float]:
+def _crossover_range(curves: Sequence[Curve], phases: Sequence[MarginPoint | None]) -> tuple[float, float]:
     """Return the frequencies [Hz] from a tenth of the least to ten times the greatest crossover, as far as known."""
-    crossovers = []
-    for curve in curves:
-        _, phase = margin_points(curve.loop, curve.hertz)
-        nearest = curve.hertz[int(np.argmin(np.abs(decibels(curve.loop))))]
-        crossovers.append(phase.hertz if phase else float(nearest))
+    crossovers = [
+        phase.hertz if phase else float(curve.hertz[int(np.argmin(np.abs(decibels(curve.loop))))])
+        for curve, phase in zip(curves, phases, strict=True)
+    ]
     ends = [end for curve in curves for end in curve.hertz[[0, -1]].tolist()]
     return max(min(ends), 0.1 * min(crossovers)), min(max(ends), 10.0 * max(crossovers))
 

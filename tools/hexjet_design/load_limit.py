@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, log
+from math import inf, isfinite, log
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.loops import proper_fraction
 from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
 from hexjet_design.loop.programme import UNIFORM_DELAYS, Bounds, InvertedPlant, Programme, need_solver, splines
 
@@ -34,7 +35,9 @@ class LoadLimit:
 class _Plant(InvertedPlant):
     """Plant with one output, which is all that the controller measures."""
 
-    def __init__(self, numerator: Array, denominator: Array, step: float, delay: int, window: float | None) -> None:
+    def __init__(
+        self, numerator: Array, denominator: Array, step: float, delay: int, window: float | None, most: int = 20_000
+    ) -> None:
         zeros, poles = np.roots(numerator), np.roots(denominator)
         stable = [complex(pole) for pole in poles if abs(pole - 1.0) >= CIRCLE_TOLERANCE]
         self._integrals = len(poles) - len(stable)
@@ -53,8 +56,8 @@ class _Plant(InvertedPlant):
         slowest = max((-1.0 / log(abs(pole)) for pole in stable if pole), default=0.0)
         self.samples = round(max(50.0 * self.late, 3.0 * slowest) if window is None else window / step)
         self.length = self.samples - self.late
-        if self.length < 8 * self.late:
-            raise InputError(f"window: {self.samples} steps; more than {9 * self.late}, nine times the delay")
+        if not 9 * self.late <= self.samples <= most:
+            raise InputError(f"window: {self.samples} steps; {9 * self.late}, nine times the delay, to {most}")
 
     def angle_of_load(self, acts: Array, late: int = 0) -> Array:
         response = self.delayed(acts, late + self.late)
@@ -120,13 +123,13 @@ def least_load_error(
         Without Clarabel, for a plant that no such loop exists of here, and where no controller keeps the bounds.
     """
     need_solver()
-    n, d = (np.trim_zeros(np.atleast_1d(np.asarray(each, np.float64)), "f") for each in (numerator, denominator))
-    if not (len(n) and len(d) and np.isfinite([*n, *d, dt, delay, peak, window or 0.0]).all() and dt > 0.0 <= delay):
-        raise InputError("plant: finite coefficients, a dt above 0, a delay of at least 0; window: finite")
+    n, d = proper_fraction(numerator, denominator, dt, delay)
+    if not (dt and isfinite(window or 0.0)):
+        raise InputError(f"dt: {dt:g} s and window: {window} s; a dt above 0, a finite window")
     steps = round(delay / dt)
     if abs(delay / dt - steps) > 1e-9:
         raise InputError(f"delay: {delay:g} s is not whole steps of {dt:g} s; sample_delayed has the exact plant")
-    if not (peak > 1.0 and noise > 0.0):
+    if not (inf > peak > 1.0 and noise > 0.0):
         raise InputError(f"peak: {peak:g} and noise: {noise:g}; above 1 and above 0")
     plant = _Plant(n, d, dt, steps, window)
     return plant.evaluate(Programme(plant, Bounds(peak, noise, inf), (splines(plant), None)).solve()[0])

@@ -125,13 +125,9 @@ def measured_sweep(hertz: Array, response: Complex) -> Sweep:
     """Return a sweep from points of an open loop ``C G*`` measured elsewhere; ``hertz`` rises."""
     gain, phase = _to_bode(response)
     return Sweep(
-        frequency=hertz.tolist(),
-        gain=gain.tolist(),
-        phase=phase.tolist(),
-        augmented_gain=[],
-        augmented_phase=[],
+        frequency=hertz.tolist(), gain=gain.tolist(), phase=phase.tolist(), augmented_gain=[], augmented_phase=[],
         margins=_find_margins(hertz, gain, phase),
-    )
+    )  # fmt: skip
 
 
 def _to_bode(values: Complex) -> tuple[Array, Array]:
@@ -152,7 +148,8 @@ def _find_margins(frequency: Array, gain: Array, phase: Array) -> Margins:
         return crossed
 
     cuts = find_crossings(gain, 0.0)
-    turns = [at for level in (-180.0, -540.0, -900.0) for at, _ in find_crossings(phase, level)]
+    levels = 360.0 * np.arange(np.ceil(phase.min() / 360.0 + 0.5), np.floor(phase.max() / 360.0 + 0.5) + 1.0) - 180.0
+    turns = [at for level in levels for at, _ in find_crossings(phase, level)]
     return Margins(
         cutoff=next((float(np.exp(at)) for at, k in cuts if gain[k] > 0.0), None),
         gain_margin=min((-float(np.interp(at, x, gain)) for at in turns), key=abs, default=None),

@@ -83,7 +83,12 @@ def load_scenario(
         from cosim.spec.scenario import parameter_files
         from cosim.spec.vehicle import read_models
 
-        changes["vehicle"] = {"identified": read_models(model)}
+        changes["vehicle"] = {
+            "identified": {
+                family: {axis: each.model_dump(mode="json") for axis, each in models.items()}
+                for family, models in read_models(model).items()
+            }
+        }
         changes["parameter_files"] = parameter_files(scenario.parameter_files, "models", model)
     if settings or model is not None or designed is not None or "stations" in chosen:
         changes["expect"] = []

@@ -2,7 +2,7 @@
 
 from operator import not_
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -53,15 +53,17 @@ class RateModel(Model):
         return _append_conjugates(self.zeros, self.zero_pairs)
 
 
+Models = dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]]  # by engine and axis
+
+
 class ModelFile(Model):
     """Identified models in a separate file, to be merged into a vehicle."""
 
-    identified: Annotated[dict[str, dict[Literal["roll", "pitch", "yaw"], RateModel]], Field(min_length=1)]
+    identified: Annotated[Models, Field(min_length=1)]
 
 
-def read_models(path: Path) -> dict[str, Any]:
-    """Return the table ``identified`` of a model file; raise InputError if it cannot be read or is none."""
+def read_models(path: Path) -> Models:
+    """Return the models of a file by engine and axis; raise InputError if it cannot be read or is none."""
     table = read_toml(path)
     check_kind(table, path, MODELS)
-    models: dict[str, Any] = validate(ModelFile, table, str(path)).model_dump(mode="json")["identified"]
-    return models
+    return validate(ModelFile, table, str(path)).identified

@@ -19,7 +19,7 @@ from cosim.identify.sweep.fit import Model as Continuous
 from cosim.identify.sweep.result import MAX_MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.pages import Card, Page
-from cosim.spec.vehicle import RateModel, read_models
+from cosim.spec.vehicle import read_models
 from hexjet_identify.engine_file import DEVIATIONS_95
 from hexjet_identify.fit.estimate import estimate_at, solve
 from hexjet_identify.fit.forms import Poles
@@ -175,10 +175,7 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
 def _read_model_file(file: Path, axis: str | None) -> StatedModel:
     """Read a model file, convert its sampled model to the continuous form; it names no channels of a log."""
     candidates = [
-        (name, RateModel.model_validate(model))
-        for models in read_models(file).values()
-        for name, model in models.items()
-        if axis in (None, name)
+        (name, model) for models in read_models(file).values() for name, model in models.items() if axis in (None, name)
     ]
     if len(candidates) != 1:
         of = f" of {axis}" if axis else ""
