@@ -34,16 +34,16 @@ from cosim.spec.scenario import Scenario
 FOLDER = Path(__file__).parent / "pictures"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SOON = 60.0  # s for what takes one
-HIGH = 1600  # pixels of a picture, at most: what a page begins with
 
 
 class Page(NamedTuple):
-    """A page that a command writes: the commands, in the folder, and where it is."""
+    """A page that a command writes: the commands, in the folder, where it is, and how its picture is taken."""
 
     commands: list[str]
     path: str
     at: float | None = None  # s of the flight that is shown
     width: int = 1100
+    height: int | None = None  # of the picture; None: as high as the page
     scheme: str = "light"
 
 
@@ -54,9 +54,9 @@ START = ROOT / "tests" / "designs" / "edf-as-flown.toml"  # a search anew takes 
 VARIED = "--vary vehicle.mass_kg=5:6.5 --vary mismatch.delay_samples=0:20"
 FAULT = ["fly fault-flame-out --out fault"]
 PAGES = {
-    "flight": Page(FAULT, "fault/report.html", 1.8, 1280),
-    "phone": Page(FAULT, "fault/report.html", 1.8, 390, "dark"),
-    "comparison": Page([*DOUBLET, "compare baseline smith --out compared"], "compared/comparison.html", 4.4, 1280),
+    "flight": Page(FAULT, "fault/report.html", 1.8, 1280, 830),
+    "phone": Page(FAULT, "fault/report.html", 1.8, 390, 844, "dark"),
+    "comparison": Page([*DOUBLET, "compare baseline smith --out compared"], "compared/comparison.html", 4.4, 1280, 830),
     "campaign": Page(
         [f"sweep roll-doublet {VARIED} --runs 24 --controller smith --controller baseline --out swept"],
         "swept/report.html",
@@ -97,6 +97,7 @@ MORE = {  # looked at, and not in the documentation
     ),
     "batch": Page(["batch check roll-doublet --out batched"], "batched/report.html"),
 }
+SERVED = {"runs": Page([], "", height=620), "live": Page([], "", width=1280, height=800)}  # made by no command
 SIZES, SCHEMES = ((1400, 900), (390, 844)), ("light", "dark")
 HIGHEST = 12_000  # pixels of a whole page, at most: what a browser still takes
 
@@ -147,25 +148,23 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
 
 def take(browser: Any, url: str, name: str, page: Page) -> None:
     """Take the beginning of a page, at a time of its flight."""
-    at, width, high = page.at, page.width, None if page.at is None else 830
-    high = {"phone": 844, "live": 800, "runs": 620, "tutorial-verdict": 820}.get(name, high)
-    context = browser.new_context(viewport={"width": width, "height": high or 1000}, color_scheme=page.scheme)
-    tab = context.new_page()
+    viewport = {"width": page.width, "height": page.height or 1000}
+    tab = browser.new_page(viewport=viewport, color_scheme=page.scheme)
     tab.goto(url)
-    if at is not None:
+    if page.at is not None:
         tab.wait_for_function("document.documentElement.dataset.replay")
-        tab.evaluate("t => hexjet.setTime(t)", at)
-        tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{at:.4f}")
+        tab.evaluate("t => hexjet.setTime(t)", page.at)
+        tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{page.at:.4f}")
         tab.wait_for_timeout(800)  # with smooth edges when it stands
     if name in ("live", "runs"):
         tab.wait_for_selector("#scene canvas[data-time]" if name == "live" else "#runs tbody tr")
         tab.wait_for_timeout(4000 if name == "live" else 500)  # something of a track, a row's colours
-    if high is None:
-        height = min(HIGH, tab.evaluate("document.documentElement.scrollHeight"))
-        tab.set_viewport_size({"width": width, "height": height})
+    if page.height is None:
+        height = min(1600, tab.evaluate("document.documentElement.scrollHeight"))  # what it begins with
+        tab.set_viewport_size(viewport | {"height": height})
         tab.wait_for_timeout(500)  # figures follow the size of the window
     tab.screenshot(path=FOLDER / f"page-{name}.png")
-    context.close()
+    tab.close()
 
 
 def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
@@ -184,7 +183,8 @@ def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
                 tab.wait_for_function("document.documentElement.dataset.replay")
             tab.wait_for_timeout(4000 if name == "live" else 1500)
             curve = tab.query_selector(".u-over, .plot, .stage canvas")
-            print(f"{where}: first curve at {curve.bounding_box()['y']:.0f} pixels" if curve else f"{where}: no curve")
+            box = curve and curve.bounding_box()  # none where it is not shown
+            print(f"{where}: first curve at {box['y']:.0f} pixels" if box else f"{where}: no curve")
             shown = tab.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
             if shown[0] > width:
                 wrong.append(f"{where}: {shown[0]} pixels wide")
@@ -226,7 +226,7 @@ def main(arguments: list[str]) -> int:
     """Make the pages, and take them."""
     out = Path(arguments[1]).absolute() if arguments[:1] == ["--all"] and arguments[1:] else None
     names = arguments if out is None else arguments[2:]
-    known = [*PAGES, *([] if out is None else MORE), "runs", "live"]
+    known = [*PAGES, *([] if out is None else MORE), *SERVED]
     if unknown := set(names) - set(known):
         print(f"{', '.join(sorted(unknown))}: no such page; there are {', '.join(known)}", file=sys.stderr)
         return 2
@@ -243,7 +243,7 @@ def main(arguments: list[str]) -> int:
             return review(browser, names or known, out)
         for each in names or known:
             with address(each, folder, done) as url:
-                take(browser, url, each, PAGES.get(each, Page([], "", width=1280 if each == "live" else 1100)))
+                take(browser, url, each, (PAGES | SERVED)[each])
         browser.close()
         os.chdir(home)
     return 0

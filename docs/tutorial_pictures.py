@@ -14,8 +14,8 @@ from page_pictures import FLAGS, FOLDER, Page, take
 from benchmarks.measures.browser import find_browser
 
 PAGES = {
-    "tutorial-comparison": Page([], "runs/compared/comparison.html", 4.6, 1280),
-    "tutorial-verdict": Page([], "runs/verdict/report.html"),
+    "tutorial-comparison": Page([], "runs/compared/comparison.html", 4.6, 1280, 830),
+    "tutorial-verdict": Page([], "runs/verdict/report.html", height=820),
 }
 
 

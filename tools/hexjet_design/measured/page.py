@@ -147,8 +147,8 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
 
 
 def make_page(margins: MeasuredMargins) -> Page:
-    """Return the page of measured margins: beside their limits, then by axis."""
-    scenario, cards = margins.scenario, [Card("Beside their limits", JUDGED_COLUMNS, judged_rows(margins))]
+    """Return the page of measured margins: the first loop, all beside their limits, then the rest by axis."""
+    scenario, cards = margins.scenario, list[Card]()
     for axis, measured in margins.axes.items():
         name = axis.capitalize()
         more = [sentence(line) for line in (uncertainty_line(measured), limit_line(measured)) if line]
@@ -159,6 +159,7 @@ def make_page(margins: MeasuredMargins) -> Page:
             Card(heading(measured), columns(measured), rows(measured), " ".join(more),
                  lines=[marked(note, "unmet") for note in measured.notes]),
         ]  # fmt: skip
+    cards.insert(2, Card("Beside their limits", JUDGED_COLUMNS, judged_rows(margins)))
     cards += [Card("How well the engine is known", ENGINE_COLUMNS, engine_rows(margins.engine_ranges))]
     summary = [f"Not computed: {margins.uncomputed}."] if margins.uncomputed else []
     if margins.uncertainty_source is not None:
