@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -97,3 +98,6 @@ def test_jax_flies_the_same_and_is_differentiated() -> None:
     assert np.abs(np.asarray(own) - flight.log["rate_p_rad_s"]).max() < 1e-12
     apart = (rates(1.0 + 1e-6) - rates(1.0 - 1e-6)) / 2e-6
     assert np.abs(np.asarray(slope - apart)).max() < 1e-5 * np.abs(np.asarray(slope)).max()
+    page = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n([^`]*with_jax[^`]*)```", page)
+    exec(code.replace('load("roll-doublet")', 'load("roll-doublet").replace(duration_s=0.1)'), {})
