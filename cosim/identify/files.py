@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import FlightError
-from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
+from cosim.base.errors import FlightError, notify
+from cosim.base.storage.files import check_results_folder, holds_record, map_os_errors, write_files
 
 if TYPE_CHECKING:
     from cosim.results.report.cards import Page
@@ -36,6 +36,8 @@ def write_identification(
     cannot be written.
     """
     check_results_folder(folder, RECORD, *FILES)
+    if holds_record(folder / RECORD):
+        notify(f"{folder}: what an earlier identification left there is replaced")
     paths = {"json": folder / RECORD, **{kind: folder / _NAME_BY_KIND[kind] for kind in texts}}
     files: dict[Path, str | bytes] = {paths["json"]: json.dumps(record, indent=2, allow_nan=False) + "\n"}
     files |= {paths[kind]: text for kind, text in texts.items()}

@@ -128,6 +128,9 @@ def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path
     assert not any("time_unit" in note for note in record.notes)
     (record,) = read_records([path], Columns(time_unit="s"))
     assert not any("time_unit" in note for note in record.notes)
+    write(path, command, thrust, times, "time,throttle,thrust [psi]")
+    with pytest.raises(InputError, match=r"is in psi; allowed: a thrust or a speed in N, kN"):
+        read_records([path])
 
 
 def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_path: Path) -> None:
@@ -236,7 +239,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
         ("three rows", lambda t, u, y: (t[:3], u[:3], y[:3]), 2, "3 rows of throttle that can be used; at least 20"),
         ("no step", lambda t, u, y: (t, 0 * u, y), 1, "throttle does not move; step it: a step up and one down"),
         ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output hardly shows the command"),
-        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; throttle_range LOW HIGH says"),
+        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --throttle-range LOW HIGH says"),
         ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: output -thrust_N"),
         ("backwards", lambda t, u, y: (np.where(t > 30, t - 30, t), u, y), 2, "the time begins again after 30 s: two tests"),
         ("nothing but a head", lambda t, u, y: (t[:0], u[:0], y[:0]), 2, "the table has no rows"),

@@ -67,14 +67,13 @@ class BenchIdentifyResult(FolderResult):
         """Return what ``hexjet engine from-bench --json`` prints."""
         return self.identification.to_dict()
 
-    def lines(self, most: int = 3) -> list[str]:
-        """Return the verdict and the ``most`` important notes; the page has the others."""
+    def lines(self, most: int = 1) -> list[str]:
+        """Return the verdict, how the logs were taken, and the ``most`` weighty that they do not tell."""
         found, reason = self.identification, why_no_engine(self.identification)
-        said = [f"no engine: {reason}"] if reason else []
-        said += [*(f"not told: {line}" for line in found.untold[:1]), *note_lines(found.notes)]
-        said += [f"not told: {line}" for line in found.untold[1:]]
-        more = len(said) - most
-        return [found.verdict.words, *said[:most], *([f"{more} more on the page"] if more > 0 else [])]
+        said = [found.verdict.words, *([f"no engine: {reason}"] if reason else []), *note_lines(found.notes)]
+        said += [f"not told: {line}" for line in found.untold[:most]]
+        more = len(found.untold) - most
+        return [*said, *([f"{more} more on the page"] if more > 0 else [])]
 
     def tables(self) -> list[Table]:
         """Return the numbers with their bounds."""
