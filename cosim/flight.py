@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 
 def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
-    """Return warnings that the summary lacks: a design that differs from its file, times after the flight's end."""
+    """Return warnings that the summary lacks: a design that differs from its file, useless times and formulas."""
+    from cosim.results.requirements.stated import note_first_row
     from cosim.spec.controller_name import is_design
 
-    lines = [f"scenario {scenario.name}: {text}" for text in scenario.after_the_end()]
+    lines = [f"scenario {scenario.name}: {text}" for text in (*scenario.after_the_end(), *note_first_row(scenario))]
     if isinstance(controller, (str, Path)) and is_design(str(controller)):
         from cosim.simulation.controllers.controller_file import list_differences
 

@@ -32,20 +32,6 @@ from cosim.control.rate import RateAxis
 from cosim.spec.vehicle import RateModel
 
 __all__ = [
-    "PREDICTORS",
-    "Actuators",
-    "Array",
-    "Axis",
-    "AxisLaw",
-    "Belief",
-    "Pid",
-    "RateAxis",
-    "RateLaw",
-    "RateModel",
-    "attitude_gain_parameter",
-    "cascade",
-    "clamp",
-    "low_frequency_delay",
-    "positive_parameter",
-    "wrap",
-]
+    "PREDICTORS", "Actuators", "Array", "Axis", "AxisLaw", "Belief", "Pid", "RateAxis", "RateLaw", "RateModel",
+    "attitude_gain_parameter", "cascade", "clamp", "low_frequency_delay", "positive_parameter", "wrap",
+]  # fmt: skip

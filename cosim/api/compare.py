@@ -32,6 +32,8 @@ class CompareResult(Result):
         Each flight but the first against the first: its ``signals`` have the largest difference, and when.
     """
 
+    short_tables = 1
+
     def __init__(
         self, flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], signal: Sequence[str] = ()
     ) -> None:
@@ -80,6 +82,8 @@ class CompareResult(Result):
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
             lines.append(" ".join(describe_pair(pair)))
             inputs = inputs_between(self.flights[0], flight)
+            # A hash says less than the settings that differ with it.
+            inputs = [each for each in inputs if not each[0].startswith("sha256.")] or inputs
             lines += [f"  {key}: {one}; {flight.label[0]} {other}" for key, one, other in inputs[:max_inputs]]
             if len(inputs) > max_inputs:
                 lines.append(f"  and {len(inputs) - max_inputs} inputs more that are not the same")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,6 +74,7 @@ class FlightResult(Result):
         axes = [
             (f"{metric(key).label}, {metric(key).unit}", *(found.get(f"{axis}.{key}", NONE) for axis in metrics))
             for key in AXIS_DIGITS
+            if any(f"{axis}.{key}" in found for axis in metrics)
         ]
         limits = {name: f"{metric(name).factor * limit:.4g}" for name, limit in summary.limits.items()}
         whole = [
@@ -229,7 +230,7 @@ def fly(
     with ExitStack() as stack:
         watching: list[Observer] = [each for each in observers if not isinstance(each, str)]
         watching += [_FlightProgress(progress, loaded)] if progress is not None else []
-        watching += [stack.enter_context(_open_flightgear(flightgear, loaded))] if flightgear is not None else []
+        watching += [stack.enter_context(closing(_flightgear(flightgear, loaded)))] if flightgear is not None else []
         run = fly_watched(
             loaded,
             out,
@@ -265,15 +266,10 @@ def _publish_on_links(links: Sequence[str], stack: ExitStack) -> Any:
     return stack.enter_context(Links(tuple(links))).make_read_only_observer()
 
 
-@contextmanager
-def _open_flightgear(port: str, scenario: Scenario) -> Iterator[Observer]:
-    """Yield an observer that sends a flight to FlightGear, provided by an installed tool."""
+def _flightgear(port: str, scenario: Scenario) -> Any:
+    """Return an observer for FlightGear, to be closed, which a tool provides by an entry point."""
     from cosim.base.plugins.entry_points import load_hook
 
     if (viewer_of := load_hook("flightgear")) is None:
         raise InputError("flightgear: none of the tools that are installed sends to FlightGear")
-    viewer = viewer_of(port, scenario.environment)
-    try:
-        yield viewer
-    finally:
-        viewer.close()
+    return viewer_of(port, scenario.environment)

@@ -18,6 +18,18 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _bars: list[Bar] = []  # progress bars on the terminal now
+_options: dict[str, str] = {}  # of the command that runs, by the names of its arguments in Python
+
+
+def name_options(options: Mapping[str, str]) -> None:
+    """Keep the options of the command that runs for :func:`spell`, by the names of its arguments."""
+    _options.clear()
+    _options.update(options)
+
+
+def spell(text: str) -> str:
+    """Return a message with the command's arguments as they are typed: ``--time-unit`` for ``time_unit``."""
+    return re.sub(r"(?<![\w.\"'/-])\w+_\w+(?![\w.=(/])", lambda found: _options.get(found[0], found[0]), text)
 
 
 @contextmanager
@@ -97,7 +109,7 @@ class TerminalProgress(Progress):
         """Print a note on standard error."""
         if self._notes:
             with hide_progress_bars():
-                echo(f"hexjet: {self._notes}: {printable_line(text)}", err=True)
+                echo(f"hexjet: {self._notes}: {printable_line(spell(text))}", err=True)
 
     def update(self, part: str, done: int, of: int) -> None:
         """Update the progress bar."""
@@ -128,8 +140,8 @@ INTERRUPT_REPORTED = "told"  # exception's note: already printed
 def show_result(result: Result, verbose: bool = False, screen: int = 24) -> None:
     """Print a result: its lines, its tables, and the paths of its files.
 
-    Without ``verbose``, what has a page and is longer than a ``screen`` of lines is printed in short: no tables, and
-    no more lines than the result says.
+    Without ``verbose``, what has a page and is longer than a ``screen`` of lines is printed in short: as many tables
+    and lines as the result says.
     """
     from rich.markup import escape
 
@@ -137,11 +149,12 @@ def show_result(result: Result, verbose: bool = False, screen: int = 24) -> None
     height = len(lines) + len(result.files) + sum(len(table.rows) + 4 for table in tables)
     if not verbose and height > screen and result.report is not None:
         more = len(lines[result.short_lines :]) if result.short_lines else 0
-        lines, tables = [*lines[: result.short_lines], *([f"{more} more lines with --verbose"] if more else [])], []
+        lines = [*lines[: result.short_lines], *([f"{more} more lines with --verbose"] if more else [])]
+        tables = tables[: result.short_tables]
     first, *others = lines
-    say(f"[bold]{escape(first)}[/bold]", marked=True)
+    say(f"[bold]{escape(spell(first))}[/bold]", marked=True)
     for line in others:
-        say(line, wrap=not isinstance(line, WholeLine))
+        say(spell(line), wrap=not isinstance(line, WholeLine))
     for table in tables:
         if table.title:
             say(table.title)
@@ -163,7 +176,7 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
 
 def note(text: str) -> None:
     """Print a note on standard error."""
-    echo(f"hexjet: note: {printable_line(text)}", err=True)
+    echo(f"hexjet: note: {printable_line(spell(text))}", err=True)
 
 
 def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:
@@ -189,22 +202,25 @@ def show_table(
     right
         Columns that are aligned to the right, counted from 0.
     plain
-        Brackets are no markup, numbers have no colour, and long words are folded.
+        Brackets are no markup, numbers have no colour, and long words are folded, but for names in the first column.
     name_width
         The least width of the first column.
-    **looks
+    **table_options
         Of rich's ``Table``.
     """
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, **table_options)
+    table, rows = Table(box=box.SIMPLE_HEAD, **table_options), list(rows)
+    # A name, such as a key, stays whole, so that it can be copied.
+    is_whole = plain and max((len(first) for first, *_ in rows), default=0) <= 2 * terminal().width // 3
     for number, title in enumerate(titles):
         table.add_column(
             title,
             justify="right" if number in right else "left",
             overflow="fold" if plain else "ellipsis",
             min_width=None if number else name_width,
+            no_wrap=is_whole and not number,
         )
     for row in rows:
         table.add_row(*row)

@@ -18,7 +18,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything, without_code
 from cosim.cli.annotations import format_docstring, read_type
-from cosim.cli.console import TerminalProgress, echo, format_help, output_to_stderr, show_result
+from cosim.cli.console import TerminalProgress, echo, format_help, name_options, output_to_stderr, show_result
 
 if TYPE_CHECKING:
     from cyclopts import App, CycloptsError
@@ -397,6 +397,7 @@ class Command:
             echo(self.help())
             return DONE
         arguments = self.read(words)
+        name_options({each.argument: each.names[0] for each in self.declared if each.names})
         self.check_out(arguments.get("out"))
         as_json, quiet = arguments.pop(_JSON, False), arguments.pop(_QUIET, False)
         shown = {_VERBOSE: arguments.pop(_VERBOSE, False)} if self._has_verbose else {}

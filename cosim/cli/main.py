@@ -19,7 +19,7 @@ from cosim.base.errors import RESOURCE_ERRNOS, STDOUT_NAME, FlightError, InputEr
 from cosim.base.trust import command_trust_scope
 from cosim.base.wording import printable_line
 from cosim.cli import table
-from cosim.cli.console import INTERRUPT_REPORTED, echo, format_help, note
+from cosim.cli.console import INTERRUPT_REPORTED, echo, format_help, note, spell
 from cosim.cli.trust import trust_prompt
 
 DONE, FLIGHT_FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143  # last: 128 + number of the signal
@@ -221,4 +221,4 @@ def _make_warning_printer(show_other: Callable[..., None]) -> Callable[..., None
 
 
 def _print_error(message: str) -> None:
-    echo(f"hexjet: {printable_line(message)}", err=True)
+    echo(f"hexjet: {printable_line(spell(message))}", err=True)

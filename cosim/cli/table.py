@@ -111,12 +111,12 @@ def find(words: list[str]) -> tuple[str, list[str]]:
         if len(words) >= count and (name in NATIVE or name in added()):
             return name, words[count:]
     if is_collection(first):
-        inner = [name.partition(" ")[2] for name in list_names(first)]
+        inner = [name.partition(" ")[2] for name in list_names(first) if name not in HIDDEN]
         if not inner:
             # Loading one of these commands reports which package is missing.
             return next(name for name in added() if name.startswith(f"{first} ")), words[1:]
         raise InputError(f"No such command {words[1]!r}; {nearest(words[1], inner)} (hexjet {first} --help)")
-    names = {name.partition(" ")[0] for name in list_names()}
+    names = {name.partition(" ")[0] for name in set(list_names()) - HIDDEN}
     raise InputError(f"No such command {first!r}; {nearest(first, names)} (hexjet --help)")
 
 

@@ -42,10 +42,6 @@ MAX_SATURATED_PERCENT = 50.0
 # second of 250 steps.
 MAX_ALTERNATING_PERCENT = 90.0
 
-AXIS_LIMITED = {  # metric of each axis by key of [limits]
-    "settling_s": "settling_time_s",
-    "oscillation_rad": "oscillation_rad",
-}
 LIMITED = {  # metric by key of [limits]
     "height_error_m": "altitude.max_abs_error_m",
     "place_error_m": "position.max_abs_error_m",

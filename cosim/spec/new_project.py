@@ -30,6 +30,9 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
     with map_os_errors(InputError, folder):
         if folder.exists() and any(folder.iterdir()):
             raise InputError(f"{folder}: is not empty; choose another name, or another folder (out)")
+    fitted = data_folder("fmus") / "fitted.fmu"
+    with map_os_errors(InputError, fitted):
+        content = fitted.read_bytes()
     vehicle = new_aircraft(name, "hexjet", folder / "vehicle")
     with map_os_errors(InputError, folder):
         (folder / "engine").mkdir()
@@ -39,6 +42,6 @@ def new_project(name: str, out: str | Path | None = None) -> Path:
         text = vehicle.read_text(encoding="utf-8").replace("[identified.edf-as-flown.", '[identified."engine.toml".')
         vehicle.write_text(text.replace("edf-as-flown", "../engine/engine.toml"), encoding="utf-8")
         archive = folder / "engine" / "engine.fmu"
-        archive.write_bytes((data_folder("fmus") / "fitted.fmu").read_bytes())
+        archive.write_bytes(content)
     remember_written(archive.parent, [archive])
     return folder

@@ -243,26 +243,9 @@ class Station:
                 self._news.notify_all()
 
 
-_KEPT = frozenset(
-    {
-        "AUTOPILOT_VERSION",
-        "AVAILABLE_MODES",
-        "BAD_DATA",
-        "COMMAND_ACK",
-        "COMPONENT_METADATA",
-        "FILE_TRANSFER_PROTOCOL",
-        "HOME_POSITION",
-        "LOG_DATA",
-        "LOG_ENTRY",
-        "MESSAGE_INTERVAL",
-        "MISSION_ACK",
-        "MISSION_COUNT",
-        "MISSION_ITEM_INT",
-        "MISSION_REQUEST_INT",
-        "PARAM_ERROR",
-        "PARAM_VALUE",
-        "PING",
-        "STATUSTEXT",
-        "TIMESYNC",
-    }
-)
+_KEPT = frozenset((
+    "AUTOPILOT_VERSION", "AVAILABLE_MODES", "BAD_DATA", "COMMAND_ACK", "COMPONENT_METADATA",
+    "FILE_TRANSFER_PROTOCOL", "HOME_POSITION", "LOG_DATA", "LOG_ENTRY", "MESSAGE_INTERVAL", "MISSION_ACK",
+    "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "PARAM_ERROR", "PARAM_VALUE", "PING", "STATUSTEXT",
+    "TIMESYNC",
+))  # fmt: skip

@@ -58,8 +58,10 @@ class Result:
     """
 
     files: dict[str, Path]
-    # Lines that the command prints without ``--verbose`` if it prints no tables; None: all of them.
+    # Lines that the command prints without ``--verbose`` where it has more than a screen; None: all of them.
     short_lines: ClassVar[int | None] = None
+    # Tables that it prints then.
+    short_tables: ClassVar[int] = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result in SI units as data for JSON, as ``hexjet ... --json`` prints it."""

@@ -40,20 +40,9 @@ from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries counted in whole steps
 LISTS = ("command", "disturbance", "fault")  # tables of a scenario that are lists
 NOT_VARIED = (  # keys that no study may vary
-    "controller_sha256",
-    "controller_limit_s",
-    "seed",
-    "expect",
-    "name",
-    "title",
-    "description",
-    "requests",
-    "parameter_files",
-    "changed",
-    "engine_unchecked",
-    "engine_isolated",
-    "limits",
-)
+    "controller_sha256", "controller_limit_s", "seed", "expect", "name", "title", "description", "requests",
+    "parameter_files", "changed", "engine_unchecked", "engine_isolated", "limits",
+)  # fmt: skip
 CUSTOM_PARAMETERS = "controller_parameters."  # keys of a custom controller
 FLOWN_PARAMETERS, FLOWN_STATIONS = "mismatch.engine_parameters", "mismatch.stations."  # keys of flown parameters
 ENGINE_KEYS = ("engine_parameters.", "stations.", f"{FLOWN_PARAMETERS}.", FLOWN_STATIONS)  # prefixes of engines' keys

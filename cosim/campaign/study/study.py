@@ -27,7 +27,7 @@ from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, 
 from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
-from cosim.results.requirements.stated import check_requirements
+from cosim.results.requirements.stated import check_requirements, note_first_row
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.notes import note_few_substeps, note_varied_turbulence
 from cosim.simulation.plugins import load_metrics
@@ -207,7 +207,7 @@ class Study(Model):
     def notes(self) -> list[str]:
         """Return notes on settings that are allowed but that a user should know of before flying."""
         base, keys = self.base(), [vary.key for vary in self.vary]
-        lines = note_varied_turbulence(base, keys)
+        lines = [*note_first_row(base), *note_varied_turbulence(base, keys)]
         lines += [self.engine_note] if self.engine_note else []
         if "substeps" not in keys and "aircraft" not in keys:
             lines += note_few_substeps(base, keys)

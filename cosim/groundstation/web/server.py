@@ -81,19 +81,9 @@ CONTENT_TYPES = {  # by file ending
 
 # Requests that the page may make; missions and faults are left to ground stations.
 ALLOWED_REQUESTS = (
-    rq.Arm,
-    rq.Disarm,
-    rq.SetMode,
-    rq.Takeoff,
-    rq.Land,
-    rq.ReturnHome,
-    rq.Goto,
-    rq.Hold,
-    rq.SetSpeed,
-    rq.Kill,
-    rq.Sticks,
-    rq.SetParameter,
-)
+    rq.Arm, rq.Disarm, rq.SetMode, rq.Takeoff, rq.Land, rq.ReturnHome, rq.Goto, rq.Hold, rq.SetSpeed, rq.Kill,
+    rq.Sticks, rq.SetParameter,
+)  # fmt: skip
 
 
 class WebServer:

@@ -23,6 +23,7 @@ from cosim.results.report.requirements import compared_margins
 from cosim.results.report.signals_data import FlightData, describe_run, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
+from cosim.results.verdict import NOTHING_EXPECTED
 from cosim.results.wording import DIGITS, NONE, display_unit, metric
 
 STRIPS = (
@@ -89,7 +90,7 @@ def _describe_outcome(flight: ComparedFlight, name: Markup, path: Path) -> Marku
         return Markup("{} a log without a run: it has no metrics.").format(name)
     badge, word = verdict_badge(flight.run.summary)
     own = link("full report", _report_link(flight.run, path)) if _report_link(flight.run, path) else ""
-    sentence = verdict(flight.run.summary)
+    sentence = verdict(flight.run.summary).replace(f" {NOTHING_EXPECTED}", "")  # the badge says so
     return Markup("{} {} {} {}").format(name, marked(word, f"badge {badge}"), sentence, marked(own, "small"))
 
 
@@ -243,18 +244,6 @@ def _mark_least(texts: Sequence[str], values: Sequence[float | None], judged: Se
         {"text": text, "best": differ and among and value is not None and value == least}
         for text, value, among in cells
     ]
-
-
-def run_labels(summaries: Sequence[Summary]) -> list[str]:
-    """Return short names that tell runs apart: whatever of controller, engine, scenario, aircraft and seed differs."""
-    properties = [
-        [str(getattr(summary, key)) for summary in summaries]
-        for key in ("controller_shown", "engine_shown", "scenario", "aircraft", "seed")
-    ]
-    telling = [values for values in properties if len(set(values)) > 1] or properties[:1]
-    labels = [", ".join(words) for words in zip(*telling, strict=True)]
-    repeated = {label for label in labels if labels.count(label) > 1}
-    return [f"{label} #{number}" if label in repeated else label for number, label in enumerate(labels, start=1)]
 
 
 def _report_link(run: Run, path: Path) -> str:

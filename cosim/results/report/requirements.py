@@ -57,8 +57,18 @@ def margin_columns(margins: Sequence[MarginOverTime], rows: int) -> dict[str, Ca
 
 
 def by_margin(summary: Summary) -> list[RequirementResult]:
-    """Return the requirements of a flight, the smallest margin in scales first, those without one last."""
-    return sorted(summary.requirements, key=lambda result: np.inf if result.scaled is None else result.scaled)
+    """Return the requirements of a flight, the smallest margin in scales first, those without one last.
+
+    A limit is left out where the scenario expects more of the same metric.
+    """
+    all_of = summary.requirements
+    expected = {each.name: each.margin for each in all_of if each.source == "expect" and each.margin is not None}
+    found = [
+        each
+        for each in all_of
+        if each.source != "limits" or each.margin is None or expected.get(each.name, np.inf) > each.margin
+    ]
+    return sorted(found, key=lambda result: np.inf if result.scaled is None else result.scaled)
 
 
 CHECKED = ("limit or expectation", "of", "allowed", "margin", "decided at")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from cosim.base.errors import InputError, nearest
 from cosim.results.contacts import CONTACTS
 from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.requirements.formula import Both, Comparison, Formula, Not
 from cosim.results.requirements.requirement import Requirement
 from cosim.results.requirements.signals import DERIVED, event_times, needed_columns
 from cosim.results.requirements.units import in_degrees, in_si
@@ -37,6 +38,20 @@ def check_requirements(scenario: Scenario, whole: bool = True) -> None:
             _check_formula(requirement, times, end_s)
         except InputError as error:
             raise InputError(f"scenario {scenario.name}: require {requirement.name}: {error}") from error
+
+
+def note_first_row(scenario: Scenario) -> list[str]:
+    """Return a line for each formula that looks at signals of the log in the first row alone."""
+    signals = {*(column.name for column in log_columns()), *DERIVED}
+    return [
+        f"require {each.name}: {each.formula} is judged in the first row alone; always({each.formula}) in all"
+        for each in stated_requirements(scenario)
+        if _is_of_one_row(each.parsed.formula) and signals.intersection(map(in_si, each.names))
+    ]
+
+
+def _is_of_one_row(formula: Formula) -> bool:
+    return isinstance(formula, (Comparison, Not, Both)) and all(map(_is_of_one_row, formula.parts))
 
 
 def _check_formula(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:

@@ -15,25 +15,10 @@ from cosim.spec.vehicle import is_aircraft_path, is_file
 from cosim.spec.vehicle.sensor_profile import load_with_profile
 
 # Keys on how a flight is observed, evaluated or reproduced; they do not change the flight.
-_NO_EFFECT_ON_FLIGHT = frozenset(
-    (
-        "changed",
-        "controller_limit_s",
-        "controller_sha256",
-        "description",
-        "engine_isolated",
-        "engine_unchecked",
-        "expect",
-        "limits",
-        "metrics",
-        "name",
-        "observers",
-        "own_sha256",
-        "parameter_files",
-        "seed",
-        "title",
-    )
-)
+_NO_EFFECT_ON_FLIGHT = frozenset((
+    "changed", "controller_limit_s", "controller_sha256", "description", "engine_isolated", "engine_unchecked",
+    "expect", "limits", "metrics", "name", "observers", "own_sha256", "parameter_files", "seed", "title",
+))  # fmt: skip
 
 
 class FlownParameters(NamedTuple):
@@ -130,7 +115,18 @@ def _changes(scenario: Scenario, origin: Scenario, parameters: list[FlownParamet
     for key in dict.fromkeys([*now, *before]):
         modelled = "models" in kinds and key.startswith("vehicle.identified.")
         if now.get(key) != before.get(key) and not modelled and stated.get(key, now) != now.get(key):
-            yield key, now.get(key)
+            yield from _inside(key, now.get(key), before.get(key))
+
+
+def _inside(key: str, now: Any, before: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what differs in the entries of two lists of as many tables, such as disturbances; else the whole value."""
+    entries = list(zip(now, before, strict=False)) if isinstance(now, list) and isinstance(before, list) else []
+    if not entries or len(now) != len(before) or not all(isinstance(each, Mapping) for each in (*now, *before)):
+        yield key, now
+        return
+    for number, (one, other) in enumerate(entries):
+        names = [name for name in dict.fromkeys([*one, *other]) if one.get(name) != other.get(name)]
+        yield from ((f"{key}.{number}.{name}", one.get(name)) for name in names)
 
 
 def _list_comparable_keys(scenario: Scenario) -> dict[str, Any]:
@@ -172,12 +168,10 @@ def _flatten(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, A
 def _to_text(value: object) -> str:
     if value is None:
         return "none"
-    if isinstance(value, (list, dict)):
-        return "others"
-    return (
-        Path(value).name
-        if isinstance(value, str) and "/" in value
-        else f"{value:g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    if isinstance(value, list):
+        return f"[{', '.join(map(_to_text, value))}]"
+    if isinstance(value, Mapping):
+        return str(value.get("kind", "..."))
+    if isinstance(value, str) and "/" in value:
+        return Path(value).name
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -56,15 +56,9 @@ OTHERS = ("full-scale-", "octojet-", "quadjet-")
 QUIET = [name for name in scenario_names() if name not in FAULTY and not name.startswith(OTHERS)]
 QUIET += ["full-scale-gust", "octojet-climb-and-land", "quadjet-gust"]
 FIRST = (
-    "climb-and-land",
-    "manual",
-    "roll-doublet",
-    "gust",
-    "full-scale-gust",
-    "quadjet-gust",
-    "trijet-gust",
+    "climb-and-land", "manual", "roll-doublet", "gust", "full-scale-gust", "quadjet-gust", "trijet-gust",
     "jetwing-gust",
-)
+)  # fmt: skip
 HEALTH = [f"health_{jet}" for jet in range(1, 7)]
 
 

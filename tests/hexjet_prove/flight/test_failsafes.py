@@ -494,19 +494,8 @@ def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pyt
 
 def test_the_command_flies_a_campaign_that_goes_on_and_flies_again(tmp_path: Path, hexjet: Hexjet) -> None:
     asked = (
-        "faults",
-        "--autopilot",
-        "--kind",
-        "sticks",
-        "--height",
-        "3",
-        "--wind",
-        "0",
-        "--workers",
-        "1",
-        "--flights",
-        "2",
-    )
+        "faults", "--autopilot", "--kind", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--flights", "2",
+    )  # fmt: skip
     out = str(tmp_path / "out")
     done = hexjet(*asked, "--json", "--out", out)
     assert done.status == 0, done.err

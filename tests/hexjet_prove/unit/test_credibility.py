@@ -13,18 +13,10 @@ from cosim.results.summary import versions
 from hexjet_prove.proof.credibility import Evidence, list_evidence, read_comparison
 
 FACTORS = (  # NASA-STD-7009B, Appendix E: five of the model, six of its use
-    "Data pedigree",
-    "Verification",
-    "Validation",
-    "Development technical review",
-    "Development process and product management",
-    "Use assessment",
-    "Input pedigree",
-    "Uncertainty characterization",
-    "Results robustness",
-    "Use and analysis technical review",
-    "Use process and product management",
-)
+    "Data pedigree", "Verification", "Validation", "Development technical review",
+    "Development process and product management", "Use assessment", "Input pedigree", "Uncertainty characterization",
+    "Results robustness", "Use and analysis technical review", "Use process and product management",
+)  # fmt: skip
 GOOD = Evidence(
     aircraft="hexjet",
     engine="turbojet",

@@ -105,16 +105,9 @@ def test_the_source_distribution_is_the_whole_project(sdist: Path) -> None:
     with tarfile.open(sdist) as archive:
         names = {name.removeprefix(prefix) for name in archive.getnames()}
     top = {
-        "LICENSE",
-        "NOTICE",
-        "Makefile",
-        "README.md",
-        "pyproject.toml",
-        "requirements.lock",
-        "requirements-dev.lock",
-        "setup.py",
-        ".ci/run",
-    }
+        "LICENSE", "NOTICE", "Makefile", "README.md", "pyproject.toml", "requirements.lock", "requirements-dev.lock",
+        "setup.py", ".ci/run",
+    }  # fmt: skip
     wanted = top.union(*(source_files(name) for name in (*DATA, "tests", "docs", "benchmarks")))
     assert wanted - names == set()
     assert not [name for name in names if name.endswith((".so", ".fmu", ".pyc"))]

@@ -98,7 +98,7 @@ def test_every_option_has_a_text_and_the_name_that_python_has(name: str) -> None
     ("words", "line"),
     [
         (["fyl"], "No such command 'fyl'; did you mean 'fly'? allowed: aircraft, "),
-        (["engine", "chek"], "No such command 'chek'; did you mean 'check'? allowed: build, check, from-bench, "),
+        (["engine", "chek"], "No such command 'chek'; did you mean 'check'? allowed: check, from-bench, identify, "),
         (["fmu", "survey"], "fmu survey: the table of many engines left in version 0.3.0; use hexjet engine check"),
         (["list", "engines"], "list: an old name left in version 0.3.0; use hexjet show"),
         (["identify", "engine", "edf"], "identify engine: an old name left in version 0.3.0; use hexjet engine id"),

@@ -16,7 +16,7 @@ from places import ROOT, TESTS
 from cosim.api.flights import FlightResult
 from cosim.base.wording import printable_line
 from cosim.cli import main as command
-from cosim.cli.console import show_result
+from cosim.cli.console import name_options, show_result, show_table, spell
 from cosim.results.run import open_run
 from hexjet_design.api import DesignResult
 
@@ -69,6 +69,18 @@ def test_of_many_lines_the_first_are_printed_and_the_others_counted(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 8
     assert re.fullmatch(r"\d+ more lines with --verbose", lines[-2])
+
+
+def test_a_key_is_not_broken_and_messages_have_options(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    show_table(("key", "meaning"), [("vehicle.control.rate.roll.p", "gain " * 30)], plain=True)
+    assert "vehicle.control.rate.roll.p" in capsys.readouterr().out
+    name_options({"time_unit": "--time-unit"})
+    assert spell("a time_unit of ms, not x.time_unit or time_unit=ms") == (
+        "a --time-unit of ms, not x.time_unit or time_unit=ms"
+    )
 
 
 def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

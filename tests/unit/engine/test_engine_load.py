@@ -42,18 +42,9 @@ def full_thrust(spec: EngineSpec) -> float:
 
 def test_the_library_lists_its_engines() -> None:
     assert list_engine_names() == [
-        "edf",
-        "edf-as-flown",
-        "fitted",
-        "jetcat-p300",
-        "motor",
-        "p220",
-        "p220-2025",
-        "turbine-100",
-        "turbine-20",
-        "turbine-220",
-        "turbojet",
-    ]
+        "edf", "edf-as-flown", "fitted", "jetcat-p300", "motor", "p220", "p220-2025", "turbine-100", "turbine-20",
+        "turbine-220", "turbojet",
+    ]  # fmt: skip
 
 
 THIN = Air(79495.2, 275.15, 0.0)  # of the standard atmosphere 2 km up

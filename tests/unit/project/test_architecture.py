@@ -59,17 +59,10 @@ OUTSIDE_WORLD = {
 }  # fmt: skip
 READS_THE_OUTSIDE_WORLD = {"open", "print", "input", "exec", "eval", "__import__"}
 OUR_FILE_READERS = {
-    "cosim.base.storage.toml",
-    "cosim.base.storage.paths",
-    "cosim.cli.main",
-    "cosim.results.report.flight",
-    "cosim.results.report.page",
-    "cosim.results.log.recorder",
-    "cosim.simulation.step",
-    "cosim.simulation.build",
-    "cosim.results.log.arrow",
-    "cosim.base.storage.files",
-}
+    "cosim.base.storage.toml", "cosim.base.storage.paths", "cosim.cli.main", "cosim.results.report.flight",
+    "cosim.results.report.page", "cosim.results.log.recorder", "cosim.simulation.step", "cosim.simulation.build",
+    "cosim.results.log.arrow", "cosim.base.storage.files",
+}  # fmt: skip
 
 # What somebody else may have made is read by read_file, read_text and read_json of base/storage/files.py: regular files
 # of a limited size.  These read what the package or a process of its own has made.

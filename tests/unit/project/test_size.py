@@ -12,18 +12,18 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_449,
-    "cosim": 64_799,
-    "docs": 1_634,
-    "tests": 71_136,
+    "cosim": 64_790,
+    "docs": 1_631,
+    "tests": 71_125,
     "tools/hexjet_batch": 3_070,
-    "tools/hexjet_design": 8_197,
+    "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 308,
-    "tools/hexjet_identify": 10_464,
+    "tools/hexjet_identify": 10_463,
     "tools/hexjet_laws": 586,
-    "tools/hexjet_paper": 4_513,
-    "tools/hexjet_prove": 6_478,
-    "tools/hexjet_sitl": 3_342,
+    "tools/hexjet_paper": 4_508,
+    "tools/hexjet_prove": 6_472,
+    "tools/hexjet_sitl": 3_339,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
 MAX_CONSTANTS = 278

@@ -13,7 +13,6 @@ from cosim import InputError, Scenario, Stepper, fly, open_run
 from cosim.campaign.study.keys import with_values
 from cosim.cli.main import run as run_command
 from cosim.flight import name_controller
-from cosim.results.report.comparison import run_labels
 from cosim.shelf.index import read_entry
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import flown_parameters, list_changes
@@ -101,7 +100,7 @@ def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) ->
     first = fly(apply_controller("roll-doublet", design, SHORT))
     design.write_text(design.read_text().replace("p = 0.0225", "p = 0.0226"))
     second = fly(apply_controller("roll-doublet", design, SHORT))
-    labels = run_labels([first.summary, second.summary])
+    labels = [run.summary.controller_shown for run in (first, second)]
     assert len(set(labels)) == 2
     assert all(label.startswith("my-design ") for label in labels)
 
@@ -174,6 +173,9 @@ def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
 def test_a_scenario_as_its_file_states_it_keeps_title_and_description() -> None:
     scenario = Scenario.load("roll-doublet")
     assert list_changes(scenario, []) == []
+    dropped = Scenario.load("payload-drop", ["disturbance.0.mass_kg=0.8"])
+    assert list_changes(dropped, []) == ["disturbance.0.mass_kg = 0.8"]
+    assert list_changes(dropped.replace(disturbance=[]), []) == ["disturbance = []"]
     run = fly(scenario.replace(seed=5, expect=[]), report=False)
     assert (run.summary.title, run.summary.description) == (scenario.title, scenario.description)
 

@@ -29,7 +29,6 @@ from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import Reach, flight_metrics
 from cosim.results.report import signals_data
-from cosim.results.report.comparison import run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import comparison_figures, run_figures
 from cosim.results.report.log_reader import Reader, choose_rows
@@ -565,15 +564,6 @@ def test_verdicts(run: Run) -> None:
     still = flown(100, change=lambda s: s._replace(command=Command((0.0, 0.0, 0.0), 30.0)))
     assert "Largest attitude error" in verdict(still.summary)
     assert verdict(flown(0, "failed", "nothing").summary) == "Failed after 0.00 s of 8 s: nothing."
-
-
-def test_labels_tell_runs_apart(run: Run) -> None:
-    base = run.summary
-    other = base.model_copy(update={"controller": "baseline"})
-    assert run_labels([other, base]) == ["baseline", "smith"]
-    assert run_labels([base.model_copy(update={"seed": 2}), other]) == ["smith, 2", "baseline, 1"]
-    assert run_labels([base, base]) == ["smith #1", "smith #2"]
-    assert run_labels([base.model_copy(update={"engine": "edf"}), base]) == ["edf", "edf-as-flown"]
 
 
 # ---- comparison

@@ -241,8 +241,8 @@ def _make_record(
     if longest > MAX_GAP_ROWS * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
     unit = unit_of(output_name, measured.unit)
-    if unit not in ("", "percent", *NEWTONS, *SPEED_UNITS):
-        units = ", ".join((*NEWTONS, *SPEED_UNITS))
+    if unit not in ("", "percent", *NEWTONS_PER_UNIT, *SPEED_UNITS):
+        units = ", ".join((*NEWTONS_PER_UNIT, *SPEED_UNITS))
         raise InputError(f"{path}: {output_name} is in {unit}; allowed: a thrust or a speed in {units}")
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,

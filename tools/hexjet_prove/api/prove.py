@@ -39,25 +39,26 @@ class ProofResult(Result):
         return self.proof.to_json()
 
     def lines(self) -> list[str]:
-        """Return the result in a sentence, further facts, what is not covered, and the command that repeats it."""
+        """Return the sentence, its requirements, what belongs to it, and the command that repeats it."""
         from cosim.studies import with_referee
 
         proof = self.proof
+        broken = (f"{one.label} {one.says.partition(';')[0]}: {one.broken} of {one.told}" for one in proof.requirements)
         return [
             *with_referee([proof.sentence], proof.folder / "campaign"),
+            f"requirements, and by how many flights broken: {'; '.join(broken)}",
             *(f"{about}: {text}" for about, text in proof.facts.items()),
-            *(f"not covered: {text}" for text in proof.not_covered),
+            f"not covered: {len(proof.not_covered)} points, which the page lists",
             WholeLine(f"again: {proof.repeat['command']}"),
-            WholeLine(f"folder: {proof.folder}"),
         ]
 
     def tables(self) -> list[Table]:
-        """Return tables of the requirements, and of the evidence on the model."""
-        proof = self.proof
-        record = [(one.name, one.evidence) for one in proof.credibility]
+        """Return the requirements, what is not covered, and what is on record of the model."""
+        proof, what = self.proof, "On record by NASA-STD-7009B; no level of credibility is computed"
         return [
             Table("", ("", "requirement", "broken", "smallest margin"), list(proof.requirement_rows())),
-            Table("On record by NASA-STD-7009B; no level of credibility is computed", ("factor", "on record"), record),
+            Table("", ("not covered",), [(text,) for text in proof.not_covered]),
+            Table(what, ("factor", "on record"), [(one.name, one.evidence) for one in proof.credibility]),
         ]
 
 

@@ -36,35 +36,17 @@ DELAY, JUMP, SPEED = wire.MAV_CMD_NAV_DELAY, wire.MAV_CMD_DO_JUMP, wire.MAV_CMD_
 # Commands for payloads that no vehicle here has (cameras, gimbals, regions of interest, triggers), and landing marks.
 # Missions skip such items.
 LEFT_OUT: dict[int, str] = {
-    getattr(wire, name): name.removeprefix("MAV_CMD_")
+    getattr(wire, f"MAV_CMD_{name}"): name
     for name in (
-        "MAV_CMD_NAV_ROI",
-        "MAV_CMD_DO_LAND_START",
-        "MAV_CMD_DO_SET_ROI_LOCATION",
-        "MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET",
-        "MAV_CMD_DO_SET_ROI_NONE",
-        "MAV_CMD_DO_CONTROL_VIDEO",
-        "MAV_CMD_DO_SET_ROI",
-        "MAV_CMD_DO_DIGICAM_CONFIGURE",
-        "MAV_CMD_DO_DIGICAM_CONTROL",
-        "MAV_CMD_DO_MOUNT_CONFIGURE",
-        "MAV_CMD_DO_MOUNT_CONTROL",
-        "MAV_CMD_DO_SET_CAM_TRIGG_DIST",
-        "MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL",
-        "MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW",
-        "MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE",
-        "MAV_CMD_SET_CAMERA_MODE",
-        "MAV_CMD_SET_CAMERA_ZOOM",
-        "MAV_CMD_SET_CAMERA_FOCUS",
-        "MAV_CMD_IMAGE_START_CAPTURE",
-        "MAV_CMD_IMAGE_STOP_CAPTURE",
-        "MAV_CMD_DO_TRIGGER_CONTROL",
-        "MAV_CMD_VIDEO_START_CAPTURE",
-        "MAV_CMD_VIDEO_STOP_CAPTURE",
-        "MAV_CMD_OBLIQUE_SURVEY",
+        "NAV_ROI", "DO_LAND_START", "DO_SET_ROI_LOCATION", "DO_SET_ROI_WPNEXT_OFFSET", "DO_SET_ROI_NONE",
+        "DO_CONTROL_VIDEO", "DO_SET_ROI", "DO_DIGICAM_CONFIGURE", "DO_DIGICAM_CONTROL", "DO_MOUNT_CONFIGURE",
+        "DO_MOUNT_CONTROL", "DO_SET_CAM_TRIGG_DIST", "DO_SET_CAM_TRIGG_INTERVAL", "DO_GIMBAL_MANAGER_PITCHYAW",
+        "DO_GIMBAL_MANAGER_CONFIGURE", "SET_CAMERA_MODE", "SET_CAMERA_ZOOM", "SET_CAMERA_FOCUS",
+        "IMAGE_START_CAPTURE", "IMAGE_STOP_CAPTURE", "DO_TRIGGER_CONTROL", "VIDEO_START_CAPTURE",
+        "VIDEO_STOP_CAPTURE", "OBLIQUE_SURVEY",
     )
-    if hasattr(wire, name)
-}
+    if hasattr(wire, f"MAV_CMD_{name}")
+}  # fmt: skip
 
 _SEA_FRAMES = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # frames with z above the sea
 _HOME_FRAMES = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # frames with z above home
