@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cosim.base.errors import InputError, nearest
 from cosim.results.contacts import CONTACTS
 from cosim.results.log.columns import log_columns, logged_vehicle
-from cosim.results.requirements.formula import Both, Comparison, Formula, Not
+from cosim.results.requirements.formula import AllOrAny, Comparison, Formula, Not
 from cosim.results.requirements.requirement import Requirement
 from cosim.results.requirements.signals import DERIVED, event_times, needed_columns
 from cosim.results.requirements.units import in_degrees, in_si
@@ -51,7 +51,7 @@ def note_first_row(scenario: Scenario) -> list[str]:
 
 
 def _is_of_one_row(formula: Formula) -> bool:
-    return isinstance(formula, (Comparison, Not, Both)) and all(map(_is_of_one_row, formula.parts))
+    return isinstance(formula, (Comparison, Not, AllOrAny)) and all(map(_is_of_one_row, formula.parts))
 
 
 def _check_formula(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_identify.bench.running import SPEED_UNITS, find_running
+from hexjet_identify.bench.running import RPM_PER_UNIT, find_running
 from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 from hexjet_identify.logs.read import read_flight_log
 from hexjet_identify.logs.table import NOT_NUMBERS
@@ -241,8 +241,8 @@ def _make_record(
     if longest > MAX_GAP_ROWS * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
     unit = unit_of(output_name, measured.unit)
-    if unit not in ("", "percent", *NEWTONS_PER_UNIT, *SPEED_UNITS):
-        units = ", ".join((*NEWTONS_PER_UNIT, *SPEED_UNITS))
+    if unit not in ("", "percent", *NEWTONS_PER_UNIT, *RPM_PER_UNIT):
+        units = ", ".join((*NEWTONS_PER_UNIT, *RPM_PER_UNIT))
         raise InputError(f"{path}: {output_name} is in {unit}; allowed: a thrust or a speed in {units}")
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
