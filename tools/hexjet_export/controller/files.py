@@ -158,7 +158,7 @@ def _prepare_form(form: Form) -> Form:
     scheduled = [axes[0]["lead"], form["altitude"]["lead"]] if form["schedule"] else []
     return form | {
         "uses_line": bool(form["delay"] or any(predictor["line"] for predictor in predictors)),
-        "uses_discrete": any(predictor["kind"] in ("early-late", "early-late-filtered") for predictor in predictors),
+        "uses_discrete": any("now_a" in predictor for predictor in predictors),
         "uses_sent": any("weights" in predictor for predictor in predictors),
         "uses_lead": any(leads),
         "lead_orders": sorted({lead["order"] for lead in scheduled if lead}),
