@@ -116,7 +116,7 @@ def median_step(times: Array) -> float:
 
 
 def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]]:
-    """Return what differs between two runs' scenarios, versions and files: its key, and both values as texts."""
+    """Return keys of two runs' scenarios, versions and files that differ, with both values as texts."""
     try:
         left, right = (_flatten_inputs(side) for side in (first, second))
     except InputError:  # an old scenario, no longer readable

@@ -82,7 +82,7 @@ def find_phases(
 
 
 def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> list[tuple[int, str]]:
-    """Return the rows at which a new phase begins, and its name."""
+    """Return the rows at which phases begin, and the name of each phase."""
     states = [line for line in record if line["kind"] == "state"]
     if states:
         return [(max(line["k"], 0), line["mode"] if line["armed"] else "disarmed") for line in states]
@@ -206,7 +206,7 @@ def _describe_health(health: float) -> str:
 
 
 def find_contacts(log: Log, step: float) -> Iterator[Event]:
-    """Yield when the vehicle leaves the ground and stands on it again, without bounces."""
+    """Yield an event whenever the vehicle leaves the ground or stands on it again, without bounces."""
     for row, stands in find_contact_changes(find_contact_rows(log), step):
         yield Event(time_s=row * step, kind="contact", text=CONTACTS[stands])
 

@@ -16,7 +16,7 @@ from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
 
 def check_expected(scenario: Scenario) -> None:
     """Refuse an expectation of an unknown controller, engine or metric (InputError)."""
-    check_requirements(scenario, whole=scenario.origin is None)  # a shortened flight need not reach them
+    check_requirements(scenario, whole=scenario.origin is None)  # a shortened flight may end before them
     allowed_metrics = allowed_metric_names(scenario)
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"

@@ -62,7 +62,7 @@ class LimitInputs(Record):
     """Inputs of a flight's limits besides its log."""
 
     span_m: float
-    height_law: tuple[float, float, float]  # gain 1/s; climb and descent limits m/s
+    height_law: tuple[float, float, float]  # gain 1/s; max. climb and descent m/s
     stated: dict[str, float | None]  # limit by key of [limits]; None: none
     piloted: bool  # True: an autopilot flies, no drift limit
     axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: an older run

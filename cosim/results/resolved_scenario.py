@@ -125,7 +125,7 @@ def _with_engines(table: dict[str, Any], folder: Path, called: Mapping[Path, str
 
 
 def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) -> str:
-    """Return the name of a user's aircraft beside a scenario, and add its files to ``files``.
+    """Return the name of a user's aircraft next to a scenario, and add its files to ``files``.
 
     Its files begin with its name.  Raises InputError as :func:`cosim.spec.vehicle.load_vehicle`, for its engine, and
     where another file has the name of one of them.
@@ -161,7 +161,7 @@ def _drop_none(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plugin_names(plugins: Plugins, files: dict[str, Path | bytes]) -> dict[str, Any]:
-    """Return plug-ins by their names beside a resolved scenario, and their hashes."""
+    """Return plug-ins by their names next to a resolved scenario, and their hashes."""
     by_key: dict[str, Any] = {}
     hashes: dict[str, str] = {}
     for key, sources in plugins.sources.items():
@@ -176,7 +176,7 @@ def _to_floats(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
-    """Return a controller's name beside a resolved scenario, and add its files to ``files``.
+    """Return a controller's name next to a resolved scenario, and add its files to ``files``.
 
     Raises InputError where another file has the name of one that it imports.
     """
@@ -195,7 +195,7 @@ def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
 
 
 def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
-    """Return each spec's name (by id) beside a resolved scenario; foreign ones add files to ``files``.
+    """Return each spec's file name (by id) next to a resolved scenario; foreign ones add files to ``files``.
 
     A mapping file goes along with its archive and names that archive there.
     """
@@ -223,7 +223,7 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
-    """Return a mapping file, rewritten if its archive has another name here."""
+    """Return a mapping file, or its content with the archive's name here if that differs."""
     table = read_toml(path)
     if table["fmu"] == archive:
         return path

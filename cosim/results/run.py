@@ -99,12 +99,12 @@ class Run:
 
     @property
     def reason(self) -> str:
-        """Reason of its end, in words."""
+        """Reason for the end of the flight, in words."""
         return self.summary.reason
 
     @property
     def verdict(self) -> Verdict | None:
-        """Verdict, such as ``as planned``; None if its folder does not say."""
+        """Verdict on the flight, such as ``as planned``; None if the folder does not say."""
         return self.summary.verdict
 
     @property
@@ -114,13 +114,13 @@ class Run:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files in its folder by kind; ``report`` is the page.  Empty without a folder."""
+        """Files in the run's folder by kind; ``report`` is the page.  Empty without a folder."""
         paths = [] if self.folder is None else [self.folder / name for name in RUN_FILES]
         return {path.stem: path for path in paths if path.is_file()}
 
     @property
     def report(self) -> Path | None:
-        """HTML page, or None."""
+        """Path of the run's HTML page, or None."""
         return self.files.get("report")
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,7 +128,7 @@ class Run:
         return self.summary.model_dump(mode="json")
 
     def table(self, *names: str) -> Any:
-        """Return its log as a ``pandas.DataFrame``, one row a control step, the time [s] as its index.
+        """Return the log as a ``pandas.DataFrame``, one row a control step, the time [s] as its index.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Run:
 
 
 class _MetricsByName(dict[str, Any]):
-    """Metrics by name: of the axes, which it lists, and of the whole flight."""
+    """Metrics by name: of the axes, which iteration lists, and of the whole flight."""
 
     def __init__(self, summary: Summary) -> None:
         super().__init__(summary.metrics)
@@ -188,7 +188,7 @@ class Recording:
             self._setup = self._setup.model_copy(update={"own_controller": changed})
 
     def shorten_scenario(self, steps: int) -> None:
-        """End the scenario of an open-ended flight after its flown steps.  Raises FlightError."""
+        """End the scenario of an open-ended flight at the last flown step.  Raises FlightError."""
         if steps:
             duration = steps * self._setup.step_s
             self._setup = self._setup.model_copy(update={"planned_s": duration})

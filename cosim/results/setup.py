@@ -41,7 +41,7 @@ from cosim.vehicle.airframe import AIR_METHOD, GROUND_METHOD, METHOD_NAMES, POSI
 
 
 def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
-    """Return the data of a run before its first step; ``resolved`` is its flown scenario.
+    """Return the data of a run before its first step; ``resolved`` is the scenario as flown.
 
     ``notes``: compare its models with the vehicle, for who reads what is found.  Raises InputError for a requirement on
     a signal that is not logged.

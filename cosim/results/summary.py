@@ -49,7 +49,7 @@ PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")  # pa
 
 
 class DelayRow(Record):
-    """One element from an axis's command to its measured rate, with its delay in samples."""
+    """One element between the command of an axis and its measured rate, with its delay in samples."""
 
     element: str
     owner: str
@@ -80,14 +80,14 @@ class UncertainParameter(Record):
 
 
 class EngineUncertainty(Record):
-    """How well the flight's engine is known, by its ``[uncertainty]``."""
+    """Uncertainty of the flight's engine, as its ``[uncertainty]`` states it."""
 
     source: str  # origin of the numbers, if stated
     parameters: list[UncertainParameter]
 
 
 class Integration(Record):
-    """How the airframe is integrated: JSBSim's runs, and its methods by name."""
+    """Integration of the airframe: JSBSim's runs per step, and its methods by name."""
 
     runs: int  # JSBSim runs per control step
     run_s: float  # s covered by each run
@@ -181,13 +181,13 @@ class Setup(BaseModel):
 
     @property
     def controller_shown(self) -> str:
-        """The controller for people: a design, models or a custom controller by file and first letters of the hash."""
+        """Name of the controller for display: if not built in, with file and the first letters of its hash."""
         sha256 = "" if self.own_controller is None else self.own_controller.sha256
         return describe_controller(self.controller, sha256, self.parameter_files)
 
     @property
     def engine_shown(self) -> str:
-        """Engine for display; a foreign one with file and the first letters of its hash."""
+        """Name of the engine for display; a foreign one with file and the first letters of its hash."""
         files = {station.file: station.sha256 for station in self.stations if station.engine == self.engine}
         return self.engine + "".join(f" ({name} {value[:HASH_DIGITS]})" for name, value in files.items() if name)
 
@@ -274,18 +274,18 @@ class Summary(Setup):
 
     @property
     def as_planned(self) -> bool:
-        """Whether it completed within limits and met stated expectations or requirements."""
+        """Whether the flight completed within limits and met stated expectations or requirements."""
         return self.succeeded and not self.expectations_met is self.requirements_kept is None
 
     @property
     def succeeded(self) -> bool:
-        """Whether it completed and no check failed: exit status 0."""
+        """Whether the flight completed and no check failed: exit status 0."""
         is_kept = self.expectations_met is not False and self.requirements_kept is not False
         return self.outcome == "completed" and not self.beyond and is_kept
 
     @property
     def ending(self) -> str:
-        """Ending and verdict, in words."""
+        """Outcome and verdict in words."""
         return describe_end(self.outcome, self.reason, self.verdict)
 
     @property

@@ -32,7 +32,7 @@ class DesignResult(FolderResult):
 
     @property
     def ok(self) -> bool:
-        """Whether a design meets the requirements and its proof succeeded."""
+        """Whether the design meets the requirements and the proof succeeded."""
         return self.designed.ok
 
     @property

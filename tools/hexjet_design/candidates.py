@@ -38,7 +38,7 @@ def candidate_names(controller: str, start: Path | None) -> Sequence[str]:
 def servo_candidates(
     names: Sequence[str], controller: str, vehicle: Vehicle, firmware: Firmware | None
 ) -> Sequence[str]:
-    """Return the controllers to try if servos control roll: those without predictor, unless one is named."""
+    """Return the controllers to try if servos control roll; ``auto`` is the baseline without firmware."""
     if controller == LAW:
         raise InputError(f"controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
     return (BASELINE.name,) if controller == "auto" and firmware is None else names

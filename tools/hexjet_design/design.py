@@ -52,7 +52,7 @@ from hexjet_design.loop.tuning import Tuning
 from hexjet_design.proof.result import Proof
 from hexjet_design.tune import TuningResult, tune, tune_digits, tune_near
 
-CHANNELS = (*AXES, "altitude")  # what a design has gains for
+CHANNELS = (*AXES, "altitude")  # channels that a design has gains for
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Design:
     axes: Mapping[str, AxisDesign]
     levels: Sequence[LevelDesign]  # full tank first; empty: no tank
     schedule: Schedule | None  # gain schedule; None: full tank's gains
-    reason: str  # why not acceptable; empty: it is
+    reason: str  # why not acceptable; empty: acceptable
     allowing: Mapping[str, float]  # delay_s, lag_factor that would suffice
     proof: Proof | None = None  # None: not requested
     firmware: Firmware | None = None  # autopilot with the gains; None: ours
@@ -251,7 +251,7 @@ def _design_levels(
         for axis, axis_design in axes.items()
         if axis in THRUST_AXES and axis_design.after is not None
     }
-    law = full["roll"].law is not None  # its gains do not depend on thrust
+    law = full["roll"].law is not None  # the law's gains do not follow thrust
     step, needs = axes["roll"].channel.step, {axis: axis_requirements(axis, need) for axis in THRUST_AXES}
     fits = all(
         meets_requirements(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES
@@ -342,7 +342,7 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     scenario = Scenario.from_table(table, Path(), "design")
     if scenario.stations:
         raise InputError("design: settings stations: a design is for one engine at all stations")
-    load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")  # a wrong key is the design's
+    load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")  # reports wrong keys as the design's
     return scenario, scenario.resolved_vehicle()[0]
 
 
@@ -476,7 +476,7 @@ def _tune(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
         return AxisDesign(channel, before, objectives, None, {}, {}, nearest=nearest)
     settled = tune_digits(channel, best.tuning, need, not predicted)
     if settled is None and firmware is not None and firmware.units is not None:
-        return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # no feasible rounded one
+        return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # no rounded tuning is feasible
     after = assess(channel, settled or best.tuning, need)
     limits = {}
     if axis == "roll":

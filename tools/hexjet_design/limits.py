@@ -87,7 +87,7 @@ def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
 
 
 def describe_nearest(channel: Channel, tried: Mapping[str, TuningResult], need: Requirements) -> str:
-    """Return the nearest candidate to infeasible requirements and by how much it misses which, or ""."""
+    """Return the candidate nearest to infeasible requirements, and by how much it misses which of them, or ""."""
     found = []
     for name, result in tried.items():
         with suppress(InputError, ValueError, ArithmeticError):

@@ -107,7 +107,7 @@ def _axis_to_dict(axis_design: AxisDesign) -> dict[str, Any]:
 
 
 def _proof_record(proof: Proof) -> dict[str, Any]:
-    """Return a proof as a table, by the keys that its readers know."""
+    """Return a proof as a table, by the keys of the JSON result."""
     record = {"share" if key == "stability_fraction" else key: value for key, value in to_json_record(proof).items()}
     for pair in record["compared"]:
         for measures in (pair["shipped"], pair["designed"]):

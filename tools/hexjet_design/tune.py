@@ -26,7 +26,7 @@ MAX_EVALUATIONS = 200  # of a simplex search
 MAX_EXCESS = 0.02
 ROUNDING_POINTS = 1500  # frequencies to round numbers
 MIN_GAIN = 1e-6  # of the objective, for another digit
-MAX_PASSES = 1000  # over all numbers, so that it ends
+MAX_PASSES = 1000  # rounds over all numbers
 # The search keeps requirements by this relative margin, for what lies between its frequencies.
 MARGIN = 0.004
 PREDICTOR = "predictor."  # prefix of a predictor's parameters
@@ -130,7 +130,7 @@ def tune(
     bounds = TuningBounds(channel, controller, model, fixed, predictor, lead)
     points = FrequencyGrid(channel)
     count = 0
-    feasible: tuple[float, Array | None] = (inf, None)  # best one that met all requirements
+    feasible: tuple[float, Array | None] = (inf, None)  # best point that met all requirements
 
     def cost(x: Array) -> float:
         nonlocal count, feasible
@@ -138,7 +138,7 @@ def tune(
         try:
             closed = ClosedLoop(points, bounds.tuning(x))
             if closed.unstable_poles:
-                return UNSTABLE + float(np.sum(x))  # towards smaller gains
+                return UNSTABLE + float(np.sum(x))  # slope towards smaller gains
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
             value, missed = objective(closed), excess(closed, need, MARGIN) + out
         except (InputError, ValueError, ArithmeticError):
@@ -313,7 +313,7 @@ def _search_values(tuning: Tuning, predictor: bool) -> dict[str, float]:
     gains = tuning.gains
     values = {"angle_gain": tuning.angle_gain, "p": gains.p, "i": gains.i, "d": gains.d}
     if tuning.firmware is not None and tuning.firmware.angle_gain is not None:
-        del values["angle_gain"]  # chosen by another axis already
+        del values["angle_gain"]  # another axis has chosen it already
     if predictor:
         parameters = PREDICTORS[tuning.controller].own(tuning.predictor)
         values |= {PREDICTOR + name: value for name, value in parameters.items()}

@@ -99,7 +99,7 @@ def _divide_into_cells(table: FlightTable, key: KeyColumn, pairs: int) -> tuple[
 
 
 def _edges_around(levels: Array) -> Array:
-    """Return the edges of cells around levels: half way between them, and as far again outside."""
+    """Return the edges of cells around levels: half way between levels, and as far outside of the outer ones."""
     if levels.size < 2:
         middle = float(levels[0]) if levels.size else 0.0
         return middle + np.array([-0.5, 0.5]) * (abs(middle) or 1.0)

@@ -35,10 +35,10 @@ class StudyAutopilot(Protocol):
         """Time from the autopilot's first frame to a flight's first step, s."""
 
     def program(self, folder: Path) -> Path | None:
-        """Return the path of its program, relative to the study's folder; None if it states none."""
+        """Return the path of the autopilot's program, relative to the study's folder; None if none is stated."""
 
     def seen_from(self, folder: Path) -> StudyAutopilot:
-        """Return a copy with its program by absolute path."""
+        """Return a copy that names the program by absolute path."""
 
     def check(self, scenario: Scenario, folder: Path) -> None:
         """Raise InputError for a missing program or a scenario that the autopilot cannot fly."""

@@ -18,7 +18,7 @@ class Case(Model):
     """A named variant of a study's scenario: one value of the key ``case``."""
 
     name: Annotated[str, Field(min_length=1)]
-    settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario; seed: the case's
+    settings: dict[str, Any] = Field(default_factory=dict)  # override the scenario, its seed too
     autopilot: dict[str, Any] = Field(default_factory=dict)  # overrides the study's table [autopilot]
 
 

@@ -67,7 +67,7 @@ class Key:
         return what
 
     def fit(self, value: Value) -> Value:
-        """Return ``value`` in the key's type, rounded if it counts something.
+        """Return ``value`` in the type of the key, rounded if the key counts something.
 
         Raises InputError: one line with the key, the value and what is allowed.
         """

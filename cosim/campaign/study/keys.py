@@ -51,7 +51,7 @@ LIST_INDEX = re.compile(r"(?<=\.)\d+(?=\.|$)")  # index of an entry in a key
 
 
 def find_key(scenario: Scenario, text: str) -> Key:
-    """Return the key of that name, with its value in ``scenario``.
+    """Return the key that a text names, with its value in ``scenario``.
 
     Raises InputError for a name that is no key (with the nearest ones of all), a table (with what is below it), or
     something that no study can vary.
@@ -120,7 +120,7 @@ def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
-    """Return ``scenario`` with ``values`` set together by key, without its expectations.
+    """Return ``scenario`` without expectations, and with all ``values`` set together by key.
 
     Anything with a dotted path may be written, ``seed`` too.  Another aircraft comes with the engine that it is made
     for, another engine takes every station, and a ``controller`` that is a file, as ``hexjet design`` writes it, brings
@@ -394,7 +394,7 @@ def _parameter_unit(name: str, unit: str | None) -> str:
 
 
 def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) -> Iterator[Key]:
-    """Yield the keys of the engine at each station: which it is, and its parameters."""
+    """Yield the keys of the engine at each station: the choice of engine, and its parameters."""
     names = tuple(list_engine_names())
     for number in range(1, jets + 1):
         station = scenario.stations.get(str(number))

@@ -80,7 +80,7 @@ def flight_count(study: Study) -> int:
 
 
 def controllers(study: Study) -> list[str]:
-    """Return each draw's controllers as rows name them: a file by its name relative to the study's folder."""
+    """Return each draw's controllers as rows name them: files relative to the study's folder."""
     return [_relative_name(study.folder, name) for name in study.controller_names]
 
 
@@ -127,7 +127,7 @@ def case_of(values: Mapping[str, Value | None]) -> str | None:
 
 
 def _relative_name(folder: Path, controller: str) -> str:
-    """Return a controller's file relative to the folder that it is in, so that rows are the same wherever that is."""
+    """Return the name of a controller's file relative to the folder that holds it, wherever that is."""
     named = split_file_name(controller)
     if named is not None and Path(named.file).is_relative_to(folder.absolute()):
         return named._replace(file=Path(named.file).relative_to(folder.absolute()).as_posix()).text

@@ -30,7 +30,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 
 Decision = Literal["shown", "refuted", "open"]
-MAX_TESTED = 1_000_000  # flights, for which sums take seconds
+MAX_TESTED = 1_000_000  # flights; their sums take seconds
 
 
 class Claim(NamedTuple):

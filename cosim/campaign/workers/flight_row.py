@@ -136,7 +136,7 @@ def custom_metric_names(study: Study) -> list[str]:
 
 
 def _plugin_kinds(study: Study) -> Kinds:
-    """Return the column that a study with plug-ins beside its controllers has."""
+    """Return the column of a study with plug-ins other than controllers."""
     base = study.base()
     return {"brought_sha256": str} if base.metrics or base.observers or base.sensor_plugin or base.wind else {}
 
@@ -194,7 +194,7 @@ def verdict_of(outcome: Value, success: Value) -> bool | None:
 
 
 def describe_not_flown(flights: int, reason: str) -> str:
-    """Return how many flights have no verdict, why the first has none, and what they count as."""
+    """Describe flights without a verdict: how many, the reason of the first, and how they are counted."""
     many = "" if flights == 1 else "s"
     return f"{flights:,} flight{many} could not be flown to a verdict, the first because: {reason}; {NOT_FLOWN}"
 

@@ -29,7 +29,7 @@ def as_finished(act: Callable[[T], R], arguments: Sequence[T], workers: int) -> 
     """
     tasks: Any = [_NumberedTask(number, argument) for number, argument in enumerate(arguments)]
     study: Any = act
-    limit_s = 86_400.0  # s, a day: no task is endless
+    limit_s = 86_400.0  # s, a day: the limit of every task
     with LocalWorkers(workers, limit_s, _run_task, _report_lost_task) as pool:
         for row in pool.fly(study, tasks):
             result: dict[str, Any] = dict(row)

@@ -27,7 +27,7 @@ class Entry(NamedTuple):
     sender: str
     request: Request
     result: str  # result of the answer
-    asked: bool = True  # False: refused before it was asked
+    asked: bool = True  # False: refused without asking the pilot
 
 
 class RequestLog:

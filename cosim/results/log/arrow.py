@@ -378,7 +378,7 @@ def read_csv_numbers(path: Path, rows: bytes, names: Sequence[str], separator: s
     return _sort_columns(path, table), odd
 
 
-_NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]  # texts without a value
+_NULLS = ["", "NaN", "nan", "-nan", "-NaN", "NULL", "null", "None", "N/A", "n/a", "NA", "-"]  # texts for no value
 
 
 def _map_arrow_errors(path: Path, read: Callable[[], pa.Table]) -> pa.Table:

@@ -56,7 +56,7 @@ class Angle(NamedTuple):
     """A column with an angle that is computed from the four elements of a quaternion, by blocks."""
 
     column: int
-    of: int  # index of the first of the four
+    of: int  # index of the first element
     law: Callable[[Array, Array, Array, Array], Array]
 
 
@@ -113,7 +113,7 @@ class _Compiler:
     """Collects the nodes of a sample and the reads that fetch the columns' sources from them."""
 
     def __init__(self) -> None:
-        self._nodes: dict[str, tuple[int, int, int]] = {}  # node number, its parent's, index in it
+        self._nodes: dict[str, tuple[int, int, int]] = {}  # node, its parent, index in the parent
         self._sizes: dict[str, int] = {}
         self._reads: list[tuple[int, int, int, int, int, int, bool]] = []
         self._add_node("")

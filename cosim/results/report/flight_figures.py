@@ -56,7 +56,7 @@ DIFF_PANELS = (
 
 
 def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = ()) -> dict[str, Figure]:
-    """Return the strips of one run that its page shows at first, by their figure's name: panels and their signals.
+    """Return the strips of one run that its page shows first, by name: panels and their signals.
 
     ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
     """
@@ -221,7 +221,7 @@ def comparison_figures(flights: Sequence[ComparedFlight], less: Mapping[int, Log
 
 
 def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
-    """Return the differences of each further flight from the first, by its number.
+    """Return the difference of each further flight from the first, by the number of the flight.
 
     They are of true attitude [rad], height [m] and level distance [m], at the times that both flights have; as far as
     both have the columns.
@@ -245,7 +245,7 @@ def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
 def overlay_panels(
     readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[Panel], which: str
 ) -> list[tuple[Panel, list[tuple[int, Trace]]]]:
-    """Return panels above each other, each with the trace ``which`` of every run that has it, by the run's number.
+    """Return panels above each other, each with the trace ``which`` of every run that has it, by run number.
 
     The set-point is the longest run's where the others ask for the same as long as they last, else each run's own.
     """

@@ -51,7 +51,7 @@ class Packed(NamedTuple):
     step: float
     order: int
     planes: int  # bytes of each number, lowest first
-    gaps: bool  # then a byte a row: 1 without a number
+    gaps: bool  # True: a byte a row marks missing numbers
     data: str  # deflated, base64; empty: all ``base``
 
 
@@ -205,7 +205,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
     columns: list[dict[str, Any]] = []
     data: dict[str, str] = {}
     empty: list[str] = []
-    first_of: dict[str, str] = {}  # of equal data: jets of one bank, say
+    first_of: dict[str, str] = {}  # first column with the same data
     log, derived = flight.log, flight.derived
     described = {column.name: column for column in (*log.described, *flight.made)}
     for name in (*log.columns, *derived):
@@ -269,7 +269,7 @@ def describe_shape(vehicle: Vehicle) -> dict[str, Any]:
                     "effect": effect,
                     "deflects": jet in layout.turns[number].deflects,
                 }
-                for number, effect in reversed(layout.chains[jet])  # the innermost of the product first
+                for number, effect in reversed(layout.chains[jet])  # innermost factor of the product first
             ],
         }
         for jet, station in enumerate(layout.stations)

@@ -9,7 +9,7 @@ from math import hypot
 from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
-VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
+VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # sizes of a view, px
 # Body axes that point to the right and downwards in each view, with their signs.
 VIEWS = (
     ("from above", (1, 1.0), (0, -1.0)),

@@ -188,7 +188,7 @@ class Formula:
         raise NotImplementedError
 
     def find_decisive_comparison(self, signals: Signals, row: int) -> Deciding:
-        """Return what determines the margin in a row, which must be a number."""
+        """Return the comparison and row that determine the margin in ``row``, which must be a number."""
         raise NotImplementedError
 
     def last_relevant_time_s(self, starts_s: Sequence[float], times_s: Times) -> float:
@@ -242,7 +242,7 @@ class Comparison(Formula):
 
 @dataclass(frozen=True)
 class Happens(Formula):
-    """An event: true with infinite margin in its rows, false with infinite margin in all others."""
+    """An event as a formula: true in its rows and false in all others, with infinite margin."""
 
     event: str
 
@@ -272,7 +272,7 @@ class Not(Formula):
 
 @dataclass(frozen=True)
 class AllOrAny(Formula):
-    """Conjunction of formulas: all are true; with ``either``, the disjunction: one of them is."""
+    """Conjunction of formulas: all parts are true; with ``either`` their disjunction: one part is."""
 
     of: tuple[Formula, ...]
     either: bool = False

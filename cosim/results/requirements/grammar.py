@@ -100,7 +100,7 @@ def parse_formula(text: str) -> ParsedFormula:
 
 
 def _find_tolerances(comparisons: Sequence[Comparison]) -> dict[Comparison, float]:
-    """Return how much each comparison allows: half of a band between two limits, or else its limit's size."""
+    """Return the tolerance of each comparison: half of the band between two limits, or else the size of its limit."""
     bounds = {comparison: comparison.bound for comparison in comparisons}
 
     def find_tolerance(comparison: Comparison) -> float:

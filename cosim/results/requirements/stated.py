@@ -68,7 +68,7 @@ def _check_formula(requirement: Requirement, times: dict[str, list[float]], end_
 
 
 def check_signals(simulation: Simulation, metrics: Iterable[str]) -> None:
-    """Refuse signals that are neither columns of its log, derived from some, nor ``metrics``.  Raises InputError."""
+    """Refuse signals that are no columns of the simulation's log, derived from such, or ``metrics`` (InputError)."""
     scenario = simulation.scenario
     if not scenario.require:
         return

@@ -18,7 +18,7 @@ THIS_STEP_ONLY: tuple[float, ...] = (1.0, 0.0, 0.0)  # weights if only this step
 
 @dataclass(frozen=True)
 class Actuator:
-    """The engines or servos that answer a command: their dynamics with gain 1 at rest."""
+    """The engines or servos that respond to a command: their dynamics with gain 1 at rest."""
 
     name: str
     dynamics: Dynamics

@@ -44,7 +44,7 @@ SLOWER_POLES = (1.0, 0.7, 0.5, 0.35)
 LONGER_LAGS = (1.0, 1.3, 1.7, 2.4, 3.5)  # factors on the shortest lag
 WEIGHT_STEP, LOG_LAG_STEP = 0.02, 0.2  # initial size of the simplex
 MAX_EVALUATIONS = 300  # of the simplex search
-PENALTY, UNSTABLE = 100.0, 1e3  # cost per relative excess; of no loop
+PENALTY, UNSTABLE = 100.0, 1e3  # cost per excess; of an unstable loop
 RELAXATIONS = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # factors on a missed requirement
 # Requirement in words, its keys, and whether a larger value is less strict.
 RELAXABLE = (
@@ -88,7 +88,7 @@ class _Search:
         if closed.unstable_poles:
             return {"tolerances": 1.0}
         parts = excesses(closed, self.need, MARGIN)
-        spare = 0.1  # of a corner's overshoot, for noise
+        spare = 0.1  # overshoot kept free for noise
         if flown:
             allowed = CORNER_FACTOR * (OVERSHOOT_ROOM + closed.overshoot) * (1.0 - spare)
             worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
@@ -116,7 +116,7 @@ class _Search:
         return self.channel.room * (1.0 - MARGIN)
 
     def _first_command(self, lag: float) -> float:
-        """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer.
+        """Return the largest command after a unit step of the set-point for a lag: ``a / (b T)`` of the response.
 
         Zeros that cannot be inverted stay in the answer, as much as is 1 at rest.
         """
@@ -133,10 +133,10 @@ class _Search:
     def meet_requirements(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
-        free_step = 100.0  # s: no bound in effect, the lags decide
+        free_step = 100.0  # s, so large that it bounds nothing
         bounds = Bounds(need.max_sensitivity * (1.0 - MARGIN), noise * (1.0 - MARGIN), free_step)
         wide = need.delay_samples(self.channel.transport_samples)
-        first_error = 0.3  # of the delay tolerance, tried first
+        first_error = 0.3  # fraction of the tolerance, tried first
         for _ in range(12):
             try:
                 low = reduce_order(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE_POINTS)
@@ -173,7 +173,7 @@ class _Search:
         return None
 
     def move_weights(self, start: Tuning) -> Tuning:
-        """Return the law with its lag and the weights that are free moved to the least objective."""
+        """Return the law of the least objective over its lag and its free weights."""
         assert start.law is not None
         target = Target.of(start.law, self.delay)
         bases, points = PredictorBases.of(self.model, target), FrequencyGrid(self.channel)

@@ -233,7 +233,7 @@ class Channel:
         return replace(self, actuator=self.actuator.with_delay(samples))
 
     def with_lags(self, factor: float) -> Channel:
-        """Return the channel with actuator lags scaled; 0 reduces them to what a step cannot show."""
+        """Return the channel with actuator lags scaled; 0 reduces them to lags that are over within a step."""
         if self.identified is not None:
             raise InputError("a response given as a whole does not say which of its lags are the engine's")
         if not self.hinged:
@@ -358,7 +358,7 @@ def _with_others(
     off = np.abs(deviation)
     if float(off.max()) < MIN_CARRIED_MISFIT:
         return main
-    if main.dynamics.unsure:  # the error of its own model is added
+    if main.dynamics.unsure:  # add the error of the model itself
         at, gap = np.array(main.dynamics.unsure).T
         off += np.interp(np.log(hertz), np.log(at), gap)
     unsure = tuple((float(f), float(gap_there)) for f, gap_there in zip(hertz, off, strict=True))

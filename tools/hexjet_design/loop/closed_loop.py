@@ -177,7 +177,7 @@ class ClosedLoop:
 
     @property
     def settling_s(self) -> float:
-        """Time until the angle stays within 5 % of a step, s; NaN if it does not."""
+        """Time until the angle stays within 5 % of a step, s; NaN if that is not reached."""
         outside = np.flatnonzero(np.abs(1.0 - self.steps.angle) > 0.05)
         if len(outside) and outside[-1] == len(self.steps.angle) - 1:
             return nan
@@ -211,12 +211,12 @@ class ClosedLoop:
 
     @property
     def step_peak(self) -> float:
-        """Largest command after a unit step of the set-point, in its unit."""
+        """Largest command after a unit step of the set-point, in the command's unit."""
         return float(np.abs(self.steps.command).max())
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the command that the sensors' noise makes, in its unit."""
+        """Standard deviation of the command that the sensors' noise causes, in the command's unit."""
         channel, points = self.points.channel, self.points
         of_rate = self._both * self._of_rate * points.measuring / self.characteristic
         of_angle = self._error * self.tuning.angle_gain / self.characteristic

@@ -124,7 +124,7 @@ def _sample_poles(poles: Sequence[complex], step: float) -> tuple[list[float], l
     real, pairs = [p.real for p in poles if not p.imag], []
     # A smaller imaginary part counts as real, and a smaller pole in z as settled within the step.
     negligible = 1e-9
-    fastest = 25.0  # rad/s times step: decays to 1e-11
+    fastest = 25.0  # rad per step: decays to 1e-11 in a step
     for pole in poles:
         z = complex(np.exp(pole * step))
         if pole.imag > 0.0 and abs(z.imag) > negligible * abs(z) and abs(z) > negligible:
@@ -153,7 +153,7 @@ def fit_dynamics(response: FrequencyResponse, delay: float, lag: float) -> Dynam
         if best.misfit <= good:
             break
     assert best is not None
-    poor = 0.02  # misfit above which these are tried
+    poor = 0.02  # misfit above which to try these forms
     for form in WRONG_WAY_FORMS if best.misfit > poor else ():
         fit = _fit_form(response, form, delay, lag)
         if fit.misfit < 0.7 * best.misfit and _is_realisable(fit):

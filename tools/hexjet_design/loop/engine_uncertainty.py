@@ -87,7 +87,7 @@ class EngineSensitivity:
         return common @ common.T, single @ single.T
 
     def draw_ratios(self, hertz: Array, draws: int = 200) -> Complex:
-        """Return :data:`draws` engines' answers over the nominal one's, a row each, at rising frequencies.
+        """Return the responses of ``draws`` engines over the nominal one's, a row each, at rising frequencies.
 
         Parameters are drawn as flights draw them, the same draws always; the logarithm of the answer goes straight with
         each of them.  Raises InputError where the engine does not answer.  ``draws``: of an engine, of which a margin's

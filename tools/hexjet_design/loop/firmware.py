@@ -135,7 +135,7 @@ class Firmware:
 
     @property
     def estimates_attitude(self) -> bool:
-        """Whether it estimates attitude from the gyro; Betaflight's is given."""
+        """Whether the autopilot estimates attitude from the gyro; Betaflight's simulation is given it."""
         return self.name != "betaflight"
 
     def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
@@ -188,7 +188,7 @@ def _reachable_states(a: Array, c: Array) -> list[int]:
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
     """Return the law's A and B over a step of the flight, and C and D of the first loop's P, I and D part."""
     size, loop = _STATES[name], find_law(name, axis)
-    loop_s = 125e-6  # SITL steps its gyro at this period
+    loop_s = 125e-6  # period at which SITL steps its gyro
     count = max(1, round(step / loop_s)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)

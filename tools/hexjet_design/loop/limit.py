@@ -69,7 +69,7 @@ class AxisLimit:
     load_error: float  # of the designed loop
     least: Limit
     tolerant: Limit | None  # limit with the loop's delay tolerance
-    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound; empty: not requested
+    prices: Mapping[str, float] = field(default_factory=dict)  # price of each bound; empty: not asked
 
     @property
     def times(self) -> float:
@@ -188,7 +188,7 @@ def find_limit(channel: Channel, bounds: Bounds, window: float | None = None) ->
 
 
 class Plant(InvertedPlant):
-    """A channel as polynomials in ``q``, and its answers in time."""
+    """A channel as polynomials in ``q``, and its time responses."""
 
     def __init__(self, channel: Channel, samples: int) -> None:
         self.channel, self.name, self.samples, self.step = channel, channel.name, samples, channel.step

@@ -33,7 +33,7 @@ COARSE_POINTS = 160  # frequencies of a search
 
 @dataclass(frozen=True)
 class LowOrder:
-    """A target of low order, and its loop with the model it was found for."""
+    """A target of low order, and its closed loop with the model that it was found for."""
 
     target: Target
     loop: Limit

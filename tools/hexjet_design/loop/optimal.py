@@ -157,7 +157,7 @@ class Target:
         return [polynomial(pole_pair(natural, damping, step)) for natural, damping in self.pairs]
 
     def basis(self, step: float, lags: float = 28.0) -> Array:
-        """Return the functions that ``t`` is a sum of, for as long as they last."""
+        """Return the functions of which ``t`` is a weighted sum, up to their end."""
         return orthonormal_basis(self.denominators(step), ceil(lags / -log(self.slowest(step))))
 
     def slowest(self, step: float) -> float:

@@ -42,7 +42,7 @@ class Tuning:
     angle_gain: float  # attitude gain, 1/s
     gains: RateGains
     predictor: PredictorTuning
-    model: RateModel  # model in the predictor
+    model: RateModel  # model that the predictor runs
     lead: EngineLead | None = None
     firmware: Firmware | None = None  # autopilot with the gains; None: ours
     law: Mapping[str, float] | None = None  # parameters of the law at the limit
@@ -67,7 +67,7 @@ class Tuning:
         return self.law is not None or PREDICTORS[self.controller].needs_model
 
     def answer(self) -> PairResponse:
-        """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
+        """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError if it states none."""
         if self.matrices is not None:
             return linear_response(self.matrices)
         spec = designable(self.controller, f"controller {self.controller!r}")

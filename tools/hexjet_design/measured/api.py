@@ -62,7 +62,7 @@ class MarginsResult(FolderResult):
         return [first, judgement_line(measured.judged), *more, *notes, *missing]
 
     def tables(self) -> list[Table]:
-        """Return a table an axis, the margins beside their limits, and how well the engine is known."""
+        """Return a table an axis, the margins with their limits, and the engine's uncertainty."""
         from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
         from hexjet_design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, judged_rows, rows
 

@@ -27,8 +27,8 @@ class AxisMargins:
     half: Response
     computed: Computed | None
     notes: tuple[str, ...]
-    uncertainty: LoopUncertainty | None = None  # at the crossover; None: not stated
-    over_engine: EngineRange | None = None  # margins over it; None: not stated
+    uncertainty: LoopUncertainty | None = None  # of the engine at the crossover, or None
+    over_engine: EngineRange | None = None  # margins over that uncertainty, or None
     transport_s: float | None = None  # s, command to rate; None: unknown
 
     @property
@@ -60,7 +60,7 @@ class AxisMargins:
         return None if self.computed is None else self.computed.limit
 
     def off(self, name: str) -> float | None:
-        """Return the relative error of the computed margin against the measured one (gains as factors), or None."""
+        """Return the relative deviation of the measured from the computed margin (gains as factors), or None."""
         if self.computed is None or name not in self.response.margins:
             return None
         value, reference = self.response.margins[name].value, getattr(self.computed.margins, name)

@@ -47,7 +47,7 @@ class Plants:
 
 
 def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
-    """Return the channels of a scenario's vehicle with its initial fuel, or why there are none."""
+    """Return the channels of a vehicle with its initial fuel, or why they cannot be made."""
     if scenario.controller not in (*PREDICTORS, LAW):
         return "a controller from outside: there is nothing to compute from"
     if scenario.stations:

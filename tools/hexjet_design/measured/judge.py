@@ -51,7 +51,7 @@ class LoopJudge:
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._vehicle, _ = scenario.resolved_vehicle()
-        self._built_in = scenario.controller in PREDICTORS  # False: only the height loop is ours
+        self._built_in = scenario.controller in PREDICTORS  # False: only the height loop is known
         self._plants: Plants | str | None = None
         self._points: dict[str, FrequencyGrid] = {}
         self._lock = Lock()
@@ -133,7 +133,7 @@ class LoopJudge:
         closed = ClosedLoop(self._points[axis], tuning)
         if closed.unstable_poles:
             return _LoopState(False, 0.0, "the loop is unstable")
-        if not tuning.angle_gain:  # without it the pole stays at 1
+        if not tuning.angle_gain:  # a gain of 0 leaves the pole at 1
             return _LoopState(False, 0.0, "a gain of 0: nothing brings it back")
         loop = margins(closed)
         up, down, phase = loop.gain_db, loop.gain_down_db, loop.phase_deg

@@ -25,7 +25,7 @@ VERDICTS = {  # sentence of each verdict
 }
 MAX_PEAK, MAX_PEAK_KNOWN_ENGINE = 2.0, 2.5  # limits of |S|: usual, well-known engine
 CROSSOVER = "crossover_hz"  # judged only if there is none
-UNSTABLE_ENGINES = "unstable_engines"  # number of drawn engines
+UNSTABLE_ENGINES = "unstable_engines"  # count among the drawn engines
 # Name, unit on a screen, factor to it, and digits of each quantity.
 JUDGED = {
     "gain_db": ("gain up", "dB", 1.0, 1),

@@ -31,7 +31,7 @@ from hexjet_design.measured.judgement import JudgedMargin, find_worst, judge_axi
 PERIOD_S, LONG_PERIOD_S = 20.0, 60.0
 MIN_CYCLES = 10.0  # fewer in a period: the longer period
 MIN_PERIODS = 3  # fewest for an estimate of the scatter
-AMPLITUDE_FACTOR, MAX_TRIES = 0.4, 5  # on the amplitude after saturation
+AMPLITUDE_FACTOR, MAX_TRIES = 0.4, 5  # factor on an amplitude that failed
 JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
 
 Say = Callable[[str], None]
@@ -60,7 +60,7 @@ class MeasuredMargins:
 
     @property
     def controller_shown(self) -> str:
-        """The controller for people: a design by its file and the first letters of its hash.  Raises InputError."""
+        """Name of the controller for display: a design by file and first letters of its hash.  Raises InputError."""
         return controller_shown(self.scenario)
 
     def to_dict(self) -> dict[str, Any]:

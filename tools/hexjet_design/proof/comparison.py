@@ -21,8 +21,8 @@ class Measure:
     label: str
     unit: str
     digits: int  # decimal places
-    factor: float  # worse by more than this factor and ...
-    min_difference: float  # ... by more than this, in its unit
+    factor: float  # worse: more than this factor and ...
+    min_difference: float  # ... more than this difference, in unit
 
     def is_worse(self, before: float, after: float) -> bool:
         """Return whether a flight with ``after`` is worse than one with ``before``."""

@@ -31,8 +31,8 @@ from hexjet_design.proof.result import ProofFlight
 class FlightBounds(NamedTuple):
     """Settings and limits of the proof's flights."""
 
-    still_deg: float = 1.0  # in hover, and after a doublet
-    gust_deg: float = 25.0  # of roll and pitch, in a gust
+    still_deg: float = 1.0  # largest swing in hover, after a doublet
+    gust_deg: float = 25.0  # largest roll and pitch in a gust
     height_m: float = 2.0  # largest height error
     large_kg: float = 20.0  # heavier vehicles get a full-scale gust
     hover_s: float = 20.0

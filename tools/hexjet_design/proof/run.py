@@ -113,7 +113,7 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     max_unmeasured_gain = 0.5
     # A lead may keep the gain up far above the crossover.
     reach = max(_crossover(closed, max_unmeasured_gain) for closed in wide.values())
-    past_crossover = 3.0  # in crossovers: measured up to it
+    past_crossover = 3.0  # end of the sweep, in crossovers
     max_hz_steps = 0.4  # Hz times step: highest frequency swept
     end = min(max(past_crossover * crossing, 1.1 * reach, float(swept.hertz[-1])), max_hz_steps / step)
     low = min(float(swept.hertz[-1]), crossing) / 4.0
@@ -148,7 +148,7 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
             above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
     reason = ""
     unsure = bounds(hertz, np.asarray(np.abs(ratio - 1.0)))
-    max_share = 0.8  # of |T (r - 1)|; below 1 is stable
+    max_share = 0.8  # limit of |T (r - 1)|; below 1 is stable
     if largest > max_share:
         reason = (
             f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "

@@ -42,7 +42,7 @@ class SearchResult(Result):
         return self.searched.to_json()
 
     def lines(self) -> list[str]:
-        """Return what was found, what was flown, what counts as broken, and the flights that show it."""
+        """Return the result, the flights flown, what counts as a failure, and the flights that show the result."""
         from cosim.studies import with_referee
         from hexjet_prove.search.page import answers, describe_resolution, together_lines
         from hexjet_prove.search.worst_case import WorstSearch

@@ -39,7 +39,7 @@ class SurveyResult(SweepResult):
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self.survey.to_dict()
 
     def lines(self) -> list[str]:
-        """Return what flew, how it is judged, and how to fly one of the flights again."""
+        """Return the flights flown, the rule of judgement, and the command that flies one of them again."""
         return [*self.survey.lines(), WholeLine(f"one flight again: hexjet fly {self.campaign.folder} --flight N")]
 
     def tables(self) -> list[Table]:

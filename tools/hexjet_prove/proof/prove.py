@@ -107,7 +107,7 @@ def conclude(
     workers: Workers | int | None = None,
     say: Say = lambda text: None,
 ) -> Proof:
-    """Evaluate the flights of :func:`fly_study` and write the proof; ``say`` is told the progress.
+    """Evaluate the flights of :func:`fly_study` and write the proof; ``say`` receives the progress.
 
     ``workers`` fly what is searched for.
 

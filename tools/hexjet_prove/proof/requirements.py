@@ -72,6 +72,6 @@ def _make_requirement(
         for index in indices
         if isinstance(value := column[index], (int, float)) and isfinite(value)
     ]
-    broken = len(indices) - sum(margin >= 0.0 for margin, _ in margins)  # one not evaluated counts as missed
+    broken = len(indices) - sum(margin >= 0.0 for margin, _ in margins)  # an unevaluated margin counts as missed
     least, flight = min(margins, default=(None, None))
     return ProvenRequirement(label, says, broken, len(indices), least, unit, flight)

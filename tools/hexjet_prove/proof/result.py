@@ -36,7 +36,7 @@ class WorstFlight:
     why: str  # why this flight is shown
     outcome: str
     reason: str
-    margin: float  # of the row; below 0: failed
+    margin: float  # margin of the row; below 0: failed
     values: Mapping[str, Any]  # values of the drawn keys
     run: str  # folder of the run; empty: not flown
     is_same: bool  # True: same result as in the campaign

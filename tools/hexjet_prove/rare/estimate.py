@@ -47,13 +47,13 @@ class Budget:
         return int(self.flights / (self.repeats * (1.0 + self._later_levels)) / 10) * 10
 
     def size_of(self, groups: int) -> int:
-        """Return the flights of each level after the first of so many groups of requirements."""
+        """Return the number of flights in each level after the first, for so many groups of requirements."""
         left = (1.0 - SEARCHED) * self.flights - self.repeats * self.size
         return self.size if groups == 1 else int(left / (self.repeats * self._later_levels * groups))
 
     @property
     def most_groups(self) -> int:
-        """How many groups of requirements have enough flights for a simulation each."""
+        """Largest number of groups of requirements for which the flights suffice, with a simulation each."""
         enough = self.size_of(2) * 2 // SMALLEST_OF_SEVERAL
         return max(1, enough)
 

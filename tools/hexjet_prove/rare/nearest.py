@@ -52,7 +52,7 @@ class NearestSearch:
         return f"the nearest failure that {self.flights} flights searched is {self.distance:.2f} sd from the middle"
 
     def contradict(self, high: float) -> str:
-        """Return how the failure contradicts an interval up to ``high``; empty: it does not."""
+        """Describe how the failure contradicts an interval up to ``high``; an empty text if it does not."""
         if self.distance is None or self.probability <= high:
             return ""
         place = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())

@@ -20,7 +20,7 @@ from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups
 from hexjet_prove.rare.subset import Candidates
 from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 
-SUBJECT = "a rare failure"  # what is searched, in messages
+SUBJECT = "a rare failure"  # subject of messages
 
 
 @dataclass(frozen=True)

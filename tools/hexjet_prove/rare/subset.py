@@ -155,7 +155,7 @@ def subset_simulation(
     judgements: list[Array] = [np.zeros((0, 2))]  # columns: new seed, accepted
     flights, scale = count, 0.6  # relative spread (Papaioannou et al.)
     target_accepted = 0.44  # acceptance rate (Papaioannou et al.)
-    redraw_probability = 0.5  # of a candidate, to draw a new seed
+    redraw_probability = 0.5  # that a candidate draws a new seed
     while True:
         failed = states.margins < 0.0
         least = round(LEVEL_FRACTION * failed.size)
@@ -263,7 +263,7 @@ class _LinearModel:
         from scipy.special import ndtr, ndtri
 
         quantiles = ndtr(self._room / self._norm) * (1.0 - random.random(len(normal)))
-        along = np.maximum(ndtri(quantiles), -37.0)  # the last quantile above 0
+        along = np.maximum(ndtri(quantiles), -37.0)  # -37 is the last quantile above 0
         length = sqrt(float(self._slopes @ self._slopes))
         direction = self._slopes / (length or 1.0)
         beside = random.standard_normal(len(normal))

@@ -40,7 +40,7 @@ class PointResult:
     broken: int
     flights: int
     breaks: bool
-    worst: Row  # first seed that broke, or the first
+    worst: Row  # row of the first failure, or the first
 
 
 def count_needed(fraction: float, flights: int) -> int:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
     from cosim.simulation.controllers.source import Source
 
-WHOLE_CONTROLLER = "controller"  # level of a controller that is whole
+WHOLE_CONTROLLER = "controller"  # level that replaces the engine monitor
 START_STATES = ("hover", "roll")  # flights at the time of the fault
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # s before the fault; the roll has settled
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")  # sensors that fail
