@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
-import http.server
 import json
 import math
 import re
@@ -761,70 +759,6 @@ def commanded(flight: Flown) -> float:
     return flight.now.sample.command.attitude[0]
 
 
-FOREIGN = """async ([port]) => {
-  const found = {};
-  const live = (url) => new Promise((done) => {
-    const socket = new WebSocket(url);
-    socket.onopen = () => { socket.send('{"token": "x"}'); socket.send('{"id": 1, "request": "Arm"}'); done("open"); };
-    socket.onerror = () => done("refused");
-  });
-  found.live = await live(`ws://127.0.0.1:${port}/live`);
-  found.localhost = await live(`ws://localhost:${port}/live`);
-  found.page = await fetch(`http://127.0.0.1:${port}/`).then((r) => r.text(), () => "refused");
-  found.blind = await fetch(`http://127.0.0.1:${port}/`, { mode: "no-cors" }).then(() => "opaque", () => "refused");
-  found.script = await new Promise((done) => {
-    const script = document.createElement("script");
-    script.src = `http://127.0.0.1:${port}/main.js`;
-    script.type = "module";
-    script.onload = () => done("loaded");
-    script.onerror = () => done("refused");
-    document.head.append(script);
-  });
-  const frame = document.createElement("iframe");
-  frame.src = `http://127.0.0.1:${port}/`;
-  document.body.append(frame);
-  await new Promise((done) => { frame.onload = done; setTimeout(done, 2000); });
-  return found;
-}"""
-
-
-class _Elsewhere(http.server.BaseHTTPRequestHandler):
-    """A page of somebody else."""
-
-    def do_GET(self) -> None:
-        body = b"<!doctype html><title>elsewhere</title><body>"
-        self.send_response(200)
-        self.send_header("Content-Type", "text/html")
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_: Any) -> None: ...
-
-
-def test_a_foreign_page_in_a_browser_gets_nothing(browser: Any, flown: Flown) -> None:
-    """Neither the socket nor the page with the token, nor the page in a frame to be clicked through."""
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Elsewhere) as elsewhere:
-        threading.Thread(target=functools.partial(elsewhere.serve_forever, 0.05)).start()
-        with browser.new_context() as context:
-            page = context.new_page()
-            page.goto(f"http://127.0.0.1:{elsewhere.server_address[1]}/")
-            found = page.evaluate(FOREIGN, [flown.web.port])
-            assert page.frames[1:]
-            framed = [frame.content() for frame in page.frames[1:]]
-        elsewhere.shutdown()
-    assert found == {
-        "live": "refused",
-        "localhost": "refused",
-        "page": "refused",
-        "blind": "refused",
-        "script": "refused",
-    }
-    assert not [text for text in framed if flown.token in text]
-    assert flown.web.clients == 0
-    assert not flown.now.status.armed
-
-
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
 def test_nothing_is_wider_than_the_screen(browser: Any, flown: Flown, width: int, height: int) -> None:
     with browser.new_context(viewport={"width": width, "height": height}) as context:
@@ -846,26 +780,3 @@ def test_nothing_is_wider_than_the_screen(browser: Any, flown: Flown, width: int
         )
         assert nameless == []
         assert not screen.errors
-
-
-def test_every_colour_of_words_stands_out() -> None:
-    """At least 4.5 to 1 (WCAG 2.2, 1.4.3), light and dark, for every colour of words on what it is written on."""
-    css = (STATIC / "page.css").read_text(encoding="utf-8")
-    light = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", css.split("@media", 1)[0]))
-    dark = dict(
-        re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", css.split("prefers-color-scheme: dark", 1)[1].split("}", 1)[0])
-    )
-    assert light.keys() >= {"good", "bad", "warn", "ink", "dim"}
-
-    def luminance(colour: str) -> float:
-        parts = [int(colour[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]
-        r, g, b = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
-        return 0.2126 * r + 0.7152 * g + 0.0722 * b
-
-    for colours in (light, dark):
-        pairs = [(word, f"{word}-back") for word in ("good", "bad", "warn")]
-        pairs += [(word, back) for word in ("ink", "dim") for back in ("page", "card", "field")]
-        pairs += [(word, "card") for word in ("good", "bad", "warn")]
-        for word, back in pairs:
-            high, low = sorted((luminance(colours[word]), luminance(colours[back])), reverse=True)
-            assert (high + 0.05) / (low + 0.05) >= 4.5, (word, back)

@@ -406,22 +406,6 @@ def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path) -> 
     assert not (tmp_path / "run").exists()
 
 
-def test_a_kept_parameter_that_is_not_allowed_is_told_and_left_out(tmp_path: Path) -> None:
-    kept = tmp_path / "kept.toml"
-    head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
-    kept.write_text(f"{head}HJ_ATT_ROLL = 1e9\nHJ_ATT_YAW = 2.5\nNO_SUCH = 1.0\n")
-    seen = []
-
-    def look(pilot: Pilot, session: Session) -> None:
-        parameters = pilot.until(lambda s: s.k > 0).info.parameters
-        seen.extend([parameters["HJ_ATT_ROLL"], parameters["HJ_ATT_YAW"]])
-
-    session = flown(tmp_path / "run", look, parameter_file=kept)
-    assert seen == [3.5, 2.5]
-    texts = [message.text for message in session.exchange.messages]
-    assert sum("HJ_ATT_ROLL" in text or "NO_SUCH" in text for text in texts) == 2
-
-
 def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
     """Queues stay bounded, requests a step stay bounded, and who asks once is answered."""
     waits: list[int] = []

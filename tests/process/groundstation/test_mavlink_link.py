@@ -324,29 +324,6 @@ def test_tcp_client_tries_again(flights: list[Flight]) -> None:
             connection.close()
 
 
-def test_a_station_that_never_reads_costs_nothing_but_its_own(flights: list[Flight], stations: list[Udp]) -> None:
-    flights.append(Flight("tcpin:127.0.0.1:0", "udpin:127.0.0.1:0"))
-    flight = flights[0]
-    silent = socket.socket()
-    silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    silent.connect(("127.0.0.1", flight.link.ports[0]))
-    reader = Udp(flight.link.ports[1])
-    stations.append(reader)
-    reader.heartbeat()
-    assert reader.name("HEARTBEAT")
-    assert until(lambda: len(flight.link.peers) == 2)
-    deaf = flight.link.peers[0]
-    other = mav.MAVLink(None, srcSystem=9, srcComponent=9)
-    for number in (30, 31, 32, 33, 291, 251, 24, 74, 115, 331):
-        silent.sendall(bytes(command(511, float(number), 4000.0).pack(other)))
-    assert until(lambda: deaf.dropped > 0, 20.0)
-    assert deaf.waiting_bytes < 100_000
-    reader.got.clear()
-    reader.send(command(512, 148.0))
-    assert reader.name("AUTOPILOT_VERSION", 1.0)
-    silent.close()
-
-
 # --- signing and the log ---------------------------------------------------------------------------------------
 
 

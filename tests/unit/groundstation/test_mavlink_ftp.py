@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import lzma
 import math
 import struct
 from collections.abc import Iterator, Mapping
@@ -19,14 +17,11 @@ from patience import PATIENCE
 from pyulog import ULog
 
 from cosim import fly
-from cosim.control.autopilot.parameters import Parameters, table
 from cosim.groundstation.mavlink.services.ftp import File, FileService, MemoryFile
 from cosim.groundstation.mavlink.services.logs import LogService, LogStore, find_finished_runs
-from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.service import crc32
 from cosim.results.export import export_log
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import load_vehicle
 
 TO = (1, 1)
 NONE, TERMINATE, RESET, LIST, OPEN, READ, CRC, BURST = 0, 1, 2, 3, 4, 5, 14, 15
@@ -314,25 +309,6 @@ def test_any_payload_is_answered_or_not_but_never_a_surprise(payloads: list[byte
     for message in station.take():
         assert message.payload[3] in (ACK, NAK)
     assert dict(files()).keys() == CONTENT.keys()
-
-
-def test_metadata_is_read_over_ftp_as_mavsdk_does(tmp_path: Path) -> None:
-    """COMPONENT_METADATA, then the two files that lead to each other, checked by their checksums."""
-    control = load_vehicle("hexjet")[0].control
-    assert control.pilot is not None
-    lines = Parameters(table(control, control.pilot, "smith", 25.0))
-    metadata = Metadata(lines, "hexjet", "0.1.0")
-    ftp = Client(
-        Bench(FileService(lambda path: {p: MemoryFile(d) for p, d in metadata.files.items()}), loss=0.2).station()
-    )
-    start = metadata.on_request[397](0)
-    uri, crc = start.uri, start.file_crc
-    general = ftp.download(uri.removeprefix("mftp://"))
-    assert crc32(general) == crc
-    (kind,) = json.loads(lzma.decompress(general))["metadataTypes"]
-    inner = ftp.download(kind["uri"].removeprefix("mftp://"))
-    assert crc32(inner) == kind["fileCrc"]
-    assert {each["name"] for each in json.loads(lzma.decompress(inner))["parameters"]} == set(lines.values)
 
 
 # --- logs ----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from link_tools import Flight, Tcp, until
 from mavlink_tools import Bench, Udp, command
 from patience import PATIENCE
 
-from cosim.control.autopilot.requests import Answer, LinkBack, LinkLost, Result
+from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.peer import LIMITS as PEER
 from cosim.groundstation.mavlink.wire.peer import Priority
@@ -238,18 +238,6 @@ def test_ten_thousand_ids_do_not_make_the_vehicle_return(bench: Bench) -> None:
     assert not [request for request in bench.pilot.asked if isinstance(request, LinkLost)]
     bench.step(4.0)
     assert [type(r) for r in bench.pilot.asked if isinstance(r, LinkLost | LinkBack)] == [LinkLost]
-
-
-def test_the_last_station_is_missed_when_a_table_was_full(bench: Bench) -> None:
-    bench.pilot.answers[LinkLost] = Answer(True, Result.ACCEPTED, "")
-    desk = bench.station()
-    beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-    for number in range(100):
-        desk.bytes(beat.pack(mav.MAVLink(None, srcSystem=2 + number, srcComponent=1)))
-    bench.step(3.4)
-    assert not bench.pilot.asked
-    bench.step(0.2)
-    assert [type(r) for r in bench.pilot.asked] == [LinkLost]
 
 
 def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:

@@ -316,7 +316,9 @@ BAD = [
     (do(178, 1.0, nan), P2),
     (do(177, 0.5, 1.0), P1),
     (do(177, nan, 1.0), P1),
+    (do(177, -1.0, 1.0), P1),  # an item has no number below 0
     (do(177, 0.0, -2.0), P2),
+    (do(177, 0.0, 0.5), P2),
     (do(177, 0.0, 1e9), P2),
     (do(17), FRAME),  # loiter without end, nowhere
     (at(0, 0, 10, command=18, p1=0.0, p3=5.0), P1),  # no turns
