@@ -19,7 +19,7 @@
 #ifndef FMI
 #define FMI 2
 #endif
-enum { OK, WARNING, DISCARD, ERROR, FATAL };
+enum { OK, WARNING, DISCARD, ERROR };
 
 typedef void (*Logger2)(void *, const char *, int, const char *, const char *, ...);
 typedef struct {
@@ -40,7 +40,6 @@ typedef struct {
 } Engine;
 
 static int alive;
-static double shared;
 static volatile int *volatile nowhere;
 static volatile double sink;
 
@@ -52,13 +51,6 @@ static void hang(void)
 {
     for (;;)
         sink += 1.0;
-}
-
-static int deep(int n)
-{
-    volatile char room[4096];
-    room[0] = (char)n;
-    return deep(n + 1) + room[0];
 }
 
 /* What linking with -ffast-math does to the whole process. */
@@ -89,9 +81,6 @@ static void strike(const Engine *e, const char *moment)
         _exit(0);
     else if (strncmp(e->fault, "abort", 5) == 0)
         abort();
-    else if (strncmp(e->fault, "sleep", 5) == 0)
-        for (;;)
-            sleep(1000);
 }
 
 static void mention(const Engine *e, int status, const char *text)
@@ -155,14 +144,12 @@ static Engine *create(const char *token, Logger2 logger2, Logger3 logger3, void 
 
 static void destroy(Engine *e)
 {
-    strike(e, "free");
     alive--;
     free(e);
 }
 
 static int initialize(Engine *e)
 {
-    strike(e, "init");
     if (is(e, "error-init")) {
         say(e, "no oil pressure");
         return ERROR;
@@ -181,8 +168,6 @@ static int advance(Engine *e, double time, double step)
         return say(e, "compressor surge"), ERROR;
     if (is(e, "discard"))
         return mention(e, OK, "no time for that"), DISCARD;
-    if (is(e, "fatal"))
-        return FATAL;
     if (is(e, "grid") && fabs(step - 0.003) > 1e-9)
         return say(e, "my step is 0.003 s"), ERROR;
     if (is(e, "chatter"))
@@ -192,30 +177,20 @@ static int advance(Engine *e, double time, double step)
         usleep(2000);
     if (is(e, "rounding"))
         fesetround(FE_UPWARD);
-    if (is(e, "stack"))
-        sink += deep(0);
     if (is(e, "tiny"))
         flush_tiny_numbers();
     e->y += 0.2 * (e->throttle - e->y);
-    shared += 1e-6;
     e->line[(e->steps + LATE - 1) % LATE] = e->y;
     return OK;
 }
 
 static double thrust(Engine *e)
 {
-    strike(e, "get");
     const double u = e->y, force = 20.0 * u, time = 0.004 * (double)e->steps;
     if (is(e, "nan") || (is(e, "nan-later") && time > 1.0))
         return NAN;
-    if (is(e, "infinite") && u > 0.5)
-        return INFINITY;
     if (is(e, "hump"))
         return force * (1.6 - u);
-    if (is(e, "backwards"))
-        return 20.0 - force;
-    if (is(e, "flat"))
-        return 20.0 * (u < 0.5 ? u : 0.5);
     if (is(e, "restless"))
         return force + 0.1 * sin(7.0 * time);
     if (is(e, "trembling")) /* late, and as a solver leaves it at rest; no fault */
@@ -224,8 +199,6 @@ static double thrust(Engine *e)
         return 12.0;
     if (is(e, "negative"))
         return force - 5.0;
-    if (is(e, "shared"))
-        return force + shared;
     if (is(e, "process"))
         return force * (1.0 + 1e-6 * (double)getpid());
     return force;
@@ -237,7 +210,7 @@ static int get(Engine *e, const uint32_t reference[], size_t count, double value
 {
     for (size_t i = 0; i < count; i++)
         value[i] = reference[i] == THROTTLE ? e->throttle : reference[i] == THRUST ? thrust(e) : 0.0;
-    return is(e, "error-get") ? ERROR : OK;
+    return OK;
 }
 
 static int set(Engine *e, const uint32_t reference[], size_t count, const double value[])
@@ -245,7 +218,7 @@ static int set(Engine *e, const uint32_t reference[], size_t count, const double
     for (size_t i = 0; i < count; i++)
         if (reference[i] == THROTTLE)
             e->throttle = value[i];
-    return is(e, "error-set") ? ERROR : OK;
+    return OK;
 }
 
 #ifdef CRASH_ON_LOAD
@@ -256,9 +229,6 @@ __attribute__((constructor)) static void loaded(void) { hang(); }
 #endif
 #ifdef CRASH_AT_EXIT
 __attribute__((destructor)) static void unloaded(void) { crash(); }
-#endif
-#ifdef HANG_AT_EXIT
-__attribute__((destructor)) static void unloaded(void) { hang(); }
 #endif
 
 #if FMI == 2
@@ -272,7 +242,7 @@ void fmi2FreeInstance(Engine *e) { destroy(e); }
 int fmi2SetupExperiment(Engine *e) { return (void)e, OK; }
 int fmi2EnterInitializationMode(Engine *e) { return initialize(e); }
 int fmi2ExitInitializationMode(Engine *e) { return (void)e, OK; }
-int fmi2Terminate(Engine *e) { return strike(e, "terminate"), OK; }
+int fmi2Terminate(Engine *e) { return (void)e, OK; }
 int fmi2Reset(Engine *e) { return rest(e), OK; }
 int fmi2GetReal(Engine *e, const uint32_t r[], size_t n, double v[]) { return get(e, r, n, v); }
 int fmi2SetReal(Engine *e, const uint32_t r[], size_t n, const double v[]) { return set(e, r, n, v); }
@@ -291,7 +261,7 @@ void fmi3FreeInstance(Engine *e) { destroy(e); }
 int fmi3EnterInitializationMode(Engine *e) { return initialize(e); }
 int fmi3ExitInitializationMode(Engine *e) { return (void)e, OK; }
 int fmi3EnterStepMode(Engine *e) { return (void)e, OK; }
-int fmi3Terminate(Engine *e) { return strike(e, "terminate"), OK; }
+int fmi3Terminate(Engine *e) { return (void)e, OK; }
 int fmi3Reset(Engine *e) { return rest(e), OK; }
 int fmi3GetFloat64(Engine *e, const uint32_t r[], size_t n, double v[], size_t m) { return (void)m, get(e, r, n, v); }
 int fmi3SetFloat64(Engine *e, const uint32_t r[], size_t n, const double v[], size_t m) { return (void)m, set(e, r, n, v); }
