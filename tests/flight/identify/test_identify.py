@@ -436,11 +436,8 @@ def test_the_chosen_model_follows_the_response(roll: Identification) -> None:
     ("settings", "choices", "said"),
     [
         ((), {"from_hz": 2.0, "to_hz": 1.0}, "from a lower to a higher"),
-        ((), {"to_hz": 130.0}, "must be below 125 Hz"),
         ((), {"duration": 5.0}, "too short for 0.3 Hz"),
-        ((), {"amplitude": -1.0}, "above 0"),
         ((), {"amplitude": 1000.0}, "amplitude 1000: at most 1 throttle"),
-        ((), {"engine": "no-such"}, "unknown engine"),
         (("duration_s",), {}, "KEY=VALUE"),
         (
             ("vehicle.control.rate.roll.p=0.08",),
@@ -570,13 +567,10 @@ def test_the_command_prints_the_papers_turbojet(hexjet, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["engine", "identify", "nope"], "unknown engine 'nope'"),
         (["engine", "identify", "edf", "--set", "delay"], "settings delay: write it as NAME=NUMBER"),
         (["engine", "identify", "edf", "--amplitude", "nan"], "--amplitude: nan is not a finite number"),
-        (["engine", "identify", "edf", "--duration", "inf"], "--duration: inf is not a finite number"),
         (["identify", "roll", "--hold", "lag_s=much"], "--hold lag_s=much: must be NAME=VALUE"),
         (["identify", "roll", "--aircraft", "nope"], "unknown aircraft 'nope'"),
-        (["identify", "roll", "--lags", "7"], "--lags"),
     ],
     ids=str,
 )

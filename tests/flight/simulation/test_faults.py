@@ -537,16 +537,9 @@ def test_a_reset_forgets_what_came_by_command() -> None:
         ({"kind": "flame_out", "start_s": 1.0, "jet": 17}, r"fault\.0\.jet.*less than or equal to 16"),
         ({"kind": "flame_out", "start_s": 1.0, "jet": [1, 1]}, r"fault\.0\.jet: name a jet once"),
         (
-            {"kind": "flame_out", "start_s": 1.0, "jet": 1, "jets": 1},
-            r"unknown key 'fault\.0\.jets'; did you mean 'jet'\?",
-        ),
-        ({"kind": "thrust_loss", "start_s": 1.0, "jet": 1, "share": 1.5}, r"share = 1\.5: .*less than or equal to 1"),
-        (
             {"kind": "flameout", "start_s": 1.0, "jet": 1},
             r"fault\.0\.kind = 'flameout': did you mean 'flame_out'\? allowed: ",
         ),
-        ({"start_s": 1.0, "jet": 1}, r"fault\.0\.kind is missing"),
-        ({"kind": "flame_out", "start_s": 1.0, "jet": []}, r"fault\.0\.jet: needs at least 1"),
         ({"kind": "sensor_bias", "start_s": 1.0, "sensor": "gyro", "bias": [1.0]}, r"the gyro needs a list of 3"),
         ({"kind": "sensor_bias", "start_s": 1.0, "sensor": "gyro"}, r"give one that is not 0"),
     ],
@@ -569,10 +562,6 @@ def test_a_servo_that_the_vehicle_has_not_is_refused_with_those_that_it_has() ->
         (
             {"fault": [{"kind": "flame_out", "start_s": 0.001, "jet": 1}]},
             r"fault\.0\.start_s = 0\.001 s is not a whole",
-        ),
-        (
-            {"fault": [{"kind": "delay_growth", "start_s": 1.0, "jet": 1, "delay_s": 0.001}]},
-            r"fault\.0\.delay_s = 0\.001 s is not a whole",
         ),
         (
             {

@@ -95,34 +95,16 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
             "width_ms = 2",
             r"command\.0\.width_s is missing; unknown key command\.0\.width_ms may be meant for it$",
         ),
-        ("x = 1", r"x\.toml: is not a scenario, which has the key duration_s$"),
         ("name = 'x'\nduration_s = 1\ncommand = 3", r"x\.toml: command = 3: must be a list$"),
         (
             "name = 'x'\nduration_s = 1\n[command.0]\nkind = 'step'",
             r"x\.toml: command: there is no entry 0 to write over; a new list is \[\{\.\.\.\}\]$",
         ),
         ("name = 'x'\nduration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
-        ("name = 'x'\nduration_s = -1", r"x\.toml: duration_s = -1: .*greater than 0"),
         ("name = 'x'\nduration_s = 1\ncontroler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
-        (
-            "name = 'x'\nduration_s = 1\n[initial]\nheight_m = 3",
-            r"unknown key 'initial\.height_m'; .*allowed: altitude_m",
-        ),
         (
             "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'stp'",
             r"command\.0\.kind = 'stp': did you mean 'step'\? allowed: doublet, place, ramp, step, ",
-        ),
-        (
-            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'rol_deg'\nstart_s = 0\namplitude = 1",
-            r"command\.0.*signal = 'rol_deg': .*'roll_deg'",
-        ),
-        (
-            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'step'\nsignal = 'roll_deg'\nstart_s = 0\namplitude = 1\nwidth_s = 2",
-            r"unknown key 'command\.0\.width_s'; .*allowed: amplitude, kind, signal, start_s",
-        ),
-        (
-            "name = 'x'\nduration_s = 1\n[[expect]]\ncontroller = 'smith'\nengine = 'edf'\noutcome = ['landed']",
-            r"outcome",
         ),
     ],
 )
@@ -185,13 +167,9 @@ def test_settings_write_over_the_file() -> None:
     ("setting", "message"),
     [
         ("mass", "write it as KEY=VALUE"),
-        ("=3", "write it as KEY=VALUE"),
         ("command.7.amplitude=5", r"settings: command\.7: a number from 0 to 0 goes here"),
         ("title.x=5", r"settings: title is a value, not a table"),
-        ("vehicel.mass_kg=5", r"unknown key 'vehicel'; did you mean 'vehicle'\?"),
-        ("duration_s=inf", r"duration_s = inf: .*finite"),
         # what no float holds, and what Python reads no more
-        (f"limits.drift_m=1{'0' * 400}", r"limits\.drift_m = 10+.*: must be a number of at least 0"),
         (f"limits.drift_m=1{'0' * 5000}", r"limits\.drift_m = '?10+.*: must be a number"),
     ],
 )

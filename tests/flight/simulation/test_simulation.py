@@ -371,14 +371,10 @@ def test_crash_and_divergence_are_outcomes() -> None:
     [
         ({"controller": "smyth"}, r"unknown controller 'smyth'; did you mean 'smith'\? allowed: .*baseline"),
         ({"engine": "edfs"}, r"unknown engine 'edfs'; did you mean 'edf'\? allowed: .*turbojet"),
-        ({"aircraft": "hexjat"}, r"unknown aircraft 'hexjat'; did you mean 'hexjet'\? allowed: "),
         ({"duration_s": 1.0005}, r"duration_s = 1.0005 s is not a whole number of 0.004 s steps"),
         ({"engine_parameters": {"delay": 3.0}}, r"delay: no such parameter; allowed: delay_samples, gain"),
-        ({"vehicle": {"mass_kg": -1.0}}, r"mass_kg = -1.0: .*greater than 0"),
-        ({"vehicle": {"mas_kg": 1.0}}, r"unknown key 'mas_kg'; did you mean 'mass_kg'\?"),
         ({"vehicle": {"mass_kg": float("nan")}}, r"mass_kg = nan: .*finite"),
         ({"vehicle": {"mass_kg": 14.0}}, r"would hover at throttle 1\.\d+, outside 0.05 to 1"),
-        ({"vehicle": {"inertia_kg_m2": [0.1, 0.01, 0.01]}}, r"no body has one moment above the sum"),
         (
             {"step_s": 0.005, "duration_s": 1.0},
             r"step 0.005 s is not a whole multiple of the engine's internal step 0.004 s",

@@ -185,9 +185,7 @@ def test_a_run_says_what_was_given_by_hand() -> None:
         ({"command": (0.0, 0.0, 0.0)}, "command: tuple: must be a cosim.Command"),
         ({"command": Command((0.0, float("nan"), 0.0), 10.0)}, "command.attitude = .*must be 3 finite numbers"),
         ({"command": Command((0.0, 0.0, 0.0), 10.0, (0.0, 0.0), 0.5)}, "command.rate = .*must be 3"),  # type: ignore
-        ({"command": Command((0.0, 0.0, 0.0), "high")}, "command.altitude = .*must be 1 numbers"),  # type: ignore
         ({"throttle": [0.5] * 5}, "throttle = .*must be 6 finite numbers"),
-        ({"throttle": [0.5] * 5 + [1.5]}, r"throttle 6 = 1\.5: must be from 0 to 1"),
         ({"tilt": (0.0, float("inf"))}, "tilt = .*must be 2 finite numbers"),
     ],
 )

@@ -115,7 +115,6 @@ def test_what_is_wrong_is_found(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch)
         (("new", "mine", "--from", "hexjett"), "base: 'hexjett': must be one that is shipped; did you mean 'hexjet'?"),
         (("new", "held"), "held/vehicle.toml: is there already"),
         (("check", "./none"), "none: no such file"),
-        (("check", "hexjet", "--engine", "none"), "unknown engine 'none'"),
     ],
 )
 def test_a_wrong_call_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], said: str) -> None:

@@ -142,15 +142,11 @@ def replace_in(folder: Path, old: str, new: str) -> None:
     ("aircraft", "said"),
     [
         ("nowhere/", "nowhere: no such file; name a folder with a vehicle.toml, or such a file"),
-        ("nowhere.toml", "nowhere.toml: no such file"),
         ("empty/", "empty/vehicle.toml: no such file"),
-        ("hexjett", "unknown aircraft 'hexjett'; did you mean 'hexjet'?"),
         (
             "shipped",
             "allowed: crazyflie, hexjet, hexjet-100, hexjet-p220, jetwing, octojet, quadjet, quadrotor, trijet, or ./shipped",
         ),
-        ("broken/", "broken/vehicle.toml"),
-        ("shipped/", "name = 'hexjet': is the name of an aircraft that is shipped; choose another"),
     ],
 )
 def test_a_wrong_one_is_one_line(hexjet: Hexjet, aircraft: str, said: str) -> None:

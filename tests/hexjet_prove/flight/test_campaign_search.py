@@ -438,19 +438,12 @@ def test_the_command_line_prints_the_search_as_json(tmp_path: Path, capsys: pyte
     [
         ({"vary": []}, "nothing varies; vary KEY=LO:HI says what does"),
         ({"vary": ["vehicle.mass=1:2"]}, "did you mean vehicle.mass_kg?"),
-        ({"vary": [f"{X}=1,2,3"]}, "a search needs a range of numbers"),
         ({"vary": ["monitor=true,false"]}, "a search needs a range of numbers"),
-        ({"vary": [f"{X}=4:1"]}, "empty"),
-        ({"vary": ["vehicle.mass_kg=-1:1"]}, "must be a number above 0"),
         ({"vary": [f"{X}=0:1", f"{X}=0:2"]}, "is there twice"),
         ({"vary": [f"{X}=0:1"], "over": f"{Y}=0:1"}, "say at how many values"),
         ({"vary": [f"{X}=0:1", f"{Z}=0:1"], "over": f"{Y}=0:1:3"}, "goes with one vary"),
         ({"vary": [f"{X}=0:1"], "tolerance": ["0"]}, "must be above 0"),
-        ({"vary": [f"{X}=0:1"], "tolerance": ["a"]}, "is not a number"),
         ({"vary": [f"{X}=0:1", f"{Y}=0:1"], "tolerance": ["0.1"]}, "write it as KEY=X"),
-        ({"vary": [f"{X}=0:1"], "success": ["roll.rmse<=1"]}, "roll.rmse_rad"),
-        ({"vary": [f"{X}=0:1"], "controllers": ["smth"]}, "smith"),
-        ({"vary": [f"{X}=0:1"], "seed": -1}, "seed -1"),
     ],
 )
 def test_wrong_input_is_one_line(options: dict[str, Any], words: str) -> None:

@@ -162,13 +162,8 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["hover"], "hover: nothing varies"),
         (["hover", "--vary", "vehicle.mass_kg=5:6:3"], "has 3 levels, which only a grid has"),
         (["hover", "--vary", "vehicle.mass_kg=5:6", "--budget", "100"], "budget 100: 8 repeats of 7 levels"),
-        (
-            ["predictor-robustness"],
-            "has 5 controllers, and a rare failure is one's; controller NAME says which: baseline, smith",
-        ),
         (["hover", "--vary", "vehicle.mass_kg=5:6", "--resume"], "resume: give the folder of the simulation"),
     ],
 )

@@ -217,9 +217,6 @@ def test_another_seed_of_the_study_searches_another_way(tmp_path: Path) -> None:
         (f"{KEYS[0]}=normal(0,1)", {"within": "ranges"}, "has no bounds; state them, or give standard deviations"),
         (f"{KEYS[0]}=0:1", {"within": "ranges", "likely": True}, "says nothing of what is likely"),
         (f"{KEYS[0]}=0:1", {"within": "9"}, "at most 8 standard deviations"),
-        (f"{KEYS[0]}=0:1", {"within": "far"}, "is not a number"),
-        (f"{KEYS[0]}=0:1:5", {}, "which only a grid has"),
-        (f"{KEYS[0]}=0:1", {"seed": -1}, "seed -1: must be from 0"),
     ],
 )
 def test_wrong_input_is_one_line(vary: str, options: dict[str, Any], words: str) -> None:

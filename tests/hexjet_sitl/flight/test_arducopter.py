@@ -217,7 +217,6 @@ def test_the_names_of_a_log_are_those_that_the_autopilots_own_reader_finds(
         (["--binary", "/nope"], "hexjet: binary: /nope: no such file"),
         (["--gains", "fast"], "hexjet: gains fast: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--param", "FOO=nan"], "hexjet: parameters FOO=nan: write it as NAME=NUMBER, with a finite number"),
-        (["--param", "=3"], "hexjet: parameters =3: write it as NAME=NUMBER"),
     ],
 )
 def test_what_cannot_be_flown_is_one_line(given: list[str], said: str, program: Path, hexjet: Hexjet) -> None:

@@ -88,14 +88,9 @@ def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) ->
     ("autopilot", "said"),
     [
         ({"name": "px4", "lines": ["set p_roll = 1"]}, "lines: allowed for betaflight, and this is px4"),
-        (
-            {"name": "betaflight", "parameters": {"A": 1.0}},
-            "parameters: allowed for px4 and ardupilot, and this is betaflight",
-        ),
         ({"name": "px4", "channels": ["8=2000"]}, "channels: allowed for ardupilot, and this is px4"),
         ({"name": "ardupilot", "channels": ["3=2000"]}, "channels 3=2000: must be a channel"),
         ({"name": "inav"}, "autopilot: name"),
-        ({"name": "px4", "timeout_s": 0.0}, "timeout_s"),
     ],
 )
 def test_a_table_that_does_not_fit_is_one_line(autopilot: dict[str, Any], said: str) -> None:

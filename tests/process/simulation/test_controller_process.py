@@ -257,7 +257,7 @@ while len(frame := sys.stdin.buffer.read(24)) == 24:
 @pytest.mark.parametrize(
     ("what", "reason"),
     [
-        ("time.sleep(60)", "the process did not answer within 0.5 s"),
+        ("time.sleep(60)", "the process did not answer within 3 s"),
         ("os.abort()", "the process was ended by SIGABRT"),
         ("sys.exit(3)", "the process ended with status 3"),
         ("os.close(1); time.sleep(60)", "the process closed its output"),
@@ -269,7 +269,7 @@ while len(frame := sys.stdin.buffer.read(24)) == 24:
 def test_what_a_process_does_wrong_ends_the_run_which_names_it(tmp_path: Path, what: str, reason: str) -> None:
     script = tmp_path / "wrong.py"
     script.write_text(WRONG.replace("WHAT", what))
-    limit = 0.5 if "within" in reason else 60.0
+    limit = 3.0 if "within" in reason else 60.0
     run = fly(ROLL.replace(duration_s=0.1, controller=f"process:{script}", controller_limit_s=limit))
     assert run.outcome == "failed"
     assert run.reason.startswith("controller process:wrong.py: ")
@@ -294,9 +294,7 @@ def test_one_that_is_not_repeatable_is_called_so(tmp_path: Path, capsys: pytest.
     [
         ("raise SystemExit('no licence')", "the process ended with status 1 before it had said what it is: no licence"),
         ("print('hello')", "its first line is no JSON: b'hello'"),
-        ("print('[1]')", "its first line is no JSON object"),
         ('print(\'{"level": "pilot"}\')', "level = 'pilot': must be one of predictor, rate, attitude, controller"),
-        ('print(\'{"level": ["rate"]}\')', "level = ['rate']: must be one of predictor, rate, attitude, controller"),
         ('print(\'{"level": "rate", "colums": []}\')', "'colums': did you mean 'columns'?"),
         (
             'print(\'{"level": "rate", "parameters": 1}\')',

@@ -258,8 +258,6 @@ def test_what_goes_wrong_in_flight_ends_it_and_is_named(tmp_path: Path, key: str
         ),
         ({"wind": "nobody"}, "wind nobody: must be FILE.csv, FILE.py:Name"),
         ({"wind": "none.csv"}, "no such file"),
-        ({"wind": "none.py:Wind"}, "no such file"),
-        ({"metrics": ["math:nothing"]}, "has no 'nothing'"),
         ({"metrics": ["cosim.nothing:x"]}, "cosim.nothing cannot be imported"),
         ({"observers": ["cosim.results.metrics:wrap"]}, "observer cosim.results.metrics:wrap: must be a class"),
         ({"sensors": "fractions:Fraction"}, "has no reset(state, measured)"),

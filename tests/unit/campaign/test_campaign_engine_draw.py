@@ -143,7 +143,6 @@ def test_texts_of_a_file_are_those_of_the_command_line(tmp_path: Path) -> None:
         ({"design": "grid", "runs": None}, "engine needs levels or values in a grid, such as engine=A,B"),
         ({"vary": ["engine", "vehicle.mass_kg=5:6"], "correlate": ["engine,vehicle.mass_kg=0.5"]}, "have no order"),
         ({"vary": ["engine", "engine"]}, "engine: is there twice"),
-        ({"vary": ["engine*=0.9:1.1"]}, "engine is one of"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, options: dict[str, Any], message: str) -> None:

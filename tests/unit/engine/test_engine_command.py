@@ -172,9 +172,6 @@ def test_the_shipped_limit_is_met_by_the_smallest_turbine_alone(tmp_path: Path) 
         ("p220", {"command_rate": -1.0}),
         ("p220-2025", {"command_interval": 0.0}),
         ("p220", {"command_interval": 2.5}),
-        ("turbine-100", {"command_resolution": 0.7}),
-        ("turbine-220", {"speed_dead_band": -0.1}),
-        ("turbine-220", {"exhaust_limit": 1e9}),
     ],
 )
 def test_a_wrong_limit_is_refused_in_one_line(name: str, wrong: dict[str, float]) -> None:

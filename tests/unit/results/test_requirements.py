@@ -215,7 +215,6 @@ def test_a_scenario_without_them_is_as_before() -> None:
         ("after(20 s, roll_deg < 3)", "speaks of 20 s, and the flight ends at 12 s"),
         ('after("doublet ends", for(6 s, roll_deg < 3))', "speaks of 13 s"),
         ("always(roll_deg > 0)", "compares with no number but 0: state its scale, in deg"),
-        ("always(yaw_deg - 90 < 0)", "compares with no number but 0: state its scale, in deg"),
     ],
 )
 def test_what_nothing_could_keep_is_refused(formula: str, message: str) -> None:

@@ -213,11 +213,8 @@ def test_an_aircraft_that_there_is_not_is_still_told_by_name() -> None:
             "cheap",
             "substeps = 'cheap': a whole number, 'campaign', or the error to keep to, such as '0.01 deg' or '1 mm'",
         ),
-        ("0.1", "such as '0.01 deg'"),
         ("0 deg", "such as '0.01 deg'"),
-        ("-1 deg", "such as '0.01 deg'"),
         ("1e-9 deg", "deg with 8, the most that is measured; state a number"),
-        ("1 km", "such as '0.01 deg'"),
     ],
 )
 def test_wrong_errors_are_one_clear_line(text: str, said: str) -> None:

@@ -561,10 +561,6 @@ def test_an_aerodynamics_of_its_own_flies(tmp_path: Path) -> None:
         ('<fdm_config><aerodynamics file="none"/></fdm_config>', r"aerodynamics file='none': .*none: no such file"),
         ("<fdm_config><propulsion><engine/></propulsion></fdm_config>", "engines are FMUs here"),
         (
-            '<fdm_config><ground_reactions><contact name="wheel"/></ground_reactions></fdm_config>',
-            "contact wheel: vehicle.toml states none of this name; there are: leg_front_right",
-        ),
-        (
             '<fdm_config><mass_balance><pointmass name="pilot"><weight>1</weight></pointmass></mass_balance></fdm_config>',
             "pointmass pilot: mass_kg in vehicle.toml is the whole vehicle's",
         ),

@@ -110,7 +110,6 @@ def test_grows_with_the_vehicle() -> None:
         ({**PLATE, **GAS, "hot_gas_rise_k": [1.0, 0.0]}, "needs one value for each of the 3"),
         ({**PLATE, **GAS, "hot_gas_height_m": [1.0, 1.0, 2.0]}, "every height must be above"),
         ({**PLATE, **GAS, "hot_gas_rise_k": [3.0, 2.0, 1.0]}, "the last must be 0, not 1"),
-        ({**PLATE, "sukdown": True}, "sukdown"),
     ],
 )
 def test_wrong_tables_are_refused(table: dict[str, Any], message: str) -> None:

@@ -254,9 +254,7 @@ def test_only_files_are_read(tmp_path: Path) -> None:
     [
         ("c172p", "has no property propulsion/engine/prop-induced-velocity_fps"),
         ("T38", "has no property fcs/throttle-cmd-norm"),
-        ("pc7", "has no property propulsion/engine/prop-induced-velocity_fps"),
         ("F450", "no such file"),
-        ("ah1s", "no such file"),
         ("ball", ""),
         ("minisgs", ""),
         ("Shuttle", "the airframe's state is not finite"),  # its wing on 5.5 kg
