@@ -220,20 +220,6 @@ def test_sticks_take_off_fly_and_land() -> None:
         assert not pilot.armed
 
 
-def test_sticks_that_stop_leave_it_holding() -> None:
-    with Flight(airborne=True) as flight:
-        flight.ok(rq.Sticks(0.0, 1.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
-        flight.fly(1.5, every=rq.Sticks(0.0, 1.0, 0.0, 0.5))
-        assert flight.pilot.mode is Mode.STABILIZED
-        # nose down, to the north
-        assert flight.simulation.state.euler[1] == pytest.approx(radians(-20.0), abs=radians(3.0))
-        # the lean turns round at a bounded rate: a second more than a step of it would take
-        flight.fly(7.0)
-        assert flight.pilot.mode is Mode.HOLD
-        assert hypot(*flight.simulation.state.velocity[:2]) < 0.4
-        assert abs(flight.simulation.state.velocity[2]) < 0.3
-
-
 def test_setpoints_from_outside() -> None:
     """Velocity, then a place, then an attitude, each as a companion computer would send it."""
     with Flight(airborne=True) as flight:
@@ -251,50 +237,6 @@ def test_setpoints_from_outside() -> None:
         flight.fly(2.0, every=attitude)
         assert flight.simulation.state.euler == pytest.approx((0.1, 0.0, 0.5), abs=0.03)
         assert flight.pilot.mode is Mode.OFFBOARD
-
-
-def test_the_fence_turns_sticks_back() -> None:
-    """At 4 m/s and 1.5 m/s^2 it passes the fence by v^2/2a + v (a/2j + reaction), below 9 m."""
-    with Flight(airborne=True) as flight:
-        flight.ok(rq.SetParameter("HJ_FENCE_RAD", 12.0))
-        north = rq.Sticks(0.0, 1.0, 0.0, 0.5)
-        flight.ok(north, rq.SetMode("POSCTL"))
-        flight.fly(12.0, lambda: flight.pilot.mode is not Mode.POSCTL, every=north)
-        assert flight.pilot.mode is Mode.RTL
-        flight.fly(6.0, every=north)
-        assert 12.0 < max(sample.state.position[0] for sample in flight.samples) < 21.0
-        assert flight.simulation.state.position[0] < max(sample.state.position[0] for sample in flight.samples)
-        assert flight.pilot.failsafe.startswith("outside the fence")
-
-
-def test_without_a_ground_station_it_comes_home_and_lands() -> None:
-    with Flight() as flight:
-        flight.take_off(3.0)
-        flight.ok(rq.SetParameter("RTL_RETURN_ALT", 3.0), rq.Goto(6.0, 0.0))
-        flight.fly(3.0)
-        flight.ok(rq.LinkLost())
-        flight.fly(60.0, lambda: not flight.pilot.armed)
-        assert flight.away(0.0, 0.0) < 0.8
-        assert flight.ending is None
-        texts = [message.text for message in flight.pilot.messages]
-        assert texts[-3:] == ["landed", "mode HOLD", "landed, disarmed"]
-        assert "no ground station: returning" in texts
-
-
-def test_kill_in_the_air_needs_force_and_then_it_falls() -> None:
-    with Flight(airborne=True) as flight:
-        flight.fly(0.5)
-        assert not flight.ask(rq.Kill()).accepted
-        assert not flight.ask(rq.Disarm()).accepted
-        flight.fly(0.1)
-        assert flight.pilot.engines is EngineState.FLY
-        flight.ok(rq.Kill(force=True))
-        flight.fly(4.0)
-        assert flight.ending is not None
-        assert flight.ending.outcome == "crashed"
-        # thrust ends at once, and the rest is free fall
-        assert sum(flight.samples[-1].engines.thrust) == 0.0
-        assert flight.samples[-1].state.specific_force[2] == pytest.approx(0.0, abs=2.5)
 
 
 def test_a_mission_climbs_before_it_leaves() -> None:

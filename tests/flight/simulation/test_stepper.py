@@ -250,15 +250,6 @@ def test_a_controller_that_does_not_forget_is_found_out_and_one_that_fails_ends_
         assert flight.step().k == 0
 
 
-def test_the_page_steps_and_goes_back() -> None:
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"<!-- stepping -->\n```python\n(.*?)```", page, re.DOTALL)
-    told: dict[str, Any] = {}
-    exec(code, told)
-    assert told["least"] in told["heights"].values()
-    assert told["run"].summary.by_hand == 50
-
-
 def test_an_autopilots_flight_is_not_stepped() -> None:
     with pytest.raises(InputError, match="requests: an autopilot flies it"):
         Stepper(Scenario.load("hover").replace(requests="requests.jsonl"))

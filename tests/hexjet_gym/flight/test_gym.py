@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from math import acos, exp, nan, pi, radians
@@ -228,19 +227,6 @@ def test_what_cannot_be_is_one_line() -> None:
     with Stepper(QUICK, log=False) as flight:
         sample = flight.step()
         assert 0.0039 < time_on_target(flight, sample, sample.command) <= 0.004
-
-
-def test_the_pages_environment_flies() -> None:
-    """docs/python.md says which numbers there are."""
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"<!-- environment -->\n```python\n(.*?)```", page, re.DOTALL)
-    told: dict[str, Any] = {}
-    exec(code.replace("range(500)", "range(5)"), told)
-    assert told["observation"].shape == (2, 15 + 25 * 8)
-    for kind in ("observed", "acted"):
-        for signal in getattr(HexJetEnv(QUICK), kind):
-            stem = re.sub(r"_([wxyzpqr2-6]|east|down)(_before_1)?$", "", signal.name)
-            assert f"`{stem}" in page, signal.name
 
 
 def test_without_the_extra_it_says_which_one() -> None:

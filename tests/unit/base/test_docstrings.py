@@ -87,13 +87,6 @@ def test_a_docstring_has_every_parameter(name: str) -> None:
     assert "Raises " not in doc.replace("Raises\n", "")  # in a section of its own
 
 
-@pytest.mark.parametrize(
-    "name", ["fly", "open_run", "Scenario.load", "Scenario.count", "Scenario.from_table", "Scenario.replace"]
-)
-def test_what_is_raised_is_said(name: str) -> None:
-    assert "InputError" in sections(inspect.getdoc(EACH[name]) or "")["Raises"]
-
-
 @pytest.fixture(scope="module")
 def made() -> dict[str, str]:
     """The site's pages, by a process that runs from source: what is compiled has no docstrings."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from places import ROOT
 
 from cosim import InputError, Scenario, fly, open_run, plot
 from cosim.base.protocols import Column
@@ -82,25 +79,3 @@ def test_a_plot_has_what_was_asked_for(run: Run) -> None:
     assert len(plot([run, run]).data) == 9  # two runs and what was asked for
     with pytest.raises(InputError, match="no column 'rol_rad'"):
         plot(run, "rol_rad")
-
-
-def test_the_page_s_notebook_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("pandas", reason="the extra notebook is not installed: make setup")
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"<!-- notebook -->\n```python\n(.*?)```", page, re.DOTALL)
-    told: dict[str, Any] = {}
-    exec(code.replace('("roll-doublet")', '("roll-doublet").replace(duration_s=0.02)'), told)
-    assert [trace.yaxis for trace in told["figure"].data] == ["y", "y", "y2"] * 2
-    assert told["table"].attrs["units"] == {"roll_rad": "rad", "thrust_1_N": "N"}
-    told["figure"].write_html(tmp_path / "roll.html")
-    assert (tmp_path / "roll.html").stat().st_size > 1e6  # with the library that draws it
-
-
-def test_the_figure_of_the_page_is_drawn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="no matplotlib, which python-control brings: make setup")
-    monkeypatch.setenv("MPLBACKEND", "pdf")
-    monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"<!-- figure -->\n```python\n(.*?)```", page, re.DOTALL)
-    exec(code.replace('load("roll-doublet")', 'load("roll-doublet").replace(duration_s=0.02)'), {})
-    assert (tmp_path / "roll.pdf").stat().st_size > 5_000
