@@ -296,8 +296,6 @@ class QGroundControl(Station):
             asked = self.wait("MISSION_REQUEST_INT", "MISSION_ACK", seconds=COUNT)
         raise LateError("no end of an upload")
 
-    # --- guided flight: a person presses again if nothing happens
-
     def press(self, number: int, *params: float, integer: tuple[Any, ...] = ()) -> None:
         """A command that QGroundControl sends once; here again when its acknowledgement does not come in time."""
         for _ in range(5 * self.presses):
@@ -437,9 +435,6 @@ def check_connection(found: dict[str, Any]) -> None:
     assert whole("SYS_HAS_MAG") == whole("SYS_HITL") == 0
     assert not [name for name in parameters if name.startswith("BAT1_")]
     assert {"MIS_TAKEOFF_ALT", "RTL_RETURN_ALT", "MPC_XY_VEL_MAX", "MPC_LAND_SPEED"} <= set(parameters)
-
-
-# --- several at once ---------------------------------------------------------------------------------------------
 
 
 def test_reading_descriptions_makes_no_log() -> None:

@@ -161,9 +161,6 @@ def refused(error: type[Exception], result: Any) -> Iterator[None]:
     assert caught.value.result is result, caught.value  # type: ignore[attr-defined]
 
 
-# --- on the ground -----------------------------------------------------------------------------------------------
-
-
 def test_it_is_known_for_what_it_is(drone: Drone) -> None:
     assert drone.system.get_system_id() == 1
     assert (drone.system.autopilot_type().name, drone.system.vehicle_type().name) == ("PX4", "MULTICOPTER")
@@ -241,9 +238,6 @@ def test_what_cannot_be_done_is_said_at_once(drone: Drone) -> None:
     with refused(off.OffboardError, off.OffboardResult.NO_SETPOINT_SET):
         drone.offboard.start()
     until(lambda: any("on the ground" in text for text in drone.texts), SOON, "a reason")
-
-
-# --- flights --------------------------------------------------------------------------------------------------------
 
 
 def test_arm_take_off_goto_hold_return(drone: Drone) -> None:
@@ -346,9 +340,6 @@ def test_it_says_how_much_faster_than_time_it_is(drone: Drone) -> None:
     drone.until(lambda: 0.3 * RTF < drone.info.get_speed_factor() < 1.3 * RTF, "speed factor")
 
 
-# --- offboard and sticks ----------------------------------------------------------------------------------------------
-
-
 def test_offboard_position_velocity_attitude(drone: Drone) -> None:
     offboard = drone.offboard
     drone.take_off(10.0)
@@ -436,9 +427,6 @@ def test_flown_by_stick(drone: Drone) -> None:
     until(lambda: any("sticks lost" in text for text in drone.texts), SOON, "a reason")
 
 
-# --- missions ---------------------------------------------------------------------------------------------------------
-
-
 def corner(north: float, east: float, height: float) -> mis.MissionItem:
     """A waypoint by metres from the place of the start."""
     latitude = PLACE[0] + north / METRES
@@ -498,9 +486,6 @@ def test_a_mission_of_four_waypoints(drone: Drone) -> None:
     mission.set_return_to_launch_after_mission(False)
     mission.clear_mission()
     assert mission.download_mission().mission_items == []
-
-
-# --- failures, a new flight, logs -----------------------------------------------------------------------------------
 
 
 def test_an_engine_fails_on_request(drone: Drone) -> None:

@@ -40,9 +40,6 @@ FIELDS = [  # as the firmware lays them out, and TAG2_3V beside
 ]
 
 
-# ---- encodings
-
-
 def uvb(value: int) -> bytes:
     value &= MASK
     made = bytearray()
@@ -126,9 +123,6 @@ def encoded(codes: list[int], values: list[int]) -> bytes:
             made += {TAG8: tag8, TAG2_3: tag2_3, TAG8_4: tag8_4}.get(code, lambda v: tag2_3(v, True))(part)
         n += size
     return made
-
-
-# ---- a log
 
 
 @dataclass

@@ -95,9 +95,6 @@ def damaged(whole: bytes, drawn: random.Random, text: bool) -> bytes:
     return bytes(data)
 
 
-# ---- trying
-
-
 @contextlib.contextmanager
 def bounded(seconds: float, megabytes: float) -> Iterator[None]:
     """This process' CPU and address space, from here on."""

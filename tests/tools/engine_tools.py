@@ -148,8 +148,6 @@ def edit_description(source: Path, target: Path, old: str, new: str) -> Path:
     return rewrite(source, target, change)
 
 
-# --- an engine that fails on demand: the EDF, until the throttle is FAULT_THROTTLE ---------------------------------
-
 FAULT_THROTTLE = 0.512  # not a point of the static curve, so measuring the engine does not trip it
 FAULTS = {
     "nan": 1,

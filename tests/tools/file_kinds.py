@@ -26,12 +26,6 @@ class Kind:
     text: bool = False  # words and numbers are exchanged too
 
 
-# ---- damage
-
-
-# ---- logs
-
-
 def _log(path: Path) -> None:
     from hexjet_identify.logs import read_flight_log, reader
     from hexjet_identify.logs.log_columns import as_columns
@@ -160,9 +154,6 @@ def _parquet(folder: Path) -> Path:
     rows = [0.01 * n for n in range(120)]
     write_table(folder / "bench.parquet", {"time": rows, "u": rows, "name": [str(row) for row in rows]})
     return folder / "bench.parquet"
-
-
-# ---- runs, and what is stated in files
 
 
 def _open_run(path: Path) -> None:

@@ -137,8 +137,6 @@ class Station:
         signing.secret_key, signing.link_id, signing.sign_outgoing = key, 1, True
         signing.timestamp = int((time.time() - 1420070400) * 1e5)  # 10 us since 2015
 
-    # --- out
-
     def send(self, kind: str, *values: Any) -> bytes:
         """A message; the frame that it became."""
         message = getattr(mav, f"MAVLink_{kind.lower()}_message")(*values)
@@ -161,8 +159,6 @@ class Station:
         self.long(number, *params)
         ack = self.wait("COMMAND_ACK", seconds=seconds, match=lambda m: m.command == number)
         return -1 if ack is None else int(ack.result)
-
-    # --- in
 
     def take(self, *kinds: str) -> list[Any]:
         """Everything of these kinds (of any, without) that has come since, and forget it."""

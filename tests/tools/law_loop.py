@@ -169,8 +169,6 @@ class LawLoop:
                 low, high = (max(low, factor), high) if factor < 1.0 else (low, min(high, factor))
         return low, high
 
-    # ---- in time
-
     @property
     def angle(self) -> Array:
         """Of a unit step of the set-point, rad per rad."""

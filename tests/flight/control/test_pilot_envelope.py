@@ -90,8 +90,6 @@ def test_every_vehicle_with_an_autopilot_is_flown_here() -> None:
     assert able == {aircraft for aircraft, _ in FLOWN}
 
 
-# --- the shaper --------------------------------------------------------------------------------------------------------
-
 LIMITS = AttitudeLimits(1.2, 4.0, 28.0, 0.8, 2.4, 14.0)
 DT = 0.004
 ANGLES = st.floats(-0.7, 0.7)
@@ -204,9 +202,6 @@ def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> Non
             break
     assert height <= 0.0
     assert 0.0 < sink < 3.0 * end
-
-
-# --- flights -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

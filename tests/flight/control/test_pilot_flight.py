@@ -292,9 +292,6 @@ def test_the_quadrotor_flies_as_well() -> None:
         assert flight.ending is None
 
 
-# --- joining the two -----------------------------------------------------------------------------------------------
-
-
 def test_faults_by_request_are_the_scenarios_own() -> None:
     assert make_fault(rq.InjectFault("flame_out", (2, 3), duration_s=4.0)) == FlameOut(
         kind="flame_out", start_s=0.0, duration_s=4.0, jet=[2, 3]

@@ -226,9 +226,6 @@ def test_what_cannot_be_loaded_cannot_be_checked(tmp_path: Path) -> None:
         check_fmu("edf", step=0.005)
 
 
-# --- the measurements, on engines made of a few lines of Python ---------------------------------------------------
-
-
 def engine(law: Callable[[float, int], float], lag: float = 0.9, delay: int = 0) -> Hold:
     """``hold`` of an engine whose thrust follows ``law(throttle, k)`` with a lag and a delay."""
     state = {"y": law(0.0, 0)}

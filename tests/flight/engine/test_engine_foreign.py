@@ -58,8 +58,6 @@ def write_kinds(folder: Path) -> list[Path]:
     return made
 
 
-# ---- descriptions
-
 SWITCH = ("valve", "valve", "input", 'Boolean: start="false"')
 BLEMISHED = {
     "unit": (('unit="N"', 'unit="kgf"'), 'The unit "kgf" of variable "thrust"'),
@@ -123,9 +121,6 @@ def test_a_blemished_engine_is_fit_and_flies_with_a_warning(place: Path, capfd: 
         f'{path}: blemish in its description, of no effect on stepping: The unit "newton" of variable "thrust"' in err
     )
     assert out.startswith("{")
-
-
-# ---- mapping: integers, enumerations, constants, sign, air, starts, rest
 
 
 def load(path: Path, *lines: str) -> EngineSpec:
@@ -345,9 +340,6 @@ def test_a_flight_without_a_model_names_the_one_command(place: Path) -> None:
     path = foreign(place, "nobody-knows", "lag=0.1,delay=0.04")
     with pytest.raises(InputError, match=r"hexjet design --engine .*nobody-knows\.fmu --out hexjet-nobody-knows\.toml"):
         fly(Scenario.load("roll-doublet").replace(engine=str(path), engine_unchecked=True))
-
-
-# ---- every kind
 
 
 def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) -> None:

@@ -59,9 +59,6 @@ def flight(engine: str, jet: int, monitor: dict[str, object]) -> Scenario:
     )
 
 
-# ---- the height that no throttles save
-
-
 @dataclass(frozen=True)
 class Courses:
     """Thrust of an engine from hover: at full throttle, without its fire, and shut off at once from least throttle [N]."""
@@ -151,9 +148,6 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
     assert found.touch_m_s == pytest.approx((2.0 * GRAVITY * (2.0 * sink**2 / 2.0 / GRAVITY - 0.08)) ** 0.5, rel=0.05)
     assert found.sink_m_s == pytest.approx(sink, rel=1e-9)
     assert found.lost_m == pytest.approx(sink**2 / (2.0 * GRAVITY) * 2.0, rel=0.01)
-
-
-# ---- the verdicts
 
 
 def flown(engine: str, jet: int, monitor: dict[str, object]) -> tuple[str, float]:

@@ -106,9 +106,6 @@ def test_no_delay_of_an_engine_is_counted_where_hinges_turn_the_vehicle(aircraft
     assert all(row.samples == 0.0 for row in rows if "engine" in row.owner)
 
 
-# ---- two of their own
-
-
 def scenario_of(aircraft: str) -> Scenario:
     engine = engine_of(aircraft)
     table = {"name": "x", "duration_s": 1.0, "aircraft": aircraft, "engine": engine, "controller": "baseline"}

@@ -50,9 +50,6 @@ def test_every_key_limits_a_metric() -> None:
     assert {*LIMITED.values(), *axes} <= set(metric_names())
 
 
-# ---- what the commands explain
-
-
 def test_a_lean_explains_the_motion_of_a_uniform_acceleration() -> None:
     roll, seconds = radians(10.0), 3.0
     way, speed = lean_motion(constant(roll, seconds), constant(0.0, seconds), constant(1.2, seconds), STILL, STEP)
@@ -101,9 +98,6 @@ def test_the_height_law_leaves_a_steps_size_and_a_ramps_rate_over_its_gain() -> 
 def test_the_speed_of_a_track() -> None:
     assert track_speed(np.array([nan, 0.0, 0.03, 0.03]), np.array([nan, 0.0, 0.04, 0.04]), STEP) == pytest.approx(12.5)
     assert track_speed(np.array([nan]), np.array([nan]), STEP) == 0.0
-
-
-# ---- verdicts
 
 
 def test_beyond_is_above_and_is_told_with_both_figures() -> None:
@@ -233,9 +227,6 @@ def test_a_failed_flight_is_not_completed_whatever_else() -> None:
     assert summary.outcome == "diverged"
     assert summary.verdict == "not completed"
     assert not summary.as_planned
-
-
-# ---- where it shows
 
 
 def test_the_command_says_so_and_ends_with_1(hexjet: Hexjet, tmp_path: Path) -> None:

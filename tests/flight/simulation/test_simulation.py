@@ -27,9 +27,6 @@ def scenario(**changes: object) -> Scenario:
     return Scenario.from_table(base | changes, Scenario.load("hover").folder, "test")
 
 
-# --- delay ---------------------------------------------------------------------------------------------------------
-
-
 def measured_delay(flown: Scenario) -> tuple[float, float]:
     """Delay from roll command to measured roll rate in control steps, as measured and as the ledger states it.
 
@@ -112,9 +109,6 @@ def test_a_single_run_a_step_is_half_a_step_late() -> None:
         assert {row.samples for row in simulation.ledger if row.owner == "JSBSim"} == {0.5}
 
 
-# --- the paper's roll response ------------------------------------------------------------------------------------
-
-
 def paper_response(hertz: np.ndarray) -> np.ndarray:
     z = np.exp(2j * np.pi * hertz * STEP)
     return np.asarray(0.0689 * (z + 1.4538) / ((z - 0.9999) * (z - 0.9024)) * z**-25)
@@ -150,9 +144,6 @@ def test_swept_roll_response_is_the_papers(substeps: int) -> None:
     ratio = (kernel @ rate) / (kernel @ command) / paper_response(hertz)
     assert np.abs(20 * np.log10(np.abs(ratio))).max() < 1.0
     assert np.abs(np.degrees(np.angle(ratio))).max() < 6.0
-
-
-# --- Smith ---------------------------------------------------------------------------------------------------------
 
 
 def columns(run: Run) -> dict[str, np.ndarray]:
@@ -209,9 +200,6 @@ def test_without_a_predictor_the_oscillation_dies_out_only_at_a_lower_gain(p: fl
         assert swing < 0.002
     else:
         assert swing > 0.1
-
-
-# --- wiring between the blocks --------------------------------------------------------------------------------------
 
 
 def test_the_controllers_see_the_sensors_and_the_refusals() -> None:
@@ -271,9 +259,6 @@ def test_a_crash_is_the_last_row_of_its_log() -> None:
     assert run.summary.touchdown_m_s == pytest.approx(float(run.reason.split(" m/s")[0].split()[-1]), abs=0.06)
     # the height was held until the collective was commanded
     assert run.log["altitude_m"][:100].min() > 1.95
-
-
-# --- runs ----------------------------------------------------------------------------------------------------------
 
 
 def test_one_seed_one_log_bit_for_bit() -> None:
@@ -361,9 +346,6 @@ def test_crash_and_divergence_are_outcomes() -> None:
     assert tumbled.outcome == "diverged"
     assert "leaned past 80 deg" in tumbled.reason
     assert len(tumbled.log) < 1000
-
-
-# --- wiring --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -37,9 +37,6 @@ def scenario(**changes: Any) -> Scenario:
     return Scenario.from_table(base | changes, Scenario.load("hover").folder, "test")
 
 
-# --- shares to throttles -------------------------------------------------------------------------------------------
-
-
 def test_one_straight_curve_is_left_alone() -> None:
     """The share is the throttle to the last bit: the very same tuple."""
     thrust_map = ThrustMap(LINE, [LINE] * 6)
@@ -160,9 +157,6 @@ def test_a_bent_curve_keeps_the_gain_of_the_tilts() -> None:
     assert above == pytest.approx([tilt / 1.7 for tilt in at_hover], rel=1e-12)
 
 
-# --- stations ------------------------------------------------------------------------------------------------------
-
-
 def test_a_station_has_its_own_engine_and_the_same_thrust() -> None:
     """One turbojet of less thrust and one EDF with a larger delay among EDFs as flown."""
     rows = Rows()
@@ -259,9 +253,6 @@ def test_what_cannot_stand_there_is_refused_in_one_line(changes: dict[str, Any],
     assert "\n" not in str(caught.value)
 
 
-# --- the run's folder ----------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
     """A mapping file and the archive it names, in another folder, and a second archive of the same name elsewhere."""
@@ -331,9 +322,6 @@ def test_the_page_names_the_odd_engine_and_draws_its_own_curve(tmp_path: Path) -
     names = {signal["label"] for panel in engines["panels"] for signal in panel["signals"]}
     assert "jet 1" in names
     assert "jet 3" not in names  # it says nothing but its thrust
-
-
-# --- the command line ----------------------------------------------------------------------------------------------
 
 
 def test_engines_on_the_command_line() -> None:

@@ -69,9 +69,6 @@ def flown() -> dict[str, dict[str, Array]]:
     return {number: fly_case(case) for number, case in CASES.items()}
 
 
-# --- NASA's check cases
-
-
 @needs_data
 @pytest.mark.parametrize("number", CASES)
 def test_every_quantity_is_inside_the_spread(number: str, flown: dict[str, dict[str, Array]]) -> None:
@@ -107,9 +104,6 @@ def test_a_wrong_body_is_found_outside() -> None:
     wrong = replace(CASES["06"], drag_area_ft2=1.01 * CASES["06"].drag_area_ft2)
     rows = {row.quantity: row.inside for row in compare("06", fly_case(wrong), read_simulators(DATA, "06"))}
     assert not rows["altitudeMsl_ft"]
-
-
-# --- the independent integration
 
 
 def test_the_other_integration_knows_the_earth() -> None:

@@ -41,9 +41,6 @@ QUIET = Scenario.load("hover").replace(sensor_noise=False, expect=[])
 SHORT: dict[str, Any] = {"period_s": 5.0, "periods": 3}  # the band begins at 0.4 Hz
 
 
-# ---- exact
-
-
 def test_a_bode_plot_has_two_decades_about_the_crossover_and_marks_the_margins() -> None:
     hertz = np.geomspace(1e-3, 1e3, 20_000)
     s = 2j * pi * hertz
@@ -224,9 +221,6 @@ def test_what_is_added_is_read_as_itself_and_other_axes_are_left_alone(aircraft:
         assert sum(sent.throttle) == pytest.approx(sum(given.throttle), abs=1e-7 if vehicle.hinges else 1e-12)
 
 
-# ---- as computed
-
-
 @pytest.mark.parametrize("design", ["shipped", "turbojet", pytest.param("edf", marks=pytest.mark.long)])
 def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
     scenario = QUIET
@@ -324,9 +318,6 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
         assert abs(apart(flown[name].value, getattr(whole, name))) < 0.02, name
 
 
-# ---- any controller
-
-
 class Late:
     """A rate loop, P on all axes, that answers ``late`` steps after it should: nobody is told."""
 
@@ -395,9 +386,6 @@ def test_fuel_does_not_burn_meanwhile_and_commands_are_left_out() -> None:
     record = fly_excitation(held.replace(sensor_noise=False), "roll", multisine(2.0, held.step_s, 1.0, 25.0), 0.005, 1)
     drift = record.behind[0].mean() - record.before[0].mean()
     assert abs(drift) < 1e-12
-
-
-# ---- the command
 
 
 def test_the_command_says_and_writes_it(hexjet: Hexjet, tmp_path: Path) -> None:

@@ -392,8 +392,6 @@ def test_an_output_that_does_not_move_is_refused(tmp_path: Path) -> None:
         identify_bench(read_records([path]))
 
 
-# ---- an engine's own parameters
-
 TURBINE = {"acceleration": 0.2, "deceleration": 0.4, "speed_gain": 0.025}
 
 
@@ -444,9 +442,6 @@ def test_what_cannot_be_fitted_is_told_in_a_line(
     done = hexjet("engine", "from-bench", "turbine.csv", *arguments, "--out", "mine")
     assert done.status == status
     assert words in " ".join((done.out + done.err).split())
-
-
-# ---- a real one
 
 
 @pytest.mark.long

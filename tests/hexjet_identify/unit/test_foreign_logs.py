@@ -39,9 +39,6 @@ def read(path: Path, content: bytes) -> FlightLog:
     return read_flight_log(path)
 
 
-# ---- DataFlash: what tells instances apart
-
-
 def dataflash(kind: int, name: str, columns: str, labels: str, rows: list[tuple[float, ...]], units: str = "") -> bytes:
     """One kind of message, described, with what FMTU says of its units where ``units`` are given."""
 
@@ -93,9 +90,6 @@ def test_a_dataflash_log_that_is_cut_says_so(tmp_path: Path) -> None:
     log = read(tmp_path / "x.bin", whole[:-5])
     assert log.remarks == ("the log was cut short, or the power went: it ends 11 bytes into a message",)
     assert len(log.channels["CTUN.PD"].values) == 49
-
-
-# ---- names, and sums of rows that are not all there
 
 
 def test_a_name_with_blanks_and_brackets_is_a_channel(tmp_path: Path) -> None:
@@ -164,9 +158,6 @@ def test_the_channels_as_json_are_one_object(tmp_path: Path, hexjet: Hexjet, flo
     assert len(listed) == 2 + len(held["channels"])
 
 
-# ---- known by what is in it
-
-
 @pytest.mark.parametrize(
     "before", [b"\xef\xbb\xbf", b"\xff" * 4096, b"HTTP/1.1 200 OK\r\nContent-Type: x\r\n\r\n", bytes(60_000)]
 )
@@ -197,9 +188,6 @@ def _blackbox() -> bytes:
     count = np.arange(100)
     table = {"loopIteration": count, "time": 10**6 + 500 * count, "gyroADC[0]": count}
     return Writer().head() + b"".join(Writer().frames(table)) + END
-
-
-# ---- cut, damaged, endless
 
 
 @pytest.mark.parametrize("share", [0.7, 0.9])

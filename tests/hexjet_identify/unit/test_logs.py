@@ -25,9 +25,6 @@ WAVE = np.sin(TIMES)
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
 
 
-# ---- writers, each by the format's own description
-
-
 def dataflash(rate: float = 100.0, rows: int = 50) -> bytes:
     """An ArduPilot log with RATE and two instances of ESC."""
 
@@ -85,9 +82,6 @@ def doublet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = recording.finish("completed", "").folder
     assert folder is not None
     return folder
-
-
-# ---- what is read
 
 
 def test_dataflash_is_read_as_the_autopilots_own_reader_does(tmp_path: Path) -> None:
@@ -244,9 +238,6 @@ def test_channels_of_two_clocks_are_not_added() -> None:
     log = FlightLog(Path("x"), "table", {"a": Channel(TIMES, WAVE), "b": Channel(TIMES + 1e-3, WAVE)})
     with pytest.raises(InputError, match="do not have the same times"):
         log.signal("a + b")
-
-
-# ---- what is refused, or said
 
 
 @pytest.mark.parametrize("name", ["flight.bin", "log00"])

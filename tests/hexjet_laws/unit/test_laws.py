@@ -86,9 +86,6 @@ def law(name: str) -> Any:
     return block
 
 
-# ---- the loop in which all are measured
-
-
 @pytest.mark.parametrize("name", ["smith", "state-disturbance"])
 def test_a_loop_of_the_built_in_law_is_that_of_its_responses(name: str) -> None:
     vehicle, engine, _, channel = place()
@@ -147,9 +144,6 @@ def test_every_law_has_the_stated_peak_sensitivity(name: str) -> None:
     assert LawLoop(channel, block, attitude, 20.0).peak_sensitivity == pytest.approx(1.7, rel=0.01)
 
 
-# ---- in flight
-
-
 @pytest.mark.parametrize("name", LAWS)
 def test_every_law_flies_a_doublet(name: str) -> None:
     """And those twice, to the same bits, whose answers come out of solvers."""
@@ -189,9 +183,6 @@ def test_other_axes_keep_the_vehicles_pid() -> None:
         setpoint, measured = (0.1, 0.2 * sin(k), -0.1), (0.0, 0.1 * cos(k), 0.02 * k)
         asked = mine.update(setpoint, measured, asked)
         assert asked[1:] == BuiltIn(rate).update(setpoint, measured, asked)[1:]
-
-
-# ---- the algebra of each
 
 
 def integrator(gain: float, samples: int, push: float, steps: int, block: Any) -> tuple[list[float], list[float]]:

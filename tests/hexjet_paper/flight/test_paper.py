@@ -68,9 +68,6 @@ def claims(evidence: Evidence) -> dict[str, ClaimRow]:
     return {row.key: row for row in claim_rows(evidence)}
 
 
-# --- numbers --------------------------------------------------------------------------------------------------------
-
-
 def test_the_printed_models_imply_what_the_paper_says_of_them() -> None:
     model = numbers.quadrotor_model()
     # poles at -5.96 and -45.8 rad/s, gain at rest 115, a zero outside the circle
@@ -96,9 +93,6 @@ def test_the_printed_matrices_have_the_poles_and_1_3660_of_the_gain() -> None:
 def test_every_result_of_the_paper_has_its_place() -> None:
     assert all(row.place and row.meaning and row.unit for row in numbers.PRINTED.values())
     assert numbers.value("disturbance-5.smith.max") == 4.7416
-
-
-# --- the loop -------------------------------------------------------------------------------------------------------
 
 
 def test_a_doublet_is_exact_for_lengths_between_steps() -> None:
@@ -144,9 +138,6 @@ def test_noise_is_the_same_on_every_run_and_another_with_another_seed() -> None:
     first, again, other = (simulate(replace(loop, seed=seed), 200).rate for seed in (1, 1, 2))
     assert first == again
     assert first != other
-
-
-# --- margins, poles, sweep ------------------------------------------------------------------------------------------
 
 
 def discrete(axis: Axis) -> control.TransferFunction:
@@ -244,9 +235,6 @@ def test_peak_sensitivity_by_hand() -> None:
     assert LoopMap(loop).peak_sensitivity(1.0, 5) == pytest.approx(np.max(np.abs(1.0 / (1.0 + response))), rel=1e-4)
 
 
-# --- metrics --------------------------------------------------------------------------------------------------------
-
-
 def test_metrics_of_a_known_record() -> None:
     """A first-order answer: its time constant, its error over the record, its settling time."""
     experiment, tau, step = Experiment("step", "baseline", 5), 0.08, 0.0025
@@ -281,9 +269,6 @@ def test_swings_tell_growth_from_decay() -> None:
     assert not swings(wave * np.exp(-0.2 * time), 0.0025, 1.2)
     assert not swings(0.01 * wave, 0.0025, 1.2)  # noise
     assert swings(np.full(2400, np.nan), 0.0025, 1.2)
-
-
-# --- calibration ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=[stage.name for stage in STAGES])
@@ -332,8 +317,6 @@ def test_hexjet_ratios_are_percentages_saved() -> None:
     assert hexjet_ratios(40.0, 20.0, 4.0, 1.0) == {"hexjet.less_overshoot": 50.0, "hexjet.faster_settling": 75.0}
     assert hexjet_ratios(40.0, 20.0, None, 1.0)["hexjet.faster_settling"] == 0.0
 
-
-# --- claims and comparison ------------------------------------------------------------------------------------------
 
 REQUIRED = [
     "baseline-10", "predictors-10", "smith-25", "disturbance-baseline-10", "payload-5", "payload-10-smith",
@@ -493,9 +476,6 @@ def test_the_table_is_the_same_on_every_run(evidence: Evidence, results: dict[st
     row = next(r for r in table if r["key"] == "step-25.smith.rmse")
     assert float(row["paper"]) == 0.0787
     assert float(row["linear"]) == pytest.approx(results["step-25.smith"].metrics.rmse, rel=1e-5)
-
-
-# --- past the paper -------------------------------------------------------------------------------------------------
 
 
 def test_smiths_offset_is_the_closed_form_and_the_filtered_one_s_is_none() -> None:

@@ -31,9 +31,6 @@ def results() -> list[ReadingResult]:
     return [readings.fly_reading(key) for key in READINGS]
 
 
-# --- what each reading says of the vehicle ----------------------------------------------------------------------------
-
-
 def test_a_corrected_model_is_the_printed_one_times_both_engines() -> None:
     """G(z) G_turbo(z) / G_EDF(z) point by point, with the fans' gain; up to a factor with the turbojet's."""
     z = np.exp(2j * np.pi * np.geomspace(0.05, 50.0, 40) * STEP)
@@ -61,9 +58,6 @@ def test_inertia_follows_from_thrust_and_gain() -> None:
             assert changed["aero"]["damping_n_m_s"][0] / reading.inertia == pytest.approx(pole)
 
 
-# --- gains ------------------------------------------------------------------------------------------------------------
-
-
 def test_raised_gains_are_as_far_past_the_limit_as_the_shipped_ones() -> None:
     """8 % past the largest gains with which the linear baseline is stable; Smith's limit lies beyond."""
     shipped, fitted = pairs("delay")["shipped"], pairs("delay")["fitted"]
@@ -81,9 +75,6 @@ def test_the_readings_of_the_gain_are_one_loop() -> None:
     a, b = (pairs(key)["fitted"] for key in ("corrected", "corrected-fans"))
     assert a.p == pytest.approx(FANS.gain * b.p)
     assert a.attitude_gain_1_s == b.attitude_gain_1_s
-
-
-# --- flights ----------------------------------------------------------------------------------------------------------
 
 
 def test_the_reading_that_ships_flies_as_the_experiments_do() -> None:
@@ -125,9 +116,6 @@ def test_smith_holds_with_models_that_are_off() -> None:
     assert "8 of 8 flights settle" in model_errors_in_words(errors)
     lost = errors[0].model_copy(update={"stable": False})
     assert "7 of 8 flights settle" in model_errors_in_words([lost, *errors[1:]])
-
-
-# --- whose claims -----------------------------------------------------------------------------------------------------
 
 
 def test_questions_of_ours_are_no_claims_of_the_paper() -> None:

@@ -61,9 +61,6 @@ def quiet(part: str, done: int, of: int) -> None:
     """Progress that nobody watches."""
 
 
-# --- parts that are kept ----------------------------------------------------------------------------------------------
-
-
 def leave_mark(folder: str, name: str) -> str:
     """A cheap part: it leaves a line each time it is run."""
     with open(Path(folder) / name, "a") as file:
@@ -208,9 +205,6 @@ def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, h
     again = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert again.stdout == "result of late\n"
     assert [times_run(tmp_path, name) for name in ("a", "b", "c", "late")] == [1, 1, 1, 1]
-
-
-# --- the result -------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -411,8 +405,6 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_the_work(
     assert message.count("\n") == 1
     assert f"--out {tmp_path / 'file'}: is a file; hexjet paper writes a folder" in message
 
-
-# --- in flight --------------------------------------------------------------------------------------------------------
 
 HELD = (
     "baseline-10", "smith-25", "disturbance-baseline-10", "payload-10-smith", "payload-smith-growth", "hexjet-smith",

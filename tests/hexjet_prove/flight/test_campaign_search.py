@@ -82,9 +82,6 @@ def by_side(result: SearchResult) -> dict[str, Edge]:
     return {edge.side: edge for edge in result.edges}
 
 
-# ---- one key
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.01, 9.9), st.floats(1e-3, 1.0))
 def test_the_edge_is_between_two_values_as_near_as_asked(edge: float, tolerance: float) -> None:
@@ -221,9 +218,6 @@ def test_a_walk_asks_for_nothing_twice() -> None:
     assert 1.0 not in asked or asked.index(1.0) < 4  # nothing beyond the chunk with the first change
 
 
-# ---- several keys
-
-
 def test_several_keys_are_searched_each_alone_and_the_answer_names_what_searches_them_together() -> None:
     rule = Rule(lambda values, controller, seed: values[X] >= 5.0 or values[X] + values[Y] >= 6.0)
     result = found(rule, [f"{X}=0:10", f"{Y}=0:4"])
@@ -258,9 +252,6 @@ def test_the_same_search_goes_the_same_way() -> None:
         return sorted(tuple(sorted(flight.values.items())) for flight in rule.flown)
 
     assert once() == once()
-
-
-# ---- against the linear theory
 
 
 def first_unstable(controller: str) -> int:
@@ -308,9 +299,6 @@ def test_the_delay_margin_of_the_linear_roll_channel_to_the_sample() -> None:
         name: first_unstable(name) for name in controllers
     }
     assert all(edge.holds == edge.breaks - 1 for edge in result.edges)  # type: ignore[operator]
-
-
-# ---- files and the command line
 
 
 class Here(Rule):

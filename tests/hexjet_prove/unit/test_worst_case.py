@@ -72,9 +72,6 @@ def hidden(values: Values, seed: int = 0) -> float:
     return 0.8 - 0.2 * float(np.mean(place)) + 1.6 * float(np.prod(place)) ** 1.5
 
 
-# ---- a failure that is planted
-
-
 @pytest.mark.parametrize("planted", [corner, hidden])
 @pytest.mark.parametrize("asked", [{"within": "5"}, {"within": "ranges"}, {"likely": True}])
 def test_a_search_finds_the_planted_failure_in_2000_flights(
@@ -88,9 +85,6 @@ def test_a_search_finds_the_planted_failure_in_2000_flights(
     assert all(effect.alone > 0.0 for effect in case.effects)  # each key alone keeps
     shares = [effect.share for effect in case.effects]
     assert sum(shares) == pytest.approx(1.0)
-
-
-# ---- what is said of it
 
 
 def test_the_most_likely_failure_its_distance_and_the_keys_that_matter() -> None:
@@ -176,9 +170,6 @@ def test_a_vehicle_that_no_body_is_does_not_fail() -> None:
     assert not case.fails
     assert case.impossible > 0
     assert any("no body has one moment above the sum of the others" in note for note in result.notes)
-
-
-# ---- the same search
 
 
 def test_a_search_that_is_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:

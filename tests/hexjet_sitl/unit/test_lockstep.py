@@ -77,9 +77,6 @@ def px4_pair(folder: Path, **faults: Any) -> Iterator[tuple[Px4, Px4StandIn]]:
         theirs.thread.join(PATIENCE)
 
 
-# --- ArduPilot ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("steps", [2000, pytest.param(100_000, marks=pytest.mark.long)])
 def test_ardupilot_loses_and_doubles_nothing(steps: int, tmp_path: Path) -> None:
     """With answers that are lost, packets that come twice and late: its clock goes through every step once, in order."""
@@ -170,9 +167,6 @@ def test_a_wrong_protocol_on_the_port_is_named(tmp_path: Path) -> None:
             ours.start()
         talking.join()
     ours.close()
-
-
-# --- PX4 ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("steps", [1000, pytest.param(100_000, marks=pytest.mark.long)])
@@ -311,9 +305,6 @@ def test_a_command_names_a_port_that_is_in_use(name: str, hexjet: Hexjet, tmp_pa
     assert "waiting for one at" in waiting
     assert said.startswith(f"hexjet: {name}: port {port + apart * instance} is in use")
     assert not (out / "scenario.toml").exists()
-
-
-# --- messages and field ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", hil.FORMATS.values(), ids=lambda kind: mav.mavlink_map[kind.number].msgname)

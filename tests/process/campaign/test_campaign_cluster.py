@@ -253,9 +253,6 @@ def test_the_scheduler_is_lost(processes: Processes, tmp_path: Path) -> None:
             assert {row["outcome"] for row in workers.fly(store.study, left)} == {"completed"}
 
 
-# ---- what is no cluster
-
-
 @pytest.fixture
 def silent() -> Iterator[str]:
     """A server that is none of Dask's: it takes connections and says nothing."""
@@ -312,9 +309,6 @@ def test_dask_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_workers_are_counted_where_they_are_made() -> None:
     with pytest.raises(InputError, match="workers 3: a cluster has the workers that it has"):
         DaskWorkers("tcp://127.0.0.1:1", 3)
-
-
-# ---- how tasks are handed out, with a cluster that does what it is told
 
 
 class Told:

@@ -68,9 +68,6 @@ def test_to_resume_what_was_never_begun_begins_it(tmp_path: Path) -> None:
     assert len(run_campaign(tools.study(1), tmp_path / "c", 1, resume=True)) == 2
 
 
-# ---- again
-
-
 def test_a_flight_flies_again_from_its_folder_alone(moved: Path, hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("fly", str(moved), "--flight", "3", "--out", "again")
     assert done.status == 0
@@ -190,9 +187,6 @@ def controller_file() -> dict[str, object]:
             "axes": {"roll": axis},
         },
     }
-
-
-# ---- the command line
 
 
 def test_a_sweep_leaves_a_data_set_and_a_page(hexjet: Hexjet, tmp_path: Path) -> None:

@@ -355,9 +355,6 @@ def children() -> list[psutil.Process]:
     return found
 
 
-# ---- work that is no flight
-
-
 def slow_square(value: float) -> float:
     time.sleep(0.2 if value == 0.0 else 0.0)
     return value * value

@@ -156,9 +156,6 @@ def test_a_process_that_an_engine_changes_is_not_this_one(kit: Kit, sound: Path)
         end_idle()
 
 
-# ---- a sound one, and what is remembered of it
-
-
 @pytest.fixture
 def sound(kit: Kit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The same library without a fault; nothing is remembered of it."""
@@ -264,9 +261,6 @@ def test_an_engine_may_tremble_at_rest(kit: Kit, sound: Path) -> None:
     assert (spec.ripple, spec.settling_window) == (1e-6, 250)
     with EngineBank(spec, 2, STEP) as bank:
         assert bank.reset(0.5).thrust == pytest.approx((10.0,) * 2, abs=1e-4)
-
-
-# ---- limits
 
 
 def test_a_slow_one_is_not_waited_for(kit: Kit, sound: Path) -> None:

@@ -229,8 +229,6 @@ def test_a_wrong_engine_toml_gets_one_line(engines: Path, change: Callable[[str]
     assert "\n" not in text
 
 
-# --- another kind of engine: nonlinear, with more ports, in a folder of its own --------------------------------------
-
 SPOOL_TOML = """
 title = "Spool"
 description = "A spool with inertia, exhaust temperature, fuel flow and an ambient pressure"

@@ -159,8 +159,6 @@ def test_it_starts_in_equilibrium(name: str, throttle: float, tmp_path: Path) ->
     np.testing.assert_allclose(thrust, start, rtol=1e-9, atol=1e-12)
 
 
-# --- in memory: without Python, under valgrind and the sanitizers ---------------------------------------------------
-
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 DRIVER = TOOLS / "fmu_driver.c"
 

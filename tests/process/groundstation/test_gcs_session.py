@@ -36,8 +36,6 @@ from cosim.results.run import REQUESTS, Run, open_run
 from cosim.simulation.pacing import MAX_CATCH_UP_S, Pace
 from cosim.spec.scenario import Scenario
 
-# --- pacing -----------------------------------------------------------------------------------------------------
-
 
 class Clock:
     """Time that passes when it is told to."""
@@ -119,9 +117,6 @@ def test_a_step_keeps_time_on_a_real_clock() -> None:
     for k in range(1, 101):
         pace.wait(k)
         assert time.perf_counter() - begin >= k * 0.002 - 1e-9
-
-
-# --- the meeting place ----------------------------------------------------------------------------------------------
 
 
 def test_senders_of_requests_take_turns() -> None:
@@ -218,9 +213,6 @@ def test_messages_are_numbered_and_only_the_last_are_kept() -> None:
         exchange.say(Severity.INFO, str(i))
     assert [message.number for message in exchange.messages] == list(range(151, 251))
     assert exchange.messages[-1].text == "249"
-
-
-# --- sessions ----------------------------------------------------------------------------------------------------
 
 
 def differing(one: Log, other: Log) -> list[str]:
@@ -454,9 +446,6 @@ def test_a_scripted_flight_can_be_watched_but_not_changed(tmp_path: Path) -> Non
     assert abs(last.sample.k - 999) < 250
 
 
-# --- the file of requests ---------------------------------------------------------------------------------------
-
-
 def test_requests_come_back_as_they_were(tmp_path: Path) -> None:
     log = RequestLog(tmp_path / REQUESTS)
     asked = [rq.Arm(), rq.Goto(1 / 3, -2e-17, None, 3.0), rq.Sticks(0.1, -1.0, 0.0, 0.7)]
@@ -503,8 +492,6 @@ def test_a_place_is_two_numbers(text: str) -> None:
     with pytest.raises(InputError, match="must be LAT,LON"):
         parse_place(text)
 
-
-# --- the command -------------------------------------------------------------------------------------------------
 
 HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
 LINK = ("--mavlink", "udpin:127.0.0.1:0", "--params", "none")

@@ -49,9 +49,6 @@ def stations() -> Iterator[list[Udp]]:
         station.close()
 
 
-# --- addresses -------------------------------------------------------------------------------------------------
-
-
 def test_urls_are_split_into_kind_host_and_port() -> None:
     assert parse_endpoint("udpout:127.0.0.1:14550")[:3] == ("udpout", "127.0.0.1", 14550)
     assert parse_endpoint("udpin://127.0.0.1:14560")[:3] == ("udpin", "127.0.0.1", 14560)
@@ -108,9 +105,6 @@ def test_a_port_that_is_taken_is_one_line() -> None:
             port = taken.getsockname()[1]
             with pytest.raises(InputError, match=f"link {kind}:127.0.0.1:{port}: "):
                 Link([parse_endpoint(f"{kind}:127.0.0.1:{port}")])
-
-
-# --- UDP and TCP -----------------------------------------------------------------------------------------------
 
 
 def test_udp_out_finds_a_station_that_only_listens(flights: list[Flight], stations: list[Udp]) -> None:
@@ -322,9 +316,6 @@ def test_tcp_client_tries_again(flights: list[Flight]) -> None:
             other.robust_parsing = True
             assert other.parse_buffer(connection.recv(4096))
             connection.close()
-
-
-# --- signing and the log ---------------------------------------------------------------------------------------
 
 
 def test_with_a_key_only_who_has_it_is_heard(flights: list[Flight], stations: list[Udp]) -> None:

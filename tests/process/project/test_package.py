@@ -290,8 +290,6 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
     assert list(tmp_path.glob("runs/gcs-mine-*"))
 
 
-# ---- what is installed with it
-
 # asked for where the rest can do without: at the build, on a cluster, by one law
 OPTIONAL = {
     "clarabel", "cmake", "cmaes", "distributed", "gymnasium", "nptdms", "osqp", "pandas", "plotly", "pyulog",

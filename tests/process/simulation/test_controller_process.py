@@ -144,8 +144,6 @@ def test_a_program_with_a_file_of_toml_as_its_argument_is_no_design(tmp_path: Pa
     assert same(reference, fly(ROLL.replace(controller=f"process:{script} gains.toml")))
 
 
-# ---- hinges and surfaces
-
 QUADJET = Scenario.load("quadjet-hover").replace(duration_s=0.4, command=[DOUBLET], expect=[])
 OUTSIDE = """
 import json, struct, sys
@@ -314,8 +312,6 @@ def test_what_is_no_controller_is_one_line(tmp_path: Path, text: str, message: s
     with pytest.raises(InputError, match="no such file"):
         fly(ROLL.replace(controller="process:nowhere.py"))
 
-
-# ---- FMUs
 
 ROWS = [
     *[(name, 1 + n, "input", 'start="0"') for n, name in enumerate(wire.input_names("rate", 6)[:6])],

@@ -144,9 +144,6 @@ def test_nothing_piles_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert after - before < 60 * 30_000
 
 
-# ---- files that change are read again, also where their size and date stay what they were
-
-
 def replaced(path: Path, old: str, new: str) -> None:
     """Change a file without a trace in its directory entry."""
     assert len(old) == len(new)
@@ -255,9 +252,6 @@ def test_the_model_is_made_of_what_it_is_remembered_by() -> None:
         return names
 
     assert fields("_make_template", "_list_numbers") == fields("_template_key") <= set(Vehicle.model_fields)
-
-
-# ---- engines that are not of the library
 
 
 def test_a_foreign_engine_is_checked_once_and_then_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -393,9 +387,6 @@ def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path: Path) -> 
         process.communicate("")
         assert process.returncode == 0
     assert list(tmp_path.iterdir()) == []
-
-
-# ---- the memory itself
 
 
 def test_a_memory_keeps_what_was_asked_for_last() -> None:

@@ -43,9 +43,6 @@ def bits(run: Any) -> dict[str, bytes]:
     return {name: run.log[name].tobytes() for name in run.log.columns}
 
 
-# ---- wind
-
-
 def test_a_wind_that_is_the_same_everywhere_is_the_environments_to_the_last_bit(tmp_path: Path) -> None:
     (tmp_path / "steady.csv").write_text("time_s,north_m_s,east_m_s,down_m_s\n0,2,-3,0.5\n", encoding="utf-8")
     (tmp_path / "field.py").write_text(
@@ -124,9 +121,6 @@ def test_a_table_that_does_not_do_is_one_line(tmp_path: Path, text: str, message
         build(SHORT.replace(wind=str(tmp_path / "w.csv")))
 
 
-# ---- sensors and observers
-
-
 def test_sensors_change_what_is_measured_and_no_other_noise(mine: str) -> None:
     run, plain = (fly(SHORT.replace(controller="baseline", sensors=name)) for name in (f"{mine}:Drifting", None))
     drift = run.log["barometer_drift_m"]
@@ -140,9 +134,6 @@ def test_an_observer_sees_every_step_and_changes_none(mine: str, capsys: pytest.
     run = fly(SHORT.replace(observers=[f"{mine}:Highest"]))
     assert bits(run) == bits(fly(SHORT))
     assert capsys.readouterr().out == f"highest at {run.log['altitude_m'].max():.2f} m\n"
-
-
-# ---- metrics
 
 
 def test_a_metric_is_in_summary_expectations_and_comparison(mine: str) -> None:
@@ -183,9 +174,6 @@ def test_a_metric_that_fails_says_so_and_the_flight_stands(tmp_path: Path) -> No
     first, second = run.summary.own_metrics_failed
     assert first.startswith("metric bad.py:raises: ")
     assert second == "metric bad.py:two: gave two, three: must be two"
-
-
-# ---- what is written down, and what is refused
 
 
 def test_a_run_has_the_files_and_flies_them_again_or_says_what_is_another(mine: str, tmp_path: Path) -> None:

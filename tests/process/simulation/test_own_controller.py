@@ -57,9 +57,6 @@ def mine(tmp_path: Path) -> str:
     return of_page("predictor", tmp_path / "mine.py") + ":Mine"
 
 
-# ---- it flies
-
-
 def test_a_class_of_thirty_lines_that_repeats_the_cascade_leaves_its_log(tmp_path: Path) -> None:
     name = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
     # but for the class of the records, everything: a gust and a payload too
@@ -173,9 +170,6 @@ def test_a_quadrotor_has_no_tilts() -> None:
         aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=0.1, expect=[]
     )
     assert fly(base, controller=Hover).outcome == "completed"
-
-
-# ---- it goes wrong
 
 
 class Wrong:
@@ -298,9 +292,6 @@ def test_wrong_parameters_are_refused(mine: str, parameters: dict[str, float], m
 def test_what_only_a_cascade_has_is_refused_of_a_whole_controller(changes: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=r"rate loop's output, which controller .*Wrong does not have"):
         fly(SHORT.replace(**changes), controller=Wrong)
-
-
-# ---- the run says what flew
 
 
 def test_a_run_has_the_file_and_flies_it_again_or_says_what_is_another(mine: str, tmp_path: Path) -> None:
@@ -484,9 +475,6 @@ def test_its_parameters_are_keys(mine: str) -> None:
         open_study(
             "hover", vary=["vehicle.mass_kg=5,6"], controllers=[mine], settings=["controller_parameters.shear=1"]
         )
-
-
-# ---- from the command line, and of an installed package
 
 
 @pytest.fixture

@@ -87,9 +87,6 @@ def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
     assert link.is_symlink()
 
 
-# ---- files of somebody else
-
-
 def _readers() -> dict[str, Callable[[Path], object]]:
     """What reads a file that a scenario, a command line or a folder names."""
     from cosim.base.plugins.execute import execute_file

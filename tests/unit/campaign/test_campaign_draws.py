@@ -47,9 +47,6 @@ def normal(z: float) -> float:
     return 0.5 * (1.0 + erf(z / sqrt(2.0)))
 
 
-# -- designs --
-
-
 def test_a_grid_is_every_combination_the_last_key_fastest() -> None:
     made = study([f"{MASS}=5:6:3", "substeps=1:4:4", "engine=edf,edf-as-flown"], repeats=2)
     points = [(d.values[MASS], d.values["substeps"], d.values["engine"]) for d in Draws(made)]
@@ -143,9 +140,6 @@ def test_another_seed_is_another_study() -> None:
         assert not set(column(first, MASS)) & set(column(second, MASS))
 
 
-# -- seeds --
-
-
 def test_a_flights_seed_depends_on_the_study_seed_and_the_number_alone() -> None:
     studies = [
         study([f"{MASS}=5:6"], runs=20, seed=4),
@@ -165,8 +159,6 @@ def test_the_first_draws_are_those_of_ever() -> None:
     made = study([f"{MASS}=5:6", f"{DELAY}=11:30"], design="random", runs=1600, seed=6)
     assert [(draw.seed, *draw.values.values()) for draw in (Draws(made)[0], Draws(made)[1500])] == STORED
 
-
-# -- distributions: the closed form of the cumulative distribution gives back the share --
 
 SHARES = (np.arange(400) + 0.5) / 400.0
 
@@ -240,9 +232,6 @@ def test_times_are_drawn_in_whole_control_steps() -> None:
     assert Counter(values) == {0.1: 10, 0.104: 10, 0.108: 10}
 
 
-# -- correlation --
-
-
 @pytest.mark.parametrize(("design", "bound"), [("latin-hypercube", 0.01), ("sobol", 0.01), ("random", 0.045)])
 @pytest.mark.parametrize("rank", [-0.9, -0.3, 0.6])
 def test_the_rank_correlation_is_the_one_asked_for(design: str, bound: float, rank: float) -> None:
@@ -281,8 +270,6 @@ def test_a_few_runs_in_a_line_are_rearranged_all_the_same() -> None:
     assert sorted(found[:, 1]) == [0.2, 0.4, 0.8]
     assert list(found[:, 0]) == [0.1, 0.5, 0.9]
 
-
-# -- bounds --
 
 NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
 SHARE = st.sampled_from([MIN_QUANTILE, 1e-9, 0.25, 0.5, 1.0 - 2.0**-53]) | st.floats(MIN_QUANTILE, 1.0 - 2.0**-53)

@@ -20,8 +20,6 @@ from cosim.spec.scenario import Range, Scenario, scenario_names
 
 MASS, GAIN = "vehicle.mass_kg", "engine_parameters.gain"
 
-# -- the command line's texts --
-
 
 @pytest.mark.parametrize(
     ("text", "table"),
@@ -132,9 +130,6 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
     assert "\n" not in str(caught.value)
 
 
-# -- a study against its scenario --
-
-
 @pytest.mark.parametrize(
     ("vary", "options", "message"),
     [
@@ -232,9 +227,6 @@ def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
         Study.load("hover")
 
 
-# -- what a study comes to --
-
-
 def test_a_study_is_saved_and_read_again(tmp_path: Path) -> None:
     made = open_study(
         "roll-doublet",
@@ -304,9 +296,6 @@ def test_sobol_without_a_power_of_two_is_told() -> None:
     made = open_study("hover", vary=[f"{MASS}=5:6"], design="sobol", runs=100)
     assert made.notes() == ["sobol: 100 runs are no power of two; Sobol's points are balanced at 64 and 128"]
     assert made.changed(runs=128).notes() == []
-
-
-# -- what is shipped --
 
 
 def test_shipped_studies_are_listed_and_sound() -> None:

@@ -224,9 +224,6 @@ def test_a_comparison_is_the_file_that_is_named(tmp_path: Path) -> None:
     assert page.is_file()
 
 
-# ---- commands of other packages
-
-
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """Install a package with commands of its own."""

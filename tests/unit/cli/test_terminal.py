@@ -156,9 +156,6 @@ def test_a_design_says_the_command_that_flies_it() -> None:
     )
 
 
-# ---- what files say
-
-
 HOSTILE = "\x1b]52;c;cm0gLXJmIH4=\x07\x1b[2J\x9b31m\u202e"
 
 

@@ -37,8 +37,6 @@ def with_delay(model: RateModel, samples: int) -> RateModel:
     return model.model_copy(update={"delay_samples": samples})
 
 
-# --- attitude ---------------------------------------------------------------------------------------------------
-
 angles = st.floats(-3.0, 3.0)
 tilts = st.floats(-1.5, 1.5)
 
@@ -82,9 +80,6 @@ def test_attitude_loop_comes_to_rest_at_the_setpoint(r: float, p: float, y: floa
     assert frames.to_euler(q) == pytest.approx(command.attitude, abs=1e-6)
 
 
-# --- rate -------------------------------------------------------------------------------------------------------
-
-
 def axis(
     p: float = 0.0, i: float = 0.0, d: float = 0.0, predictor: Predictor | None = None, limit: float = 10.0
 ) -> RateAxis:
@@ -117,9 +112,6 @@ def test_integral_stops_against_a_refusal_and_runs_away_from_it() -> None:
 def test_integral_is_limited() -> None:
     block = axis(i=100.0, limit=0.2)
     assert [block.update(1.0, 0.0, 0.0) for _ in range(10)][-1] == 0.2
-
-
-# --- delay line, model, Smith predictor -----------------------------------------------------------------------------
 
 
 @given(st.integers(0, 60), st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=200))
@@ -238,8 +230,6 @@ def test_a_wrong_model_degrades_as_the_poles_say(plant_delay: int, gain: float) 
         assert late < early or late < 1e-6
 
 
-# --- allocation ----------------------------------------------------------------------------------------------------
-
 ALLOCATOR = TiltAllocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
 
 
@@ -301,9 +291,6 @@ def test_banks_on_the_wrong_side_are_refused() -> None:
     flat = [Jet(position_m=(j.position_m[0], j.position_m[1], 0.0), servo=j.servo) for j in VEHICLE.jets]
     with pytest.raises(InputError, match="no pitch"):
         TiltAllocator(flat, LIMITS, 0.5, HOVER)
-
-
-# --- altitude ------------------------------------------------------------------------------------------------------
 
 
 def altitude(**changes: float) -> AltitudeController:

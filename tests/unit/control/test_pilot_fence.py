@@ -81,9 +81,6 @@ def test_who_is_inside_one_zone_and_outside_all_holes_is_inside() -> None:
     assert measure_excess((), 1e5, 0.0) == (0.0, "")
 
 
-# --- round a centre --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("start", [(0.0, 0.0), (12.0, 0.0), (-40.0, 25.0), (5.0, 6.0)])
 @pytest.mark.parametrize("clockwise", [True, False])
 def test_a_set_point_on_a_circle(start: tuple[float, float], clockwise: bool) -> None:

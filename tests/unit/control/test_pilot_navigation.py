@@ -32,9 +32,6 @@ SENSORS = VEHICLE.sensors
 SENSOR = SENSORS.gnss
 
 
-# --- set-points ----------------------------------------------------------------------------------------------------
-
-
 def fly(tracker: Tracker, target: tuple[float, float], speed: float, most: int = 100_000) -> list[Track]:
     """The set-points until they rest at the target."""
     tracks = []
@@ -104,9 +101,6 @@ def test_a_stop_stays_where_it_stops() -> None:
     assert track.position == pytest.approx((3.0 + 4.0 / 3.0 + 0.5 * 2.0, 4.0), abs=2 * 2.0 * DT)
 
 
-# --- lean ----------------------------------------------------------------------------------------------------------
-
-
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-pi, pi))
 def test_lean_and_acceleration_are_inverse(north: float, east: float, yaw: float) -> None:
     roll, pitch = lean_from_acceleration((north, east), yaw)
@@ -129,9 +123,6 @@ def test_signs_of_the_lean() -> None:
 )
 def test_angles_are_wrapped_to_half_a_turn(angle: float, wrapped: float) -> None:
     assert wrap(angle) == pytest.approx(wrapped, abs=1e-15)
-
-
-# --- estimator -----------------------------------------------------------------------------------------------------
 
 
 def test_gains_settle_at_the_steady_kalman_filter() -> None:
@@ -262,9 +253,6 @@ def test_standing_averages_the_position_and_feels_no_push() -> None:
     assert abs(estimates[-1]) < 3 * 0.3 * sqrt(settling_gains(GAINS, SENSOR, DT)[0][-1][0][0])
 
 
-# --- control law ---------------------------------------------------------------------------------------------------
-
-
 def test_the_law_and_its_limits() -> None:
     assert GAINS is not None
     law = PositionController(GAINS, DT)
@@ -301,8 +289,6 @@ def test_new_gains_do_not_bump() -> None:
     size = hypot(after[0] - before[0], after[1] - before[1])
     assert max(jumps) <= size * DT / 0.5
 
-
-# --- margins of the linear loop --------------------------------------------------------------------------------------
 
 Complex = NDArray[np.complex128]
 

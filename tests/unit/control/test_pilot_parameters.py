@@ -35,9 +35,6 @@ def parameters() -> Parameters:
     return Parameters(table(CONTROL, CONTROL.pilot, "smith", 25.0))
 
 
-# --- the table -----------------------------------------------------------------------------------------------------
-
-
 def test_every_line_is_sound() -> None:
     """What MAVLink and QGroundControl need of a parameter, and defaults that are allowed."""
     table = parameters()
@@ -146,9 +143,6 @@ def test_a_vehicle_without_a_model_has_no_predictors() -> None:
     table_ = Parameters(table(CONTROL, CONTROL.pilot, "baseline", None))
     with pytest.raises(InputError, match="HJ_PRED_TYPE = 1: must be from 0 to 0"):
         table_.set("HJ_PRED_TYPE", 1)
-
-
-# --- no bump -------------------------------------------------------------------------------------------------------
 
 
 def flown(axis: RateAxis, steps: int, start: int = 0) -> list[float]:
@@ -272,9 +266,6 @@ def test_new_height_gains_do_not_bump() -> None:
         largest, previous = max(largest, abs(now - previous)), now
     # the fading of 2 m/s^2 and the integral's own run, as a share of 120 N
     assert largest < VEHICLE.mass_kg * (2.0 * DT / 0.5 + CONTROL.altitude.integral_1_s2 * DT) / 120.0
-
-
-# --- live ----------------------------------------------------------------------------------------------------------
 
 
 def live() -> tuple[LiveTuning, Parameters, Blocks, list[tuple[str, float, PredictorTuning]]]:

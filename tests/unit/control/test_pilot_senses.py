@@ -207,9 +207,6 @@ def test_the_deviation_is_the_errors_own() -> None:
         assert found == pytest.approx(float(np.mean([each[column] for each in stated])), rel=0.25)
 
 
-# --- attitude and rates --------------------------------------------------------------------------------------------
-
-
 class Turning:
     """A body that rolls, and exact sensors: the gyro through its own filter, as the suite has it."""
 

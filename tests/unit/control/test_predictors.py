@@ -43,9 +43,6 @@ def integrating(delay: float) -> RateModel:
     )
 
 
-# --- state predictor ------------------------------------------------------------------------------------------------
-
-
 class Held:
     """A continuous plant ``x' = A x + B u`` under held commands that arrive late, by the matrix exponential."""
 
@@ -162,9 +159,6 @@ def test_the_double_integrator_observer_is_the_exact_discretisation() -> None:
         assert (rate, slope) == pytest.approx(tuple(x), rel=1e-10, abs=1e-10)
 
 
-# --- filtered Smith predictor -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("delay", [0.0, 25.0, 10.37])
 def test_with_a_filter_of_1_it_is_smiths_bit_for_bit(delay: float) -> None:
     filtered, smith = FilteredSmithPredictor(roll_model(delay), [1.0], [1.0]), SmithPredictor(roll_model(delay))
@@ -202,9 +196,6 @@ def test_the_robustness_filter_does_what_it_says(model: RateModel) -> None:
         assert f(p) == pytest.approx(p**h, abs=1e-9)
     else:
         assert (f(1.0 + 1e-6) - f(1.0 - 1e-6)) / 2e-6 == pytest.approx(h, rel=1e-6)
-
-
-# --- delays that are not whole samples --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("delay", [10.37, 0.25, 3.5, 25.0])

@@ -143,9 +143,6 @@ def test_a_wrong_schedule_is_refused(schedule: Any, said: str) -> None:
         load_vehicle("hexjet", {"control": control})
 
 
-# ---- the tank at the start
-
-
 def test_a_flight_begins_with_part_of_the_fuel() -> None:
     """Lighter by what is missing, hovering at the thrust that the rest needs, and never above full."""
     scenario = Scenario.load("full-scale-hover").replace(initial={"fuel": 0.5}, expect=[])

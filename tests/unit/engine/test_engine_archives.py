@@ -122,9 +122,6 @@ def test_names_are_read_as_written_elsewhere(tmp_path: Path) -> None:
         assert archive.testzip() is None
 
 
-# ---- descriptions
-
-
 def stating(folder: Path, attributes: str, name: str = "odd") -> Path:
     """An engine with one parameter more."""
     more = f'<ScalarVariable name="v_min" valueReference="40" {attributes}><Real start="1"/></ScalarVariable>\n'
@@ -159,9 +156,6 @@ def test_a_constant_is_no_parameter_that_can_be_set(tmp_path: Path) -> None:
     path = stating(tmp_path, 'causality="parameter" variability="constant"')
     with pytest.raises(InputError, match="v_min"):
         load_engine(str(path), {"v_min": 2.0}, STEP, unchecked=True)
-
-
-# ---- binaries
 
 
 @pytest.mark.parametrize(

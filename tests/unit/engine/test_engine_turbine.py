@@ -251,9 +251,6 @@ def now(engine: Driven) -> Array:
     return np.array([engine.get(name) for name in OUTPUTS])
 
 
-# --- the equations --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", TURBINES)
 def test_it_is_its_equations_integrated_by_another_method(name: str, tmp_path: Path) -> None:
     throttle = np.repeat([0.3, 1.0, 0.0, 0.55], [60, 240, 240, 60])
@@ -310,9 +307,6 @@ def test_the_energy_balance_closes(name: str) -> None:
         assert density * p["nozzle_area"] * g.jet == pytest.approx(gas, rel=1e-10)
         assert g.power == pytest.approx(p["windage_power"] * (engine.w / engine.full) ** 2, rel=1e-6)
         assert g.jet < np.sqrt(4.0 / 3.0 * 287.0 * g.T8)  # the nozzle does not choke: the equations hold
-
-
-# --- the data sheets ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", TURBINES)
@@ -375,9 +369,6 @@ def test_static_thrust_is_nearly_a_straight_line(name: str, tmp_path: Path) -> N
             thrusts.append(engine.get("thrust"))
     line = np.linspace(thrusts[0], thrusts[-1], 11)
     assert np.abs(thrusts - line).max() < 0.025 * thrusts[-1]
-
-
-# --- transients -----------------------------------------------------------------------------------------------------
 
 
 def rise(thrust: Array, low: float, high: float) -> float:
@@ -480,9 +471,6 @@ def test_the_flame_goes_out_where_the_ecu_does_not_guard_it(tmp_path: Path) -> N
         assert found[-1, 1] < 44e3
     with turbine("turbine-100", tmp_path / "guarded", 1.0, deceleration=100.0) as engine:
         assert fly(engine, np.zeros(1500))[:, 3].min() > 0.0
-
-
-# --- ambient --------------------------------------------------------------------------------------------------------
 
 
 def static(name: str, folder: Path, throttle: float, p: float, T: float, V: float = 0.0, **others: float) -> Array:

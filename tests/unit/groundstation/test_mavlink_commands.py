@@ -424,9 +424,6 @@ def test_too_many_at_once_are_put_off(desk: Desk) -> None:
     assert acks.count(TEMPORARILY) == desk.bench.exchange.turned_away == 300 - 64
 
 
-# --- sticks and set-points -----------------------------------------------------------------------------------------
-
-
 def asked(desk: Desk, message: Any) -> list[Request]:
     desk.bench.pilot.asked.clear()
     desk.ask(message)

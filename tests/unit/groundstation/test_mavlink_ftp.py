@@ -120,9 +120,6 @@ def client(session: int = 0, **link: Any) -> Client:
     return Client(Bench(FileService(files), **link).station(), session)
 
 
-# --- files ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("path", ["log/a.ulg", "/log/a.ulg", "@MAV_LOG/a.ulg", "/@MAV_LOG//a.ulg", "./log/./a.ulg"])
 def test_a_file_is_what_it_is(path: str) -> None:
     assert client(session=7).download(path) == TEXT
@@ -309,9 +306,6 @@ def test_any_payload_is_answered_or_not_but_never_a_surprise(payloads: list[byte
     for message in station.take():
         assert message.payload[3] in (ACK, NAK)
     assert dict(files()).keys() == CONTENT.keys()
-
-
-# --- logs ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -81,9 +81,6 @@ def bench() -> Iterator[Bench]:
     made.close()
 
 
-# --- telemetry fits the line -----------------------------------------------------------------------------------------
-
-
 def test_an_acknowledgement_goes_before_telemetry_and_lists(bench: Bench) -> None:
     """Whatever else is asked for: its delay is that of what the driver has already, and one frame."""
     wire = Wire(bench, 57600)
@@ -160,9 +157,6 @@ def test_answers_that_nobody_takes_are_bounded(bench: Bench) -> None:
     assert wire.peer.dropped == 1
 
 
-# --- a port that takes nothing ---------------------------------------------------------------------------------------
-
-
 def drain(station: Udp) -> None:
     """Throw away what a station has not read: a full buffer would take no answer."""
     station.socket.setblocking(False)
@@ -216,9 +210,6 @@ def test_a_link_that_fails_does_not_stop_the_others(bench: Bench) -> None:
     bench.link.failures.clear()
 
 
-# --- who is there ----------------------------------------------------------------------------------------------------
-
-
 def test_ten_thousand_ids_do_not_make_the_vehicle_return(bench: Bench) -> None:
     """A station that comes after them is alive, and keeps the vehicle from returning when it is the last one."""
     pilot, flood, late = bench.station(), bench.station(), bench.station(99, 190)
@@ -270,9 +261,6 @@ def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:
         for each in idle:
             each.close()
         flight.close()
-
-
-# --- what is refused is said -----------------------------------------------------------------------------------------
 
 
 def test_a_wrong_signature_is_said_once_in_a_while() -> None:

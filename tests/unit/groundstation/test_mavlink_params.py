@@ -312,9 +312,6 @@ def test_a_flood_of_sets_is_bounded() -> None:
     assert vehicle.parameters["HJ_ROLL_P"] == 0.021
 
 
-# --- the hash ------------------------------------------------------------------------------------------------------
-
-
 def bitwise(data: bytes, crc: int = 0) -> int:
     """CRC32 bit by bit: reflected polynomial 0xEDB88320, nothing inverted."""
     for byte in data:
@@ -388,8 +385,6 @@ def test_lists_for_endless_stations_are_bounded() -> None:
     assert len(vehicle.service._lists) == 16
 
 
-# --- metadata ------------------------------------------------------------------------------------------------------
-
 # What general.schema.json and parameter.schema.json of the MAVLink project allow; both refuse other keys.
 GENERAL_KEYS = {"version", "vendorName", "modelName", "firmwareVersion", "hardwareVersion", "metadataTypes"}
 PARAMETER_KEYS = {
@@ -448,9 +443,6 @@ def test_another_table_has_another_checksum() -> None:
     first, second = (Metadata(each, "hexjet", "1").on_request[397](0).file_crc for each in (one, other))
     assert first != second
     assert describe_parameter(other.table["HJ_ROLL_P"]).get("units") is None
-
-
-# --- on the disk ---------------------------------------------------------------------------------------------------
 
 
 def test_saved_parameters_come_back_bit_for_bit(tmp_path: Path) -> None:

@@ -281,9 +281,6 @@ def test_flight_information_remembers(desk: Desk) -> None:
     assert flight == 1
 
 
-# --- rates -----------------------------------------------------------------------------------------------------
-
-
 def counted(bench: Bench, desk: Desk, seconds: float) -> Counter[str]:
     desk.got.clear()
     bench.step(seconds, every=0.004)
@@ -399,9 +396,6 @@ def test_a_full_station_is_dropped_telemetry_and_not_answers(bench: Bench, desk:
     assert not desk.peer.stuck
 
 
-# --- events ----------------------------------------------------------------------------------------------------
-
-
 def test_changes_are_told_at_once(bench: Bench, desk: Desk) -> None:
     bench.pilot.status = status(armed=True, mode=Mode.TAKEOFF, landed=LandedState.TAKING_OFF)
     found = counted(bench, desk, 0.0)
@@ -474,9 +468,6 @@ def test_an_open_page_is_a_ground_station(bench: Bench) -> None:
     bench.vehicle.page_count = lambda: 1
     bench.step(0.1)
     assert bench.pilot.asked == [LinkLost(), LinkBack()]
-
-
-# --- small protocols -------------------------------------------------------------------------------------------
 
 
 def test_ping_and_timesync_are_answered(desk: Desk) -> None:

@@ -32,9 +32,6 @@ def read(path: Path) -> Any:
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-# --- who it is --------------------------------------------------------------------------------------------------------
-
-
 def test_it_is_cited_as_what_it_is() -> None:
     """The keys that the Citation File Format 1.2.0 asks for, and what pyproject.toml says too."""
     cited = read(ROOT / "CITATION.cff")
@@ -69,9 +66,6 @@ def test_the_changes_are_kept() -> None:
     assert set(sections) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
     assert PROJECT["version"] == versions[1].split(" - ")[0]
     assert max(map(len, text.split("## 0.")[0].splitlines())) <= 140
-
-
-# --- a public host ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -120,9 +114,6 @@ def test_a_wheel_is_built_for_each_python_and_system() -> None:
     systems = {each.split("-")[0] for each in jobs["wheels"]["strategy"]["matrix"]["system"]}
     assert systems == {"ubuntu", "macos", "windows"}
     assert any(step.get("uses", "").startswith("pypa/cibuildwheel@") for step in jobs["wheels"]["steps"])
-
-
-# --- what older versions wrote ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("folder", OLDER, ids=lambda path: path.name)

@@ -35,9 +35,6 @@ def made(reference: dict[str, Any]) -> dict[str, str]:
     return pages
 
 
-# --- the reference has everything -------------------------------------------------------------------------------------
-
-
 def test_every_command_with_every_option(made: dict[str, str]) -> None:
     page = made["commands.md"]
     parts = dict(re.findall(r"^## hexjet ([\w -]+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
@@ -94,9 +91,6 @@ def test_every_name_in_the_environment(reference: dict[str, Any]) -> None:
     )
     assert asked <= set(reference["ENVIRONMENT"])
     assert {"HEXJET_PURE", "XDG_CACHE_HOME", "PX4_SITL"} <= asked
-
-
-# --- plain pages ------------------------------------------------------------------------------------------------------
 
 
 def pages() -> list[Path]:
@@ -169,9 +163,6 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
         *(":target:", "../live/flight.html", "```", "[c](../index.md#install)"),
     ]
     assert (tmp_path / "docs" / "pictures" / "page-flight.png").is_file()
-
-
-# --- commands on pages ------------------------------------------------------------------------------------------------
 
 
 def commands(page: Path) -> Iterator[str]:

@@ -75,9 +75,6 @@ def test_a_recorded_flight_does_without_pandas(tmp_path: Path) -> None:
     assert (done.stdout, done.returncode) == ("25 25 [25]\n", 0), done.stderr
 
 
-# ---- the stream
-
-
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.integers(0, 70), max_size=6), st.text(max_size=40))
 def test_the_stream_is_byte_for_byte_what_pyarrow_writes(
@@ -155,8 +152,6 @@ def test_a_log_that_is_kept_open_is_opened_once(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(OSError, match="of somebody else"), log.keep_open():
         raise OSError("of somebody else")  # is no fault of the log
 
-
-# ---- tables
 
 MANY: dict[str, list[Value]] = {
     "flight": [0, 1, 2],

@@ -50,9 +50,6 @@ def margin(text: str, events: Mapping[str, Sequence[int]] = {}, **signals: Seque
     return float(parse_formula(text).formula.margins(Rows(signals, events))[0])
 
 
-# ---- by hand
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -167,9 +164,6 @@ def test_a_band_beside_another_unit_is_a_share_of_its_half() -> None:
     assert parsed.formula.margins(rows)[0] == pytest.approx(0.2)
 
 
-# ---- what is wrong, and where
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -201,8 +195,6 @@ def test_errors_say_where_and_what_is_allowed(text: str, message: str) -> None:
         parse_formula(text)
     assert "\n" not in str(caught.value)
 
-
-# ---- against the definition, row by row
 
 NUMBERS = st.sampled_from([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
 ATOMS = st.builds(
@@ -281,9 +273,6 @@ def test_margins_are_those_of_the_definition(formula: Formula, data: st.DataObje
         if np.isfinite(value):
             comparison, at, sign = formula.find_decisive_comparison(rows, row)
             assert sign * comparison.margins(rows)[at] == value
-
-
-# ---- against rtamt
 
 
 def rtamt_text(of: Formula) -> str:

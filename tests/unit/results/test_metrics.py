@@ -71,9 +71,6 @@ def stepped(zeta: float, size: float, before_s: float = 0.5, after_s: float = 6.
     return setpoint, np.concatenate((before, size * unit_step(zeta, after)))
 
 
-# ---- overshoot and settling
-
-
 @pytest.mark.parametrize("size", [0.1, -0.3])
 @pytest.mark.parametrize("zeta", [0.15, 0.3, 0.5, 0.7])
 def test_overshoot_of_a_second_order_system(zeta: float, size: float) -> None:
@@ -165,9 +162,6 @@ def test_only_steps_have_overshoot_and_settling(setpoint: Array) -> None:
     assert found.commanded == (not np.isnan(setpoint[0]))
 
 
-# ---- errors
-
-
 def test_errors_of_a_known_signal() -> None:
     setpoint = np.full(1000, 0.1)
     angle = setpoint + 0.02 * np.where(np.arange(1000) % 2, 1.0, -1.0)
@@ -245,9 +239,6 @@ def test_the_ground_carries_what_is_asked_to_be_lower() -> None:
     assert found.rmse_m == pytest.approx(sqrt((0.5**2 + 1.0 + 16.0) / 4.0))
     assert found.max_abs_error_m == 4.0
     assert found.final_error_m == 0.0
-
-
-# ---- the whole flight
 
 
 class Made(dict[str, Array]):
@@ -348,9 +339,6 @@ def test_an_empty_log_has_empty_metrics() -> None:
     assert (nothing.position, nothing.speed, nothing.effort) == (PositionMetrics(), SpeedMetrics(), EffortMetrics())
 
 
-# ---- touchdown
-
-
 def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> None:
     stand, hop, fly, land = 100, 150, 400, 100
     contact = np.repeat([True, False, True, False, True, False, True], [stand, hop, 5, fly, 3, 200, land])
@@ -366,9 +354,6 @@ def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> N
     fall = np.linspace(2.0, 0.1, 205)
     assert touchdown(np.repeat([False, True], [200, 5]), fall, fall) == fall[199]  # began in the air
     assert touchdown(np.zeros(0, bool), np.zeros(0), np.zeros(0)) is None
-
-
-# ---- expectations
 
 
 def test_missed_expectations_are_named() -> None:

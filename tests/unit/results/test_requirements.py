@@ -204,9 +204,6 @@ def test_a_scenario_without_them_is_as_before() -> None:
     assert "require" not in scenario.replace(require=[]).model_dump_json()
 
 
-# ---- what is refused
-
-
 @pytest.mark.parametrize(
     ("formula", "message"),
     [
@@ -242,9 +239,6 @@ def test_unknown_signals_are_refused_with_the_nearest() -> None:
         Scenario.load("roll-doublet").replace(require=[LEVEL, LEVEL])
 
 
-# ---- campaigns
-
-
 def study(**changes: Any) -> Study:
     table = {
         "name": "mine", "scenario": "roll-doublet", "settings": {"duration_s": 3.0}, "design": "random", "runs": 2,
@@ -273,9 +267,6 @@ def test_a_study_refuses_what_its_flights_would() -> None:
         study(require=[{"name": "bad", "formula": 'after("gust ends", roll_deg < 3)'}])
 
 
-# ---- the page
-
-
 def test_the_page_has_every_word() -> None:
     for word in WORDS:
         assert f"`{word}(" in PAGE, word
@@ -301,9 +292,6 @@ def test_a_formula_that_looks_at_the_first_row_alone_is_noted() -> None:
     entries = [{"name": f"r{number}", "formula": formula} for number, formula in enumerate(formulas)]
     (line,) = note_first_row(Scenario.load("roll-doublet").replace(require=entries))
     assert line == f"require r0: {formulas[0]} is judged in the first row alone; always({formulas[0]}) in all"
-
-
-# ---- pages
 
 
 def test_the_page_of_a_flight_begins_with_the_smallest_margin(flown: Run, tmp_path: Path) -> None:

@@ -153,8 +153,6 @@ def test_angles_of_the_measured_quaternion(rows: int) -> None:
     np.testing.assert_allclose(angles[:, 2:], scalar[:, 2:], rtol=0, atol=1e-13)
 
 
-# ---- what is no sample
-
 IN_THE_LOG = [
     place.split(".")
     for column in COLUMNS
@@ -264,9 +262,6 @@ def test_other_kinds_of_numbers_are_numbers() -> None:
     sample = replaced(good(), ("state", "position"), (np.float64(1.5), True, 7))
     table = table_of([replaced(sample, ("fuel",), Unwilling(2.5))])
     assert [table[NAMES.index(name), 0] for name in ("north_m", "east_m", "down_m", "fuel_kg")] == [1.5, 1.0, 7.0, 2.5]
-
-
-# ---- handing on
 
 
 def test_rows_that_cannot_be_handed_on_stay() -> None:

@@ -178,9 +178,6 @@ def test_none_is_beyond_where_a_step_could_have_settled() -> None:
     assert find_exceeded(most, {"roll.settling_time_s": 4.0, "position.drift_m": 10.0}) == []
 
 
-# ---- commands that alternate
-
-
 def share(*commands: Array, least: float = -1.0, most: float = 1.0) -> float | None:
     return alternating_percent([(each, least, most) for each in commands], STEP)
 

@@ -29,9 +29,6 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
-# --- rows -------------------------------------------------------------------------------------------------------------
-
-
 def test_what_a_folder_holds(runs: Path) -> None:
     found = {entry.name: entry for entry in list_entries(runs)}
     assert {name: entry.kind for name, entry in found.items()} == {
@@ -122,9 +119,6 @@ def test_the_page_lists_every_entry_and_names_that_are_code_stay_text(
     assert rows["drawn"]["page"] == "drawn/drawing.html"
     assert hexjet("open", str(runs), "--no-browser").status == 0  # over its own page
     assert len(opened) == 1
-
-
-# --- the server -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

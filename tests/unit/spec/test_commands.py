@@ -137,9 +137,6 @@ def test_times_off_the_grid_are_refused() -> None:
         CommandScript(scenario(command=[entry]), 0.0)
 
 
-# --- disturbances ------------------------------------------------------------------------------------------------
-
-
 def test_calm_air_is_one_shared_object() -> None:
     disturber = DisturbanceScript(scenario())
     assert disturber.at(0) == Disturbance()

@@ -334,9 +334,6 @@ def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str)
     assert (need["max_sensitivity"], need["delay_tolerance"], need["gain_tolerance"]) == (1.7, 0.3, 0.3)
 
 
-# --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
-
-
 def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
     """100 ms of ECU, in hover, with the gains that the vehicle ships."""
     outcomes = {}

@@ -131,8 +131,6 @@ def test_noise_follows_the_seed_alone() -> None:
     assert rates[0] != rates[2]
 
 
-# --- the error of an AHRS's lean ---------------------------------------------------------------------------------------
-
 G = 9.80665
 
 
@@ -283,9 +281,6 @@ def test_without_the_time_constant_the_lean_is_the_true_one() -> None:
     assert record(sensors, states) == record(sensors, states)
     with pytest.raises(ValueError, match="ahrs_time_constant_s"):
         suite(attitude={"ahrs_time_constant_s": -1.0})
-
-
-# --- servo ---------------------------------------------------------------------------------------------------------
 
 
 def test_servo_is_the_exact_lag_of_a_held_command() -> None:

@@ -72,9 +72,6 @@ def spools(spins: tuple[int, ...], inertia: float = 2e-5) -> RotorDynamics:
     return RotorDynamics(jets, [engine] * 6, STEP)  # type: ignore[list-item]
 
 
-# --- the moment ----------------------------------------------------------------------------------------------------
-
-
 def test_the_impulse_on_the_airframe_is_the_momentum_that_the_spools_gain() -> None:
     """Whatever speeds and tilts do in between, to rounding."""
     rng = np.random.default_rng(3)
@@ -134,9 +131,6 @@ def test_a_rotor_whose_speed_is_not_told_is_refused() -> None:
     with pytest.raises(InputError, match=r"engine silent at station 2: .* no output spool_speed"):
         RotorDynamics([Jet(position_m=ZERO3), Jet(position_m=ZERO3, spin=1)], [engine] * 2, STEP)  # type: ignore[list-item]
     assert not RotorDynamics([Jet(position_m=ZERO3)], [engine], STEP).is_active  # type: ignore[list-item]
-
-
-# --- the airframe --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("momentum", [(0.0, 0.0, -0.5), (0.2, 0.0, -0.4)])
@@ -207,9 +201,6 @@ def test_an_airframe_without_spools_is_the_files_own() -> None:
             frame.reset(Initial(rate_deg_s=(60.0, 20.0, -30.0)), OFF, ZERO3)
             states.append([frame.step(OFF, CALM) for _ in range(50)])
     assert states[0] == states[1]
-
-
-# --- in flight -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("spins", [(1, 1, 1, 1, 1, 1), (1, -1, -1, 1, -1, 1)], ids=["alike", "alternately"])
@@ -299,9 +290,6 @@ def test_engines_without_rotors_leave_the_moment_unknown() -> None:
         assert np.isnan(run.log[f"spool_moment_{axis}_N_m"]).all()
     assert np.isnan(run.log["fuel_kg"]).all()
     assert np.isnan(run.log["spool_speed_3_rad_s"]).all()
-
-
-# --- fuel ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_tank_counts_what_is_burnt() -> None:
@@ -432,9 +420,6 @@ def test_fuel_that_no_engine_reports_is_not_counted() -> None:
 def test_a_tank_that_cannot_be_is_refused(fuel: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         load_vehicle("hexjet", {"fuel": fuel})
-
-
-# --- the air at the engines ----------------------------------------------------------------------------------------
 
 
 class Listening(EngineBank):
