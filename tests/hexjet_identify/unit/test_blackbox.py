@@ -146,21 +146,6 @@ def test_a_head_that_is_wrong_is_refused(
         read(tmp_path, content.replace(old.encode(), new.encode()))
 
 
-def test_noise_is_no_frame(tmp_path: Path, table: dict[str, np.ndarray]) -> None:
-    """Whatever stands there: an answer or one line, and never another error."""
-    rng = np.random.default_rng(2)
-    writer = Writer(of=2)
-    content, begin = whole(table, writer), len(writer.head())
-    for _ in range(25):
-        broken = bytearray(content)
-        for at in rng.integers(begin, len(content), 60):
-            broken[at] = rng.integers(256)
-        log = read(tmp_path, bytes(broken))
-        counts = log.channels["loopIteration"].values
-        assert len(counts) <= ROWS + 5
-        assert any("damaged" in remark for remark in log.remarks)
-
-
 def test_a_flight_of_known_truth_comes_out_of_the_format(tmp_path: Path) -> None:
     """Whole degrees a second, whole counts, microseconds, lost rows: delay within its bounds, as Betaflight logs it."""
     truth = Truth(lags=(0.0299,))

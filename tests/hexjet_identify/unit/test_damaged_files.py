@@ -2,8 +2,6 @@
 
 import re
 import struct
-import subprocess
-import sys
 import warnings
 import zipfile
 from pathlib import Path
@@ -11,9 +9,8 @@ from pathlib import Path
 import damaged_files
 import numpy as np
 import pytest
-from damaged_files import KINDS, Kind, try_files
+from damaged_files import KINDS, try_files
 
-from cosim.base.errors import InputError
 from cosim.base.protocols import Column
 from cosim.results.log.arrow import write_log
 from hexjet_identify.logs import read_flight_log
@@ -82,59 +79,3 @@ def test_a_message_of_nothing_but_its_head_is_left_out(tmp_path: Path) -> None:
     nothing = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 9, 3, b"NONE", b"", b"") + b"\xa3\x95\x09" * 5
     file.write_bytes(file.read_bytes() + nothing)
     assert damaged_files.attempt(KINDS["dataflash"], file) == ""
-
-
-def _for_ever(path: Path) -> None:
-    content = path.read_bytes()
-    while b"x" not in content:
-        pass
-
-
-def _greedy(path: Path) -> None:
-    if b"x" not in path.read_bytes():
-        bytearray(2**32)
-
-
-def _traced(path: Path) -> None:
-    if b"x" not in path.read_bytes():
-        raise ValueError("no x")
-
-
-def _wordy(path: Path) -> None:
-    if b"x" not in path.read_bytes():
-        raise InputError("one\ntwo")
-
-
-@pytest.mark.parametrize(
-    ("read", "said"),
-    [(_for_ever, "of CPU"), (_greedy, "MemoryError"), (_traced, "ValueError: no x"), (_wordy, "several lines")],
-)
-def test_what_goes_wrong_is_seen(monkeypatch: pytest.MonkeyPatch, read: object, said: str) -> None:
-    monkeypatch.setattr(damaged_files, "SECONDS", 0.2)
-    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))  # type: ignore[arg-type]
-    outcome = try_files("made-up", 8)
-    assert outcome.faults
-    assert all(said in text for _, text in outcome.faults)
-    assert len(outcome.faults) + outcome.read == 8
-
-
-def _made(folder: Path) -> Path:
-    (folder / "file").write_bytes(b"x")
-    return folder / "file"
-
-
-def test_a_process_that_is_left_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
-
-    def read(path: Path) -> None:
-        if b"x" not in path.read_bytes():
-            made.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
-
-    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))
-    try:
-        outcome = try_files("made-up", 4)
-        assert "left processes" in outcome.faults[0][1]
-    finally:
-        for process in made:
-            process.kill()
-            process.wait()

@@ -241,9 +241,8 @@ def test_a_number_of_a_blackbox_head_may_be_anything(tmp_path: Path, number: str
                  for line in Writer().head().split(b"\n")]  # fmt: skip
         assert len(read(tmp_path / "x.bbl", b"\n".join(lines) + frames).channels["gyroADC[0]"].values) == 100
     head = Writer().head().replace(b"Data version:2", b"Data version:" + number.encode())
-    if number in ("1e309", "1e30", "9" * 400, "0xffffffffff", "nan", "", "x", "-1e309"):
-        with pytest.raises(InputError, match="data version 1; allowed: 2"):
-            read(tmp_path / "x.bbl", head + frames)
+    with pytest.raises(InputError, match="data version 1; allowed: 2"):
+        read(tmp_path / "x.bbl", head + frames)
 
 
 def test_frames_that_are_not_logged_are_counted_at_once(tmp_path: Path) -> None:

@@ -264,48 +264,6 @@ def test_hardly_anything_is_no_log(tmp_path: Path, kind: str, cut: int) -> None:
     assert str(path) in str(refusal.value)
 
 
-@pytest.mark.parametrize(
-    ("kind", "ways"),
-    [
-        ("bin", 100),
-        ("", 100),
-        ("csv", 100),
-        ("ulg", 20),  # each is read by a process of its own
-        pytest.param("ulg", 100, marks=pytest.mark.long),
-    ],
-)
-def test_whatever_is_damaged_is_read_or_refused_in_one_line(
-    doublet: Path, tmp_path: Path, kind: str, ways: int
-) -> None:
-    """Bytes changed, lost, doubled and cut off, in the head above all; nothing else is raised, nor warned of."""
-    path = tmp_path / (f"flight.{kind}" if kind else "log00")
-    if kind == "ulg":
-        exported(doublet, path)
-        whole = path.read_bytes()
-    elif kind == "csv":
-        whole = table(path, time_s=TIMES, u=WAVE).read_bytes()
-    else:
-        whole = dataflash() if kind else crazyflie()
-    drawn, said = np.random.default_rng(7), []
-    for way in range(ways):
-        data = bytearray(whole)
-        first, length = (int(drawn.integers(most)) for most in (min(len(data), 400) if way % 2 else len(data), 60))
-        if way % 4 == 0:
-            data[first : first + length] = drawn.bytes(length)
-        elif way % 4 == 1:
-            data[first] = int(drawn.integers(256))
-        elif way % 4 == 2:
-            del data[first : first + length]
-        else:
-            data[first:first] = data[first : first + length]
-        path.write_bytes(data)
-        try:
-            read_flight_log(path)
-        except InputError as error:
-            said.append(str(error))
-    assert not any("\n" in line for line in said)
-
-
 def test_a_topic_without_a_time_is_left_out_with_a_note(doublet: Path, tmp_path: Path) -> None:
     exported(doublet, tmp_path / "flight.ulg")
     whole = (tmp_path / "flight.ulg").read_bytes()

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-import time
 from functools import partial
 from itertools import combinations, product
 from math import prod
@@ -15,11 +12,9 @@ from typing import Any
 import pytest
 from campaign_tools import without_chance
 from command_tools import Hexjet
-from patience import PATIENCE
 from places import DESIGNS
 
 from cosim.campaign import open_campaign
-from cosim.campaign.folder import JOURNAL
 from cosim.campaign.study.draws import Draws
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.log.digest import log_digest
@@ -101,25 +96,6 @@ def test_two_workers_come_to_the_same(searched: SavedWorst, tmp_path: Path) -> N
         run_worst(*plan(), tmp_path / "two", workers)
     assert told(tmp_path / "two") == told(searched.folder)
     assert rows(tmp_path / "two") == rows(searched.folder)
-
-
-def test_a_killed_search_goes_on_to_the_same(searched: SavedWorst, hexjet: Hexjet, tmp_path: Path) -> None:
-    command = ["search", *SEARCH, "--workers", "1", "--out", str(tmp_path / "killed")]
-    code = f"from cosim.cli.main import main; main({command!r})"
-    process = subprocess.Popen([sys.executable, "-c", code])
-    journal, until = tmp_path / "killed" / JOURNAL, time.monotonic() + PATIENCE
-    while time.monotonic() < until and not (journal.is_file() and journal.read_text().count("\n") >= 12):
-        assert process.poll() is None
-        time.sleep(0.02)
-    process.kill()
-    process.wait()
-    flown = journal.read_text().count("\n")
-    assert 12 <= flown < len(rows(searched.folder))
-    answer = hexjet(*command, "--resume", "--json")
-    assert answer.status == 0
-    assert told(tmp_path / "killed") == told(searched.folder)
-    assert rows(tmp_path / "killed") == rows(searched.folder)
-    assert json.loads(answer.out)["confirmed"] is True
 
 
 @pytest.mark.parametrize(

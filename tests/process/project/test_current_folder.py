@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,26 +11,13 @@ from campaign_tools import study
 from patience import PATIENCE
 from places import ROOT
 
-from benchmarks.measures.process import start_python
-from cosim import fly
-from cosim.base.errors import InputError
-from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.engine import IsolatedBank, check_fmu, load_engine
-from cosim.engine.make.controller_fmu import make_command
-from cosim.groundstation.mavlink.services.logs import LogStore
-from cosim.simulation.controllers.process import request_description
-from cosim.spec.scenario import Scenario
-from hexjet_sitl.lockstep import Program
+from cosim.engine import IsolatedBank, load_engine
 
 STEP = 0.004
 TRAPS = ("cosim/__init__.py", "numpy.py", "pickle.py", "json.py", "socket.py", "ctypes.py", "fmpy.py", "struct.py")
 ENGINE = "edf-as-flown"
-
-
-def archive() -> Path:
-    return data_folder("fmus") / f"{ENGINE}-fmi2.fmu"
 
 
 def isolated_engines() -> None:
@@ -40,45 +26,10 @@ def isolated_engines() -> None:
     bank.close()
 
 
-def fmu_check() -> None:
-    assert check_fmu(ENGINE).ok
-
-
 def worker() -> None:
     planned = study(runs=1, duration=0.1, controllers=["baseline"])
     with LocalWorkers(1, PATIENCE) as workers:
         assert [row["outcome"] for row in workers.fly(planned, flights(planned))] == ["completed"]
-
-
-def log_maker() -> None:
-    run = Path("run").absolute()
-    fly(Scenario.load("hover").replace(duration_s=0.1, expect=[]), run, report=False)
-    store = LogStore(lambda: [run])
-    try:
-        end = time.monotonic() + PATIENCE
-        store.search(0.0)
-        while (store.is_searching or store.is_converting) and time.monotonic() < end:
-            store.poll(0.0)
-            time.sleep(0.01)
-        assert [bool(log.file and log.file.size) for log in store.logs] == [True]
-    finally:
-        store.close()
-
-
-def controller_fmu() -> None:
-    with pytest.raises(InputError, match=r"before it had said what it is: .*edf"):  # an engine is no controller
-        request_description(lambda: make_command(archive()), Path.cwd(), "none")
-
-
-def bench() -> None:
-    with start_python("import numpy, cosim; print(numpy.pi)") as child:
-        assert child.communicate()[0].startswith("3.14")
-
-
-def autopilot() -> None:
-    program = Program(["/bin/true"], Path.cwd(), Path("log.txt").absolute(), {})
-    assert program.process.wait(PATIENCE) == 0
-    program.close()
 
 
 @pytest.fixture
@@ -95,7 +46,7 @@ def trapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     assert sorted(folder.rglob("*.sprung")) == []
 
 
-WAYS = [isolated_engines, fmu_check, worker, log_maker, controller_fmu, bench, autopilot]
+WAYS = [isolated_engines, worker]
 
 
 @pytest.mark.parametrize("way", WAYS, ids=[way.__name__ for way in WAYS])

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_tools import Hexjet
 from places import ROOT, script
 
 from cosim.base.compiled import MODULES, PURE_VARIABLE, SHARED
@@ -247,11 +246,6 @@ def test_the_installed_command_runs_the_commands_of_the_readme(installed: Path, 
 
 
 @pytest.mark.long
-def test_the_installed_command_has_those_of_other_packages(installed: Path, tmp_path: Path) -> None:
-    assert "Reproduce the paper" in run(installed / "hexjet", "paper", "--help", cwd=tmp_path)
-
-
-@pytest.mark.long
 def test_the_installed_package_is_not_the_clone(installed: Path, tmp_path: Path) -> None:
     script = "import cosim, cosim.base.storage.paths as p; print(cosim.__file__); print(p.data_folder('fmus'))"
     for line in run(installed / "python", "-c", script, cwd=tmp_path).splitlines():
@@ -333,20 +327,6 @@ def test_nothing_imports_cmake_but_what_compiles() -> None:
         ROOT / "cosim" / "engine" / "library" / "archives.py",
         8 * " ",
     )  # within the function that compiles
-
-
-@pytest.mark.parametrize(
-    ("package", "arguments", "said"),
-    [("distributed", ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"), "pip install distributed")],
-)
-def test_a_command_says_which_extra_it_lacks(
-    package: str, arguments: tuple[str, ...], said: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, package, None)
-    done = hexjet(*arguments)
-    assert done.status == 2
-    assert done.err.count("\n") == 1
-    assert said in done.err
 
 
 def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
