@@ -73,6 +73,14 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def built_engines() -> None:
+    """The shipped engines' FMUs, built from the sources there are."""
+    from cosim.engine.source import build_engines
+
+    build_engines()
+
+
 @pytest.fixture
 def hexjet(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Hexjet:
     """Run the command in an empty folder; everything that any library prints is caught too."""

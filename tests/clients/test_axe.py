@@ -6,22 +6,20 @@ None asks anything of another machine, complains, or is wider than a phone.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-from flights import samples, scenario, setup
+from flights import record
 from long_cases import long_case
 from patience import PATIENCE
 from places import script
 from shelves import shelf
+from watched import opened
 
 from cosim.flight import write_run_page
 from cosim.results.report.flight import write_report
-from cosim.results.run import begin_run
 from cosim.shelf.index import write_index
 
 WRONG = ("serious", "critical")
@@ -42,25 +40,6 @@ def pages() -> ModuleType:
     return script("page_pictures")
 
 
-@contextmanager
-def opened(browser: Any, url: str, scheme: str, width: int = 1200) -> Iterator[Any]:
-    """A page; whatever it asks of others or complains of is an error."""
-    # the policy of a page that is served lets no script in but its own: not axe either
-    held = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, bypass_csp=True)
-    wrong: list[str] = []
-    own = ("file://", "data:", "blob:", "about:", "http://127.0.0.1:", "ws://127.0.0.1:")
-    try:
-        page = held.new_page()
-        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda asked: None if asked.url.startswith(own) else wrong.append(asked.url))
-        page.goto(url)
-        yield page
-    finally:
-        held.close()
-    assert wrong == []
-
-
 def complaints(page: Any, axe: str) -> list[str]:
     """What axe finds, a line each."""
     if not page.evaluate("Boolean(window.axe)"):
@@ -77,12 +56,9 @@ def complaints(page: Any, axe: str) -> list[str]:
 
 @pytest.mark.parametrize("scheme", ["light", long_case("dark")])
 def test_a_flight(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
-    recording = begin_run(setup(), scenario(), None)
-    for sample in samples(200):
-        recording.observe(sample)
     path = tmp_path / "report.html"
-    write_report(write_run_page(recording.finish("completed", "", wall_s=0.1)), path)
-    with opened(browser, path.as_uri(), scheme) as page:
+    write_report(write_run_page(record(200)), path)
+    with opened(browser, path.as_uri(), color_scheme=scheme) as page:
         page.wait_for_function("document.documentElement.dataset.replay", timeout=1000 * PATIENCE)
         assert complaints(page, axe) == []
 
@@ -104,7 +80,7 @@ ALL = ("flight", "strips", "engines", "events", "parameters")
 def test_a_flight_while_it_flies(
     browser: Any, axe: str, pages: ModuleType, scheme: str, names: tuple[str, ...], tmp_path: Path
 ) -> None:
-    with pages.live(tmp_path / "run", False) as url, opened(browser, url, scheme) as page:
+    with pages.live(tmp_path / "run", False) as url, opened(browser, url, color_scheme=scheme, bypass_csp=True) as page:
         page.locator("#scene canvas[data-time]").wait_for(timeout=1000 * PATIENCE)
         for name in names:
             page.click(f"#tab-{name}")
@@ -127,7 +103,7 @@ def live_complaints(page: Any, axe: str) -> list[str]:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_runs(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
     index = write_index(shelf(tmp_path / "runs", 5))
-    with opened(browser, index.as_uri(), scheme) as page:
+    with opened(browser, index.as_uri(), color_scheme=scheme) as page:
         page.locator("#runs tbody tr").first.wait_for(timeout=1000 * PATIENCE)
         assert complaints(page, axe) == []
 
@@ -141,7 +117,7 @@ def test_the_pages_of_all_commands(
     for name, made in pages.PAGES.items():
         path = pages.write(made, tmp_path, done)
         for scheme in ("light", "dark"):
-            with opened(browser, path.as_uri(), scheme) as page:
+            with opened(browser, path.as_uri(), color_scheme=scheme) as page:
                 assert complaints(page, axe) == [], f"{name}, {scheme}"
-        with opened(browser, path.as_uri(), "light", PHONE) as page:
+        with opened(browser, path.as_uri(), PHONE) as page:
             assert page.evaluate("document.documentElement.scrollWidth") <= PHONE, name

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from watched import opened
 
 from cosim.results.report.page import render
 
@@ -56,14 +57,9 @@ def page(tmp_path: Path, browser: Any) -> Iterator[Any]:
     places = "".join(f'<div class="plot" data-figure="{name}"></div>' for name in FIGURES)
     template.write_text('{% extends "base.html" %}{% block content %}' + places + "{% endblock %}")
     render(template, tmp_path / "page.html", FIGURES)
-    tab = browser.new_page(viewport={"width": 900, "height": 2800}, color_scheme="dark")
-    errors: list[str] = []
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.goto((tmp_path / "page.html").as_uri())
-    tab.wait_for_function("[...document.querySelectorAll('.plot')].every((place) => place.querySelector('svg'))")
-    yield tab
-    tab.close()
-    assert errors == []
+    with opened(browser, (tmp_path / "page.html").as_uri(), 900, 2800, color_scheme="dark") as tab:
+        tab.wait_for_function("[...document.querySelectorAll('.plot')].every((place) => place.querySelector('svg'))")
+        yield tab
 
 
 def count(tab: Any, figure: str, what: str) -> int:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from comparisons import compare_report
-from flights import STEP, samples, scenario, setup
+from flights import STEP, record
 from patience import PATIENCE
+from watched import opened
 
 from cosim.flight import write_run_page
 from cosim.results.log.recorder import MemoryLog
@@ -21,7 +22,7 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import Flights, render
 from cosim.results.report.panels import Panel, Trace
 from cosim.results.report.signals_data import NOISE_BITS, FlightData, extremes, quantisation_step, run_data
-from cosim.results.run import Run, begin_run
+from cosim.results.run import Run
 
 HOUR = 900_000  # steps
 SOON = 1000 * PATIENCE  # ms
@@ -29,33 +30,18 @@ SOON = 1000 * PATIENCE  # ms
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
-    recording = begin_run(setup(), scenario(), None)
-    for sample in samples(2000):
-        recording.observe(sample)
-    run = write_run_page(recording.finish("completed", "", wall_s=0.1))
+    run = write_run_page(record(2000))
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(run, path)
     return run, path
 
 
 @contextmanager
-def opened(browser: Any, path: Path, script: str = "", **context: Any) -> Iterator[Any]:
-    """The page, ready; nothing that it loads or complains of passes."""
-    held = browser.new_context(**({"viewport": {"width": 1200, "height": 900}} | context))
-    page = held.new_page()
-    wrong: list[str] = []
-    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("request", lambda asked: None if asked.url == path.as_uri() else wrong.append(asked.url))
-    if script:
-        page.add_init_script(script)
-    page.goto(path.as_uri())
-    page.wait_for_function("document.documentElement.dataset.replay", timeout=SOON)
-    try:
+def replay(browser: Any, path: Path, **more: Any) -> Iterator[Any]:
+    """The page, ready, which loads nothing beside itself."""
+    with opened(browser, path.as_uri(), own=(path.as_uri(),), **more) as page:
+        page.wait_for_function("document.documentElement.dataset.replay", timeout=SOON)
         yield page
-    finally:
-        held.close()
-    assert wrong == []
 
 
 def shown(page: Any, time: float) -> bytes:
@@ -70,7 +56,7 @@ def shown(page: Any, time: float) -> bytes:
 
 def test_the_picture_moves_as_the_log_says(browser: Any, flown: tuple[Run, Path]) -> None:
     run, path = flown
-    with opened(browser, path) as page:
+    with replay(browser, path) as page:
         assert page.evaluate("document.documentElement.dataset.replay") == "ready"
         pictures = set()
         for k in (0, 700, 1990):
@@ -95,14 +81,12 @@ def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
     browser: Any, flown: tuple[Run, Path], tmp_path: Path
 ) -> None:
     first = flown[0]
-    recording = begin_run(setup(), scenario(), None)
-    for sample in samples(1000):
-        roll, pitch, yaw = sample.state.euler
-        recording.observe(sample._replace(state=sample.state._replace(euler=(0.5 * roll, pitch, yaw))))
-    second = recording.finish("completed", "", wall_s=0.1)
+    second = record(
+        1000, change=lambda s: s._replace(state=s.state._replace(euler=(0.5 * s.state.euler[0], *s.state.euler[1:])))
+    )
     path = tmp_path / "comparison.html"
     compare_report([first, second], path)
-    with opened(browser, path) as page:
+    with replay(browser, path) as page:
         k = int(np.argmax(np.abs(second.log["roll_rad"])))
         shown(page, k * STEP)
         rolls = [2.0 * page.evaluate(f"hexjet.pose({n}).quaternion")[1] for n in (0, 1)]
@@ -124,7 +108,7 @@ def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
 
 def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:
     run, path = flown
-    with opened(browser, path) as page:
+    with replay(browser, path) as page:
         press, state = page.keyboard.press, lambda name: page.evaluate(f"hexjet.state.{name}")
         press("ArrowRight")
         press("ArrowRight")
@@ -155,7 +139,7 @@ def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:
 
 def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run, Path]) -> None:
     run, path = flown
-    with opened(browser, path) as page:
+    with replay(browser, path) as page:
         page.locator('[data-figure="first"]').scroll_into_view_if_needed()
         page.wait_for_function("document.querySelector('[data-figure=first] .strip').panel.chart", timeout=SOON)
         # thrust about the first step, 25 samples late, until one zooms
@@ -186,7 +170,7 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
 
 
 def test_a_name_is_pulled_to_another_panel_and_taken_off_it(browser: Any, flown: tuple[Run, Path]) -> None:
-    with opened(browser, flown[1]) as page:
+    with replay(browser, flown[1]) as page:
         page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
         strips = page.locator("[data-figure=attitude] .strip")
         page.wait_for_function(
@@ -217,7 +201,7 @@ def test_a_name_is_pulled_to_another_panel_and_taken_off_it(browser: Any, flown:
 
 @pytest.mark.long
 def test_all_strips_are_drawn_for_paper(browser: Any, flown: tuple[Run, Path]) -> None:
-    with opened(browser, flown[1], color_scheme="dark") as page:
+    with replay(browser, flown[1], color_scheme="dark") as page:
         page.wait_for_function("document.documentElement.dataset.drawn === 'all'", timeout=SOON)
         assert page.evaluate("window.scrollY") == 0
         drawn = "[...hexjet.panels].filter((panel) => panel.signals.length && panel.lines.length)"
@@ -240,7 +224,7 @@ def test_all_strips_are_drawn_for_paper(browser: Any, flown: tuple[Run, Path]) -
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_in_daylight_and_at_night(browser: Any, flown: tuple[Run, Path], scheme: str) -> None:
-    with opened(browser, flown[1], viewport={"width": 390, "height": 800}, color_scheme=scheme) as page:
+    with replay(browser, flown[1], width=390, color_scheme=scheme) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         ink = page.evaluate("getComputedStyle(document.body).color")
         assert (ink == "rgb(228, 233, 238)") == (scheme == "dark")
@@ -252,7 +236,7 @@ def test_a_phone_in_daylight_and_at_night(browser: Any, flown: tuple[Run, Path],
 def test_without_webgl_it_says_so_and_the_strips_remain(browser: Any, flown: tuple[Run, Path]) -> None:
     none = """const real = HTMLCanvasElement.prototype.getContext;
         HTMLCanvasElement.prototype.getContext = function (kind, ...more) { return kind.startsWith("webgl") ? null : real.call(this, kind, ...more); };"""
-    with opened(browser, flown[1], none) as page:
+    with replay(browser, flown[1], script=none) as page:
         assert "no WebGL" in page.locator(".no-webgl").inner_text()
         page.locator('[data-figure="first"]').scroll_into_view_if_needed()
         page.wait_for_selector('[data-figure="first"] .u-over', timeout=SOON)
@@ -278,7 +262,7 @@ def test_the_last_samples_of_an_hour(browser: Any, tmp_path: Path) -> None:
         '<div id="replay"></div>{% endblock %}'
     )
     render(template, path, {}, Flights("hour", [said], {"roll": figure}))
-    with opened(browser, path) as page:
+    with replay(browser, path) as page:
         panel = "document.querySelector('.strip').panel"
         page.wait_for_function(f"{panel}.chart", timeout=SOON)
         # the whole hour: no more points than pixels, and the peak is there

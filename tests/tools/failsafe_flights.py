@@ -61,10 +61,10 @@ class Flight(Asked):
         """Step on; the thrust of the last step, N."""
         thrust = 0.0
         for _ in range(round(seconds / self.simulation.dt)):
-            sample = self.simulation.step()
+            self.sample = self.simulation.step()
             if self._digest is not None:
-                self._recorder.observe(sample)
-            thrust = sum(sample.engines.thrust)
+                self._recorder.observe(self.sample)
+            thrust = sum(self.sample.engines.thrust)
             assert self.simulation.termination.check(self.simulation.state, 0.0) is None
             if until is not None and until():
                 return thrust

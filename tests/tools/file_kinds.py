@@ -13,6 +13,7 @@ from unittest import mock
 from zlib import crc32
 
 import numpy as np
+from dataflash_writer import HEAD, describe, pack
 
 from cosim.base.errors import InputError
 
@@ -63,19 +64,13 @@ def _written(name: str, content: bytes) -> Callable[[Path], Path]:
 
 
 def _dataflash() -> bytes:
-    def described(kind: int, name: str, columns: str, labels: str) -> bytes:
-        size = 3 + struct.calcsize("<" + columns.replace("N", "16s").replace("Z", "64s").replace("n", "4s"))
-        said = (name.encode(), columns.encode(), labels.encode())
-        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, size, *said)
-
-    made = described(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
-    made += described(1, "RATE", "Qffff", "TimeUS,RDes,R,ROut,I") + described(2, "ESC", "QBf", "TimeUS,Instance,RPM")
-    made += described(3, "MSG", "QZ", "TimeUS,Message") + described(4, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
-    made += b"\xa3\x95\x04" + struct.pack("<QB16s16s", 0, 2, b"s#q", b"F-0")
-    made += b"\xa3\x95\x03" + struct.pack("<Q64s", 5, b"ArduCopter V4.6")
+    made = (
+        HEAD + describe(1, "RATE", "Qffff", "TimeUS,RDes,R,ROut,I") + describe(2, "ESC", "QBf", "TimeUS,Instance,RPM")
+    )
+    made += describe(3, "MSG", "QZ", "TimeUS,Message") + describe(4, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
+    made += pack(4, "QBNN", 0, 2, b"s#q", b"F-0") + pack(3, "QZ", 5, b"ArduCopter V4.6")
     for n in range(120):
-        made += b"\xa3\x95\x01" + struct.pack("<Qffff", 10_000 * n, 0.1 * n, n, -n, 0.01 * n)
-        made += b"\xa3\x95\x02" + struct.pack("<QBf", 10_000 * n, n % 4, 100.0 + n)
+        made += pack(1, "Qffff", 10_000 * n, 0.1 * n, n, -n, 0.01 * n) + pack(2, "QBf", 10_000 * n, n % 4, 100.0 + n)
     return made
 
 
@@ -119,14 +114,9 @@ def _csv() -> bytes:
 
 def _run(folder: Path) -> Path:
     """A made-up run of 120 steps; its folder."""
-    from flights import samples, scenario, setup
+    from flights import record
 
-    from cosim.results.run import begin_run
-
-    recording = begin_run(setup(), scenario(), folder / "run")
-    for sample in samples(120):
-        recording.observe(sample)
-    recording.finish("completed", "")
+    record(120, folder / "run")
     return folder / "run"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import cos, exp, nan, pi, sin, sqrt
 from pathlib import Path
 from random import Random
@@ -23,6 +23,7 @@ from cosim.base.signals import (
     Unallocated,
 )
 from cosim.results.export import export_log
+from cosim.results.run import Run, begin_run
 from cosim.results.summary import DelayRow, Setup
 from cosim.spec.scenario import Expectation, Range, Scenario
 
@@ -113,6 +114,21 @@ def samples(steps: int, zeta: float = 0.4, omega: float = 9.0, seed: int = 1, gr
             EngineOutput(thrust, SILENT, SILENT, SILENT),
             Disturbance(moment=(0.3, 0.0, 0.0)) if 6.0 < t < 7.0 else Disturbance(),
         )
+
+
+def record(
+    steps: int,
+    folder: Path | None = None,
+    outcome: Any = "completed",
+    reason: str = "",
+    change: Callable[[Sample], Sample] = lambda sample: sample,
+    **known: Any,
+) -> Run:
+    """The run of :func:`samples`, each of them changed."""
+    recording = begin_run(setup(**known), scenario(), folder)
+    for sample in samples(steps):
+        recording.observe(change(sample))
+    return recording.finish(outcome, reason, wall_s=0.1)
 
 
 def _radians(plan: list[tuple[float, float]]) -> list[tuple[float, float]]:

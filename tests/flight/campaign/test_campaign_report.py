@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 from math import comb, pi, sqrt
 from pathlib import Path
@@ -19,6 +17,7 @@ from campaigns import DELAY, GAIN, MASS, NOISE, TURBULENCE, WIND, campaign, loop
 from patience import PATIENCE
 from scipy import stats
 from scipy.stats import qmc
+from watched import opened
 
 from cosim import fly
 from cosim.base.errors import InputError
@@ -726,23 +725,9 @@ def test_a_large_campaign_makes_a_page_that_opens(tmp_path: Path) -> None:
 # ---- in a browser
 
 
-@contextmanager
-def opened(browser: Any, folder: Path, width: int) -> Iterator[Any]:
-    """The page in a window of this width; in the end no script may have complained, and nothing been asked for."""
-    tab = browser.new_page(viewport={"width": width, "height": 800})
-    errors: list[str] = []
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
-    tab.on("request", lambda asked: None if asked.url.startswith(("file:", "data:")) else errors.append(asked.url))
-    tab.goto((folder / "report.html").as_uri())
-    yield tab
-    tab.close()
-    assert errors == []
-
-
 @pytest.mark.parametrize("state", ["grid", "no-success", "one-flight", "empty"])
 def test_no_page_has_a_script_error(state: str, pages: dict[str, Path], browser: Any) -> None:
-    with opened(browser, pages[state], 400) as tab:
+    with opened(browser, (pages[state] / "report.html").as_uri(), 400) as tab:
         tab.evaluate("document.querySelectorAll('details').forEach((each) => each.open = true)")
         assert tab.evaluate("document.documentElement.scrollWidth") <= 400  # nothing sticks out of a narrow window
         plots = tab.locator(".plot")
@@ -756,7 +741,7 @@ MAP = "JSON.parse(JSON.stringify((({ data, layout }) => ({ data, layout }))(docu
 
 def test_a_page_shows_what_is_chosen(pages: dict[str, Path], browser: Any) -> None:
     """Any two keys on the map, coloured by any metric; any result in the ranking; in a narrow window too."""
-    with opened(browser, pages["usual"], 1300) as tab:
+    with opened(browser, (pages["usual"] / "report.html").as_uri(), 1300) as tab:
 
         def choose(where: str, what: str) -> Any:
             tab.select_option(f"#map-{where}", label=what)

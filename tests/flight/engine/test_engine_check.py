@@ -18,7 +18,7 @@ from long_cases import long_case
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
-from cosim.engine import CheckReport, build_engines, check_fmu, list_engine_names, load_engine
+from cosim.engine import CheckReport, check_fmu, list_engine_names, load_engine
 from cosim.engine.check_report import QUESTIONS
 from cosim.engine.library import build_all
 from cosim.engine.response import (
@@ -31,10 +31,7 @@ from cosim.engine.response import (
 )
 from cosim.results.report.engine_check import write_check
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 
 @cache

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import pickle
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import of_page
 
 from cosim import Command, FlightError, InputError, Scenario, Snapshot, Stepper, fly
 from cosim.base.signals import Sample
@@ -103,11 +102,9 @@ def test_blocks_of_the_users_go_back_too_and_observers_see_each_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A wind over place, sensors with random numbers, a metric; an observer is of one flight, and closed after it."""
-    page = (ROOT / "docs" / "own-controller.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"<!-- blocks -->\n```python\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "mine.py").write_text(code)
-    mine = {key: f"{tmp_path / 'mine.py'}:{name}" for key, name in (("wind", "Shear"), ("sensors", "Drifting"))}
-    more = {key: [f"{tmp_path / 'mine.py'}:{name}"] for key, name in (("metrics", "Swing"), ("observers", "Highest"))}
+    file = of_page("blocks", tmp_path / "mine.py")
+    mine = {key: f"{file}:{name}" for key, name in (("wind", "Shear"), ("sensors", "Drifting"))}
+    more = {key: [f"{file}:{name}"] for key, name in (("metrics", "Swing"), ("observers", "Highest"))}
     scenario = DOUBLET.replace(**mine, **more, duration_s=0.4)
     with Stepper(scenario) as flight:
         flown(flight, nothing, 0.1)

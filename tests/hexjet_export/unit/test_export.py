@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from flights import exported, samples, scenario, setup
+from flights import exported, record, samples, scenario, setup
 from pyulog import ULog
 
 from cosim.base.errors import InputError
@@ -218,10 +218,7 @@ def test_parameters_are_the_numbers_of_vehicle_and_scenario_under_their_keys(run
 
 @pytest.mark.parametrize("rows", [0, 1])
 def test_flights_of_next_to_nothing(tmp_path: Path, rows: int) -> None:
-    recording = begin_run(setup(), scenario(), tmp_path / "run")
-    for sample in samples(rows):
-        recording.observe(sample)
-    recording.finish("failed", "Triebwerk läuft nicht")
+    record(rows, tmp_path / "run", "failed", "Triebwerk läuft nicht")
     export_log("ulog", tmp_path / "run", tmp_path / "x.ulg")
     export_log("csv", tmp_path / "run", tmp_path / "x.csv")
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + rows

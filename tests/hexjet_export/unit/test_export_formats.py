@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from flights import samples, scenario, setup
+from flights import record, samples, scenario, setup
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.io import loadmat
@@ -256,8 +256,5 @@ def test_a_missing_extra_is_one_line(run: Run, tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize("to", ["mcap", "mat", "parquet"])
 @pytest.mark.parametrize("rows", [0, 1])
 def test_flights_of_next_to_nothing(tmp_path: Path, to: str, rows: int) -> None:
-    recording = begin_run(setup(), scenario(), tmp_path / "run")
-    for sample in samples(rows):
-        recording.observe(sample)
-    recording.finish("failed", "no engine")
+    record(rows, tmp_path / "run", "failed", "no engine")
     export_log(to, tmp_path / "run", tmp_path / f"x.{to}")

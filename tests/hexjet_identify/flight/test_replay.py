@@ -1,7 +1,6 @@
 """A recorded flight flown again: what flew explains it, and what is wrong with another is named."""
 
 import json
-import struct
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -11,6 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from command_tools import Hexjet
+from dataflash_writer import HEAD, describe, pack
 from identification_record import SHARED
 
 from cosim import Scenario, fly
@@ -91,23 +91,17 @@ def test_every_export_is_the_same_flight(doublet: Path, tmp_path: Path, ending: 
 def dataflash(path: Path, doublet: Path) -> Path:
     """An ArduPilot's log of a run: motors in microseconds, IMU and attitude, as its messages have them."""
     log = open_run(doublet).log
-    kinds = {1: ("RCOU", "QHHHHHH"), 2: ("IMU", "QBffffff"), 3: ("TILT", "Qff")}
-    labels = {1: "TimeUS,C1,C2,C3,C4,C5,C6", 2: "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", 3: "TimeUS,L,R"}
-    data = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-    for kind, (name, form) in kinds.items():
-        size = 3 + struct.calcsize("<" + form)
-        data += b"\xa3\x95\x80" + struct.pack(
-            "<BB4s16s64s", kind, size, name.encode(), form.encode(), labels[kind].encode()
-        )
+    data = HEAD + describe(1, "RCOU", "QHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6") + describe(3, "TILT", "Qff", "TimeUS,L,R")
+    data += describe(2, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     rates = [np.asarray(log[f"rate_{rate}_measured_rad_s"]) for rate in "pqr"]
     forces = [np.asarray(log[f"specific_force_{axis}_measured_m_s2"]) for axis in "xyz"]
     throttles = [np.round(1000.0 + 1000.0 * np.asarray(log[f"throttle_{jet}"])).astype(int) for jet in range(1, 7)]
     tilts = [np.asarray(log[f"tilt_{bank}_command_rad"]) for bank in ("left", "right")]
     for k, time in enumerate(np.asarray(log["time_s"]).tolist()):
         us = round(1e6 * time)
-        data += b"\xa3\x95\x01" + struct.pack("<QHHHHHH", us, *(int(values[k]) for values in throttles))
-        data += b"\xa3\x95\x02" + struct.pack("<QBffffff", us, 0, *(values[k] for values in (*rates, *forces)))
-        data += b"\xa3\x95\x03" + struct.pack("<Qff", us, *(values[k] for values in tilts))
+        data += pack(1, "QHHHHHH", us, *(int(values[k]) for values in throttles))
+        data += pack(2, "QBffffff", us, 0, *(values[k] for values in (*rates, *forces)))
+        data += pack(3, "Qff", us, *(values[k] for values in tilts))
     path.write_bytes(data)
     return path
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from blackbox_writer import END, Writer
 from command_tools import Hexjet
-from flights import exported, samples, scenario, setup
+from dataflash_writer import HEAD, describe, pack
+from flights import exported, record
 
 from cosim.base.errors import InputError
-from cosim.results.run import begin_run
 from hexjet_identify.logs import FlightLog, read_flight_log, reader, signals_of
 from hexjet_identify.logs.flight_log import Channel
 from hexjet_identify.logs.log_columns import as_columns
@@ -20,17 +20,13 @@ pytestmark = pytest.mark.usefixtures("logs_read_here")
 
 TIMES = np.arange(50) * 0.01
 WAVE = np.sin(TIMES)
-UNITS = "QBNN", "TimeUS,FmtType,UnitIds,MultIds"
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The ULog of a made-up flight."""
     folder = tmp_path_factory.mktemp("flown")
-    recording = begin_run(setup(), scenario(), folder / "run")
-    for sample in samples(200):
-        recording.observe(sample)
-    exported(recording.finish("completed", "").folder, folder / "flight.ulg")
+    exported(record(200, folder / "run").folder, folder / "flight.ulg")
     return (folder / "flight.ulg").read_bytes()
 
 
@@ -41,19 +37,11 @@ def read(path: Path, content: bytes) -> FlightLog:
 
 def dataflash(kind: int, name: str, columns: str, labels: str, rows: list[tuple[float, ...]], units: str = "") -> bytes:
     """One kind of message, described, with what FMTU says of its units where ``units`` are given."""
-
-    def described(number: int, title: str, codes: str, names: str) -> bytes:
-        size = 3 + struct.calcsize("<" + codes.replace("N", "16s").replace("c", "h"))
-        return b"\xa3\x95\x80" + struct.pack(
-            "<BB4s16s64s", number, size, title.encode(), codes.encode(), names.encode()
-        )
-
-    made = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0x80, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-    made += described(kind, name, columns, labels)
+    made = HEAD + describe(kind, name, columns, labels)
     if units:
-        made += described(7, "FMTU", *UNITS)
-        made += b"\xa3\x95\x07" + struct.pack("<QB16s16s", 0, kind, units.encode(), b"-" * len(units))
-    return made + b"".join(bytes([0xA3, 0x95, kind]) + struct.pack("<" + columns, *row) for row in rows)
+        made += describe(7, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
+        made += pack(7, "QBNN", 0, kind, units.encode(), b"-" * len(units))
+    return made + b"".join(pack(kind, columns, *row) for row in rows)
 
 
 @pytest.mark.parametrize("units", ["", "s-----"])

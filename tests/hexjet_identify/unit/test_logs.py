@@ -7,11 +7,12 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from flights import STEP, exported, samples, scenario, setup
+from dataflash_writer import HEAD, describe, pack
+from flights import STEP, exported, record
 
 from cosim.base.errors import InputError
 from cosim.results.export import export_log
-from cosim.results.run import begin_run, open_run
+from cosim.results.run import open_run
 from hexjet_identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of
 from hexjet_identify.logs.flight_log import Channel, parse_sum
 from hexjet_identify.logs.log_columns import ESTIMATES_NOTE, as_columns
@@ -27,27 +28,12 @@ DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
 
 def dataflash(rate: float = 100.0, rows: int = 50) -> bytes:
     """An ArduPilot log with RATE and two instances of ESC."""
-
-    def fmt(kind: int, name: str, columns: str, labels: str) -> bytes:
-        size = 3 + struct.calcsize(
-            "<" + columns.replace("c", "h").replace("n", "4s").replace("N", "16s").replace("Z", "64s")
-        )
-        return b"\xa3\x95\x80" + struct.pack(
-            "<BB4s16s64s", kind, size, name.encode(), columns.encode(), labels.encode()
-        )
-
-    made = [
-        fmt(0x80, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"),
-        fmt(1, "RATE", "Qffc", "TimeUS,ROut,R,RDes"),
-        fmt(2, "ESC", "QBf", "TimeUS,Instance,RPM"),
-        fmt(3, "MSG", "QZ", "TimeUS,Message"),
-        b"\xa3\x95\x03" + struct.pack("<Q64s", 5, b"ArduCopter V4.6"),
-    ]
+    made = HEAD + describe(1, "RATE", "Qffc", "TimeUS,ROut,R,RDes") + describe(2, "ESC", "QBf", "TimeUS,Instance,RPM")
+    made += describe(3, "MSG", "QZ", "TimeUS,Message") + pack(3, "QZ", 5, b"ArduCopter V4.6")
     for n in range(rows):
         us = round(1e6 * n / rate)
-        made.append(b"\xa3\x95\x01" + struct.pack("<Qffh", us, WAVE[n % 50], 2.0 * WAVE[n % 50], round(100 * n)))
-        made.append(b"\xa3\x95\x02" + struct.pack("<QBf", us, n % 2, 100.0 + n))
-    return b"".join(made)
+        made += pack(1, "Qffc", us, WAVE[n % 50], 2.0 * WAVE[n % 50], 100 * n) + pack(2, "QBf", us, n % 2, 100.0 + n)
+    return made
 
 
 def crazyflie(version: int = 2, rows: int = 50) -> bytes:
@@ -76,10 +62,7 @@ def table(path: Path, **columns: np.ndarray) -> Path:
 @pytest.fixture(scope="module")
 def doublet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A made-up flight's folder."""
-    recording = begin_run(setup(), scenario(), tmp_path_factory.mktemp("runs") / "run")
-    for sample in samples(200):
-        recording.observe(sample)
-    folder = recording.finish("completed", "").folder
+    folder = record(200, tmp_path_factory.mktemp("runs") / "run").folder
     assert folder is not None
     return folder
 

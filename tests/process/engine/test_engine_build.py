@@ -21,10 +21,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.engine import EngineBank, build_engines, check_fmu, library, list_engine_names, load_engine
 from cosim.engine.library import BuildError, archives, build_all, read_engine
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 
 @pytest.fixture

@@ -15,7 +15,9 @@ from fmpy.validation import validate_fmu
 from places import TOOLS
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build_engines, library, list_engine_names
+from cosim.engine import library, list_engine_names
+
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 ENGINES = list_engine_names()
 FMUS = [(name, fmi) for name in ENGINES for fmi in (2, 3)]
@@ -35,11 +37,6 @@ STANDARD = {
     "fuel_flow": ("output", "kg/s"),
 }
 OUTPUTS = [name for name, (causality, _) in STANDARD.items() if causality == "output"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
 
 
 def step_of(name: str) -> float:

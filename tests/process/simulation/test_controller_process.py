@@ -18,7 +18,7 @@ import fmpy
 import pytest
 from fmpy.fmi2 import FMU2Slave
 from patience import is_ended
-from places import ROOT, TOOLS
+from places import ROOT, TOOLS, of_page
 
 from cosim import InputError, Run, Scenario, fly
 from cosim.base import controller_wire as wire
@@ -29,18 +29,8 @@ from cosim.engine.make.controller_fmu import read_controller_fmu
 from cosim.results.run import scenario_toml
 from cosim.spec.controller_name import is_design
 
-PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.1}
 ROLL = Scenario.load("roll-doublet").replace(duration_s=0.4, command=[DOUBLET], expect=[])
-
-
-def of_page(name: str, where: Path) -> Path:
-    """The file that a reader copies from the page."""
-    text = PAGE.read_text(encoding="utf-8")
-    found = re.search(rf"<!-- {name} -->\n```\w*\n(.*?)```\n<!-- /{name} -->", text, re.DOTALL)
-    assert found is not None
-    where.write_text(found[1], encoding="utf-8")
-    return where
 
 
 def same(one: Run, other: Run) -> bool:

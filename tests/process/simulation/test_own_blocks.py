@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from places import ROOT
+from places import of_page
 
 from cosim import InputError, Scenario, fly
 from cosim.base.frames import conjugate, jet_axis, rotate
@@ -23,20 +23,13 @@ from cosim.simulation.build import build
 from cosim.simulation.plugins import WindTable, find_block
 from hexjet_prove.search.search import describe_flight
 
-PAGE = ROOT / "docs" / "own-controller.md"
 SHORT = Scenario.load("roll-doublet").replace(duration_s=0.2, expect=[])
 STEADY = (2.0, -3.0, 0.5)
 
 
 @pytest.fixture
 def mine(tmp_path: Path) -> str:
-    """The file that a reader copies from the page."""
-    found = re.search(
-        r"<!-- blocks -->\n```python\n(.*?)```\n<!-- /blocks -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
-    )
-    assert found is not None
-    (tmp_path / "mine.py").write_text(found[1], encoding="utf-8")
-    return str(tmp_path / "mine.py")
+    return str(of_page("blocks", tmp_path / "mine.py"))
 
 
 def bits(run: Any) -> dict[str, bytes]:

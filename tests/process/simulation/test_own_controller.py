@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import of_page
 
 from cosim import InputError, Scenario, fly, open_run
 from cosim.base.signals import UNKNOWN3, Unallocated
@@ -31,20 +31,9 @@ from cosim.simulation.build import build
 from hexjet_prove.api.surveys import faults
 from hexjet_prove.search.folder import resolve_search, run_search
 
-PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}
 ROLL = Scenario.load("roll-doublet").replace(duration_s=0.8, command=[DOUBLET], expect=[])
 SHORT = ROLL.replace(duration_s=0.2)
-
-
-def of_page(name: str, where: Path) -> str:
-    """The file that a reader copies from the page."""
-    found = re.search(
-        rf"<!-- {name} -->\n```\w*\n(.*?)```\n<!-- /{name} -->", PAGE.read_text(encoding="utf-8"), re.DOTALL
-    )
-    assert found is not None
-    where.write_text(found[1], encoding="utf-8")
-    return str(where)
 
 
 def same(one: Any, other: Any) -> bool:
@@ -54,11 +43,11 @@ def same(one: Any, other: Any) -> bool:
 
 @pytest.fixture
 def mine(tmp_path: Path) -> str:
-    return of_page("predictor", tmp_path / "mine.py") + ":Mine"
+    return f"{of_page('predictor', tmp_path / 'mine.py')}:Mine"
 
 
 def test_a_class_of_thirty_lines_that_repeats_the_cascade_leaves_its_log(tmp_path: Path) -> None:
-    name = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    name = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     # but for the class of the records, everything: a gust and a payload too
     gust = {
         "kind": "gust",
@@ -388,7 +377,7 @@ def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: P
 
 def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, tmp_path: Path) -> None:
     """And the survey says where nothing watches the engines."""
-    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     sha256 = {name: hashlib.sha256(Path(name.rpartition(":")[0]).read_bytes()).hexdigest() for name in (mine, whole)}
     out = tmp_path / "survey"
     asked: dict[str, Any] = {"controllers": [mine, whole], "kinds": ["gyro bias"], "workers": 1}
@@ -410,7 +399,7 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
 
 def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path: Path) -> None:
     """From what is in the folder alone, the file that was flown being gone."""
-    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
     Path(whole.removesuffix(":Cascade")).unlink()
     again = hexjet(tmp_path, "show", "run", "--page")
@@ -446,7 +435,7 @@ class Counts:
 
 def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) -> None:
     """And of the other blocks that a user brings."""
-    whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
+    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     (tmp_path / "mine.py").write_text(BLOCKS)
     done = hexjet(
         tmp_path, "gcs", "--controller", whole, "--duration", "0.2", "--rtf", "0", "--params", "none", "--mavlink",

@@ -23,12 +23,9 @@ from engine_tools import (
 )
 
 from cosim.base.errors import EngineError, InputError
-from cosim.engine import EngineBank, EngineSpec, build_engines, load_engine
+from cosim.engine import EngineBank, EngineSpec, load_engine
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,13 @@ from engine_tools import STEP, Array, Driven, archive, driven
 
 from cosim import fly
 from cosim.base.errors import InputError
-from cosim.engine import build_engines, load_engine
+from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario
+
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 LIMITED = ["p220", "p220-2025", "turbine-20", "turbine-100", "turbine-220"]
 TURBINES = LIMITED[2:]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines(LIMITED)
 
 
 def answer(name: str, folder: Path, throttle: Array, start: float, **limits: float) -> Array:

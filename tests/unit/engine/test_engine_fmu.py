@@ -13,12 +13,7 @@ import pytest
 from engine_tools import BOTH, NEWTON_PER_KGF, PAPER, STEP, Driven, archive, driven, paper_thrust, throttles
 from fmpy.fmi1 import FMICallException
 
-from cosim.engine import build_engines
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 
 @pytest.fixture(params=[2, 3], ids=["fmi2", "fmi3"])

@@ -14,14 +14,11 @@ from engine_tools import NEWTON_PER_KGF, PAPER, STEP, archive, edit_description,
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Ambient
-from cosim.engine import Air, EngineBank, EngineSpec, build_engines, find_source, list_engine_names, load_engine
+from cosim.engine import Air, EngineBank, EngineSpec, find_source, list_engine_names, load_engine
 from cosim.engine.response import Curve
 from cosim.simulation.engine_reference import make_engine_reference
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 
 @pytest.fixture(autouse=True)

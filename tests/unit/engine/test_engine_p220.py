@@ -11,16 +11,11 @@ import pytest
 from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 
-from cosim.engine import build_engines
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 # kerosene, in the order K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c
 COEFFICIENTS = (0.237755, -0.012799, -0.860374, 0.023606, 0.008599, 1.139026, 0.019914, -0.050257, 0.000302, -0.692913)
 K_T, K_TT, K_D, K_DD, K_TD, B_U, B_T, B_D, B_UU, C = COEFFICIENTS
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines(["p220"])
 
 
 def rates(percent: float) -> Callable[[float, Array], list[float]]:

@@ -13,6 +13,8 @@ from scipy.integrate import solve_ivp
 
 from cosim.engine import build_engines
 
+pytestmark = pytest.mark.usefixtures("built_engines")
+
 # The authors' own responses, of this model and of the one they learned, where they are at hand.
 RESPONSES = DATA / "p220" / "iit-2025-responses.csv"
 
@@ -22,11 +24,6 @@ C = (
     8.77996617, -1.01096376, -0.586442286, 0.519093322, -0.423782666, -1.45705257, -0.00783052261,
 )  # fmt: skip
 M_T, S_T, M_U, S_U = 108.309, 65.793, 47.333, 31.483
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines(["p220-2025"])
 
 
 def drive(percent: float) -> float:

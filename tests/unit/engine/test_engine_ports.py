@@ -20,7 +20,7 @@ from places import TOOLS
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient, EngineOutput
-from cosim.engine import EngineBank, EngineSpec, build_engines, library, load_engine
+from cosim.engine import EngineBank, EngineSpec, library, load_engine
 from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.mapping import PortMap
@@ -43,13 +43,10 @@ from cosim.engine.fmu.units import (
 )
 from cosim.engine.fmu.variables import Variable
 
+pytestmark = pytest.mark.usefixtures("built_engines")
+
 POUND_FORCE = 4.4482216152605  # N, exact: 0.45359237 * 9.80665
 LAG = 0.05  # s, of every engine in this file
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines()
 
 
 def load(path: Path, parameters: Mapping[str, float] | None = None, step: float = STEP) -> EngineSpec:

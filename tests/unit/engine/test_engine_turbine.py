@@ -18,7 +18,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build_engines, library
+from cosim.engine import library
+
+pytestmark = pytest.mark.usefixtures("built_engines")
 
 R, LHV, T_REF = 287.0, 43.1e6, 298.15
 CP_AIR, CP_GAS = 1004.5, 1148.0
@@ -205,11 +207,6 @@ class Turbine:
 
 TURBINES = ["turbine-20", "turbine-100", "turbine-220"]
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _built() -> None:
-    build_engines(TURBINES)
 
 
 @pytest.fixture(scope="module")

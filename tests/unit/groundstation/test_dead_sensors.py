@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import failsafe_flights
 import numpy as np
 import pytest
 from mavlink_tools import snapshot
@@ -26,39 +27,18 @@ from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export import export_log
 from cosim.results.run import REQUESTS
-from cosim.simulation.autopilot_setup import attach_autopilot
-from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
-from hexjet_prove.surveys.failsafes import scenario_of
-from hexjet_prove.surveys.survey import load_subject
 
 GYRO, ACCEL, MAG, BARO, GPS, AHRS = 1, 2, 4, 8, 32, 1 << 21
 HEIGHT, PLACE = 8192, 16384
 ATTITUDE, SPEED, CLIMB, RELATIVE, ABSOLUTE, VERTICAL = 1, 2, 4, 8, 16, 32
 
 
-class Flight:
+class Flight(failsafe_flights.Flight):
     """A hover at 10 m that a station looks at."""
 
     def __init__(self) -> None:
-        self.simulation = build(scenario_of(load_subject("hexjet", "edf-as-flown"), "smith", 10.0, 0.0))
-        self.pilot = attach_autopilot(self.simulation, airborne=True)
-        self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
-
-    def __enter__(self) -> Flight:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.simulation.close()
-
-    def ok(self, *requests: Any) -> None:
-        for request in requests:
-            answer = self.pilot.handle(request, self.simulation.k)
-            assert answer.accepted, answer
-
-    def fly(self, seconds: float) -> None:
-        for _ in range(round(seconds / self.simulation.dt)):
-            self.sample = self.simulation.step()
+        super().__init__(height=10.0, controller="smith")
 
     def dead(self, *sensors: str) -> None:
         self.ok(*(rq.InjectFault("sensor_dropout", sensor=sensor) for sensor in sensors))

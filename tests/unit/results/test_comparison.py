@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import exported, samples, scenario, setup
+from flights import exported, record
 
 from cosim.base.errors import InputError
 from cosim.cli.main import run as run_command
@@ -22,7 +22,7 @@ from cosim.results.log.readers import read_flight_log
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, describe_pair, write_comparison
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
-from cosim.results.run import Run, begin_run
+from cosim.results.run import Run
 
 
 def log(step: float, rows: int, **columns: Any) -> MemoryLog:
@@ -84,11 +84,8 @@ def test_a_shorter_flight_is_compared_as_far_as_it_goes() -> None:
     assert describe_pair(pair) == ["A and B have no time in common."]
 
 
-def flown(steps: int = 500, folder: Path | None = None, **known: Any) -> Run:
-    recording = begin_run(setup(**known), scenario(), folder)
-    for sample in samples(steps):
-        recording.observe(sample)
-    return write_run_page(recording.finish("completed", "", wall_s=0.1))
+def flown(steps: int = 500, folder: Path | None = None) -> Run:
+    return write_run_page(record(steps, folder))
 
 
 def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
@@ -197,10 +194,7 @@ def test_the_command_compares_runs_as_json(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_log_of_another_controller_beside_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The same flight as ULog and as run differs by what floats lose; moved in time it differs by its noise."""
-    recording = begin_run(setup(), scenario(), tmp_path / "run")
-    for sample in samples(200):
-        recording.observe(sample)
-    recording.finish("completed", "")
+    record(200, tmp_path / "run")
     exported(tmp_path / "run", tmp_path / "flight.ulg")
     names = [str(tmp_path / "flight.ulg"), str(tmp_path / "run"), "--no-page", "--json"]
     largest = []

@@ -18,7 +18,7 @@ import numpy as np
 import plotly.graph_objects
 import pytest
 from comparisons import compare_report
-from flights import STEP, samples, scenario, setup
+from flights import STEP, record, scenario, setup
 from packed_columns import unpack
 
 from cosim.base.errors import FlightError
@@ -47,7 +47,7 @@ from cosim.results.report.signals_data import (
 )
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
-from cosim.results.run import Run, begin_run
+from cosim.results.run import Run
 from cosim.results.setup import describe_integration
 from cosim.results.summary import DelayRow, EngineUncertainty, UncertainParameter
 from cosim.spec.vehicle import load_vehicle
@@ -55,18 +55,8 @@ from cosim.spec.vehicle import load_vehicle
 Change = Callable[[Sample], Sample]
 
 
-def flown(
-    steps: int = 2000,
-    outcome: Any = "completed",
-    reason: str = "",
-    change: Change = lambda sample: sample,
-    folder: Path | None = None,
-    **known: Any,
-) -> Run:
-    recording = begin_run(setup(**known), scenario(), folder)
-    for sample in samples(steps):
-        recording.observe(change(sample))
-    return write_run_page(recording.finish(outcome, reason, wall_s=0.1))
+def flown(steps: int = 2000, outcome: str = "completed", reason: str = "", **more: Any) -> Run:
+    return write_run_page(record(steps, outcome=outcome, reason=reason, **more))
 
 
 @pytest.fixture(scope="module")
