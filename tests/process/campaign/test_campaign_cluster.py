@@ -223,7 +223,7 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     journal = out / "flights.jsonl"
     what = ["hover", "--vary", "vehicle.mass_kg=5.4:5.8", "--set", "duration_s=2", "--runs", "2000", "--json"]
     where = ["--cluster", str(processes.file), "--out", str(out)]
-    script = "from cosim.campaign.workers import cluster; cluster.MAX_CONNECT_S = 1.0; from cosim.cli.main import main; main()"
+    script = "from cosim.campaign.workers import cluster; cluster.MAX_CONNECT_S = 5.0; from cosim.cli.main import main; main()"
     command = [sys.executable, "-c", script, "sweep", *what, *where]
     flying = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 

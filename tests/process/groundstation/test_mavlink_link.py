@@ -281,7 +281,7 @@ def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations:
     bad = max(flight.link.peers, key=lambda peer: peer.received)
     assert sent > bad.received
     assert bad.received < (time.monotonic() - began + 1.0) * PEER.frames_1_s + 100  # what it may, and the burst
-    assert flight.worst < stretched(0.25)  # the stepping thread only hands over
+    assert flight.worst < stretched(1.0)  # the stepping thread only hands over
 
 
 def test_a_tcp_server_serves_two_and_outlives_one(flights: list[Flight], stations: list[Udp]) -> None:

@@ -222,14 +222,8 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_tables_sort_and_filter_and_results_have_their_context(tmp_path: Path) -> None:
+def test_tables_sort_and_filter_and_results_have_their_context(browser: Any, tmp_path: Path) -> None:
     """Long: site.js in a browser, on a page with one table and one of a search."""
-    from benchmarks.measures.browser import find_browser
-
-    if (browser := find_browser()) is None:
-        pytest.skip("no browser: HEXJET_BROWSER names one")
-    from playwright.sync_api import sync_playwright
-
     script = f"<script src='{(DOCS / '_static' / 'site.js').as_uri()}' defer></script>"
     values = ["10 %", "-3", "lost", "1 200", "9.5", *map(str, range(20, 29))]
     rows = "".join(f"<tr><td>{value}</td><td>row {n}</td></tr>" for n, value in enumerate(values))
@@ -237,19 +231,18 @@ def test_tables_sort_and_filter_and_results_have_their_context(tmp_path: Path) -
     (tmp_path / "table.html").write_text(f"{script}<article><table>{head}<tbody>{rows}</tbody></table></article>")
     found = "<ul id='search-results'></ul><script>window.siteTexts = {'docs/a': 'The peak of |S| is here.'}</script>"
     (tmp_path / "search.html").write_text(f"<html data-content_root='./'>{script}{found}</html>")
-    with sync_playwright() as driver:
-        tab = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page()
-        tab.goto((tmp_path / "table.html").as_uri())
-        first = "[...document.querySelectorAll('tbody tr:not([hidden]) td:first-child')].map(each => each.textContent)"
-        ordered = ["-3", "9.5", "10 %", *map(str, range(20, 29)), "1 200", "lost"]
-        tab.click("button.sort >> nth=0")
-        assert tab.evaluate(first) == ordered
-        assert tab.get_attribute("th >> nth=0", "aria-sort") == "ascending"
-        tab.click("button.sort >> nth=0")
-        assert tab.evaluate(first) == ordered[::-1]
-        tab.fill("input.filter", "200")
-        assert tab.evaluate(first) == ["1 200"]
-        tab.goto((tmp_path / "search.html").as_uri() + "?q=peak")
-        tab.evaluate("document.getElementById('search-results').innerHTML = '<li><a href=docs/a.html#b>A</a></li>'")
-        assert tab.wait_for_selector("p.context").text_content() == "The peak of |S| is here."
-        assert tab.text_content("p.context mark") == "peak"
+    tab = browser.new_page()
+    tab.goto((tmp_path / "table.html").as_uri())
+    first = "[...document.querySelectorAll('tbody tr:not([hidden]) td:first-child')].map(each => each.textContent)"
+    ordered = ["-3", "9.5", "10 %", *map(str, range(20, 29)), "1 200", "lost"]
+    tab.click("button.sort >> nth=0")
+    assert tab.evaluate(first) == ordered
+    assert tab.get_attribute("th >> nth=0", "aria-sort") == "ascending"
+    tab.click("button.sort >> nth=0")
+    assert tab.evaluate(first) == ordered[::-1]
+    tab.fill("input.filter", "200")
+    assert tab.evaluate(first) == ["1 200"]
+    tab.goto((tmp_path / "search.html").as_uri() + "?q=peak")
+    tab.evaluate("document.getElementById('search-results').innerHTML = '<li><a href=docs/a.html#b>A</a></li>'")
+    assert tab.wait_for_selector("p.context").text_content() == "The peak of |S| is here."
+    assert tab.text_content("p.context mark") == "peak"
