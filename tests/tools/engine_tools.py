@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import fmpy
 import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
@@ -33,6 +34,16 @@ def bang_bang(seed: int, steps: int = 40_000) -> Array:
     while len(throttle) < steps:
         throttle += [random.choice([0.0, 1.0, random.uniform()])] * int(random.exponential(300.0) + 1.0)
     return np.array(throttle)
+
+
+def integrated(equations: Iterable[Callable[..., Any]], state: Array, held: int) -> Array:
+    """The first of what ``equations`` move from ``state``, one after the other for ``held`` steps, by scipy."""
+    at, found = np.arange(1, held + 1) * STEP, []
+    for rates in equations:
+        done = solve_ivp(rates, (0.0, at[-1]), state, "DOP853", at, rtol=1e-12, atol=1e-10, max_step=0.1)
+        found.append(done.y[0])
+        state = done.y[:, -1]
+    return np.concatenate(found)
 
 
 def paper_thrust(name: str, throttle: Array) -> Array:

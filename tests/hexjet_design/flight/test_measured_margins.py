@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 from long_cases import long_after
-from places import ROOT
+from places import ROOT, of_page
 
 from cosim import InputError, Scenario
 from cosim.base.constants import GRAVITY
@@ -351,12 +351,8 @@ def test_a_secret_delay_of_three_samples_is_three_samples_less_of_margin(axis: s
 
 def test_a_whole_controller_that_repeats_ours_has_its_margins_to_the_last_bit(tmp_path: Path) -> None:
     """Broken at throttles and tilts, which it has, and not at a rate loop's output, which it has not."""
-    page = (ROOT / "docs" / "own-controller.md").read_text(encoding="utf-8")
-    found = re.search(r"<!-- cascade -->\n```python\n(.*?)```", page, re.DOTALL)
-    assert found is not None
-    (tmp_path / "cascade.py").write_text(found[1], encoding="utf-8")
     flown = []
-    for controller in ("smith", f"{tmp_path / 'cascade.py'}:Cascade"):
+    for controller in ("smith", f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"):
         held = still(QUIET.replace(controller=controller))
         flown.append(fly_excitation(held, "pitch", multisine(1.0, held.step_s, 2.0, 25.0), 0.03, 1))
     assert flown[0].behind.tobytes() == flown[1].behind.tobytes()

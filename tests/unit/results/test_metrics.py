@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from scipy.signal import lti
 
 from cosim.base.arrays import Array
+from cosim.results import wording
 from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemorySink, Recorder
 from cosim.results.metrics import (
@@ -380,6 +381,7 @@ def test_every_metric_has_a_name_for_expectations() -> None:
     recorder.flush()
     metrics = flight_metrics(sink.log(), STEP)
     assert tuple(flatten(metrics)) == metric_names()
+    assert wording.DIGITS.keys() == set(metric_names())
     assert flatten(metrics)["roll.rmse_rad"] == metrics.axes["roll"].rmse_rad
     assert flatten(metrics)["altitude.rmse_m"] == metrics.altitude.rmse_m
     assert summarize(setup(), sink.log(), "completed", "", 1.0).flat_metrics == flatten(metrics)
