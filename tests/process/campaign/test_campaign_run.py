@@ -12,6 +12,7 @@ import pytest
 import tomli_w
 from campaign_tools import without_chance
 from command_tools import Hexjet
+from places import DESIGNS
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
@@ -146,7 +147,7 @@ def test_files_of_ones_own_travel_with_the_campaign(tmp_path: Path, hexjet: Hexj
     shutil.copy(data_folder("fmus") / "edf-as-flown.fmu", source / "more" / "own.fmu")
     (source / "roll.csv").write_text("time_s,roll_deg\n0,0\n0.1,5\n")
     (source / "own.toml").write_text(OWN)
-    (source / "mine.toml").write_text(tomli_w.dumps(controller_file()))
+    shutil.copy(DESIGNS / "edf.toml", source / "mine.toml")
     text = {"name": "own", "scenario": "own.toml", "design": "grid", "controllers": ["baseline", "mine.toml"]}
     vary = [{"key": "engine", "values": ["own.fmu", "more/own.fmu"]}]
     (source / "study.toml").write_text(tomli_w.dumps(text | {"vary": vary}))
@@ -169,26 +170,6 @@ def test_files_of_ones_own_travel_with_the_campaign(tmp_path: Path, hexjet: Hexj
     assert any(line.startswith(f"{campaign.columns['engine'][0]} was ") for line in again.otherwise)
 
 
-def controller_file() -> dict[str, object]:
-    """As hexjet design writes one, with another attitude gain."""
-    axis = {"controller": "baseline", "peak_sensitivity": 1.5, "bandwidth_hz": 1.0, "tolerated": 2.0}
-    return {
-        "controller": "baseline",
-        "vehicle": {"control": {"attitude": {"gain_1_s": [3.0, 3.0, 2.0]}}},
-        "design": {
-            "aircraft": "hexjet",
-            "engine": "edf",
-            "family": "edf",
-            "engine_sha256": "ab" * 32,
-            "step_s": 0.004,
-            "substeps": 4,
-            "model": "made up",
-            "requirements": {},
-            "axes": {"roll": axis},
-        },
-    }
-
-
 def test_a_sweep_leaves_a_data_set_and_a_page(hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("sweep", "hover", "--vary", "vehicle.mass_kg=5.4:5.8", "--runs", "3", "--controller", "smith", *SHORT)
     assert done.status == 0, done.err
@@ -200,18 +181,8 @@ def test_a_sweep_leaves_a_data_set_and_a_page(hexjet: Hexjet, tmp_path: Path) ->
 
 
 def test_json_of_a_sweep_is_one_object(hexjet: Hexjet) -> None:
-    arguments = (
-        "sweep",
-        "hover",
-        "--vary",
-        "vehicle.mass_kg=5.4,5.8,50",
-        "--controller",
-        "smith",
-        "--out",
-        "c",
-        *SHORT,
-    )
-    done = hexjet(*arguments, "--json")
+    vary = ("--vary", "vehicle.mass_kg=5.4,5.8,50")
+    done = hexjet("sweep", "hover", *vary, "--controller", "smith", "--out", "c", *SHORT, "--json")
     answer = json.loads(done.out)
     assert done.status == 0  # that a flight fails is what a study is for
     assert (answer["folder"], answer["flights"], answer["finished"]) == ("c", 3, True)
