@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import site
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 
@@ -15,3 +19,20 @@ class Done(NamedTuple):
 
 
 Hexjet = Callable[..., Done]
+
+
+def install(prefix: Path, name: str, version: str, entry: str) -> Path:
+    """Make a folder of installed packages below ``prefix``, in which this one states its entry points."""
+    place = Path(site.getsitepackages([str(prefix)])[-1])
+    info = place / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "entry_points.txt").write_text(entry)
+    return place
+
+
+def hexjet_beside(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """The command where the packages of this folder are installed."""
+    installed = f"import site, sys; site.PREFIXES.append({str(place.parents[2])!r}); sys.path.insert(0, {str(place)!r})"
+    command = [sys.executable, "-c", f"{installed}; from cosim.cli.main import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=place, check=False)

@@ -4,48 +4,36 @@ from __future__ import annotations
 
 import json
 import re
-import site
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from command_tools import hexjet_beside, install
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A folder of installed packages, below ``tmp_path`` as the prefix; one states a predictor among its entry points."""
-    place = Path(site.getsitepackages([str(tmp_path)])[-1])
-    info = place / "my_predictors-1.0.dist-info"
-    info.mkdir(parents=True)
+    """One that states a predictor among its entry points."""
+    place = install(tmp_path, "my-predictors", "1.0", "[hexjet.predictors]\nmy-smith = my_predictors:SPEC\n")
     (place / "my_predictors.py").write_text(
         "from dataclasses import replace\n"
         "from cosim.control.predictors.registry import SMITH\n"
         "SPEC = replace(SMITH, name='my-smith', title='Smith, from a package', number=None)\n"
     )
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-predictors\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[hexjet.predictors]\nmy-smith = my_predictors:SPEC\n")
     return place
 
 
-def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    installed = (
-        f"import site, sys; site.PREFIXES.append({str(package.parents[2])!r}); sys.path.insert(0, {str(package)!r})"
-    )
-    command = [sys.executable, "-c", f"{installed}; from cosim.cli.main import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
-
-
 def test_a_package_brings_one(package: Path) -> None:
-    listed = hexjet(package, "show", "controllers")
+    listed = hexjet_beside(package, "show", "controllers")
     assert re.search("my-smith +Smith, from a package", listed.stdout)
-    swept = hexjet(
+    swept = hexjet_beside(
         package, "sweep", "hover", "--vary", "vehicle.mass_kg=5.6:5.8", "--runs", "1", "--set", "duration_s=0.2",
         "--controller", "my-smith", "--controller", "smith", "--workers", "1", "--out", "out", "--json",
     )  # fmt: skip
     assert swept.returncode == 0, swept.stderr
     assert "my-smith" in json.dumps(json.loads(swept.stdout))
-    searched = hexjet(
+    searched = hexjet_beside(
         package, "search", "hover", "--vary", "mismatch.delay_samples=0:1", "--set", "duration_s=0.2",
         "--controller", "my-smith", "--workers", "1", "--out", "found",
     )  # fmt: skip
@@ -90,7 +78,7 @@ def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pyte
 )
 def test_a_package_that_does_not_is_told_in_one_line(package: Path, text: str, message: str) -> None:
     (package / "my_predictors-1.0.dist-info" / "entry_points.txt").write_text(f"[hexjet.predictors]\n{text}\n")
-    done = hexjet(package, "fly", "hover", "--controller", "my-smith")
+    done = hexjet_beside(package, "fly", "hover", "--controller", "my-smith")
     assert done.returncode == 2
     assert message in done.stderr
     assert "importlib" not in done.stderr
@@ -105,7 +93,7 @@ def test_two_of_one_name_are_refused_and_the_same_one_twice_is_not(package: Path
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-predictors\nVersion: 1.0\n")
     for value, status in (("my_predictors:SPEC", 0), ("my_predictors:OTHER", 2)):
         (other / "entry_points.txt").write_text(f"[hexjet.plugins]\npredictor.my-smith = {value}\n")
-        done = hexjet(package, "fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1")
+        done = hexjet_beside(package, "fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1")
         assert done.returncode == status, done.stderr
     assert "predictor 'my-smith': there is one of this name already: " in done.stderr
     assert "my_predictors:SPEC" in done.stderr

@@ -7,8 +7,6 @@ import json
 import linecache
 import re
 import shutil
-import site
-import subprocess
 import sys
 from math import nan
 from pathlib import Path
@@ -16,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_tools import hexjet_beside, install
 from places import of_page
 
 from cosim import InputError, Scenario, fly, open_run
@@ -402,7 +401,7 @@ def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path
     whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
     Path(whole.removesuffix(":Cascade")).unlink()
-    again = hexjet(tmp_path, "show", "run", "--page")
+    again = hexjet_beside(tmp_path, "show", "run", "--page")
     assert again.returncode == 0, again.stderr
     assert "engines were not watched: cascade.py:Cascade is a whole controller" in again.stdout
     own = run.summary.own_controller
@@ -437,7 +436,7 @@ def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) ->
     """And of the other blocks that a user brings."""
     whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     (tmp_path / "mine.py").write_text(BLOCKS)
-    done = hexjet(
+    done = hexjet_beside(
         tmp_path, "gcs", "--controller", whole, "--duration", "0.2", "--rtf", "0", "--params", "none", "--mavlink",
         "udpout:127.0.0.1:9", "--out", "run", "--json", "--metric", "mine.py:rows", "--wind", "mine.py:Blows",
         "--sensors", "mine.py:Low", "--observer", "mine.py:Counts",
@@ -468,28 +467,14 @@ def test_its_parameters_are_keys(mine: str) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A folder of installed packages, below ``tmp_path`` as the prefix."""
-    place = Path(site.getsitepackages([str(tmp_path)])[-1])
-    info = place / "my_controllers-1.2.dist-info"
-    info.mkdir(parents=True)
+    place = install(tmp_path, "my-controllers", "1.2", "[hexjet.controllers]\nmine = my_controllers:Mine\n")
     of_page("predictor", place / "my_controllers.py")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-controllers\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text("[hexjet.controllers]\nmine = my_controllers:Mine\n")
     return place
 
 
-def hexjet(package: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    installed = (
-        f"import site, sys; site.PREFIXES.append({str(package.parents[2])!r}); sys.path.insert(0, {str(package)!r})"
-    )
-    script = f"{installed}; from cosim.cli.main import main; main()"
-    command = [sys.executable, "-c", script, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
-
-
 def test_an_installed_package_brings_one(package: Path) -> None:
-    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet(package, "show", "controllers").stdout)
-    done = hexjet(
+    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet_beside(package, "show", "controllers").stdout)
+    done = hexjet_beside(
         package, "fly", "roll-doublet", "--controller", "mine", "--set", "duration_s=0.2", "--set",
         "controller_parameters.share=0.5", "--out", "run", "--json",
     )  # fmt: skip
@@ -497,7 +482,7 @@ def test_an_installed_package_brings_one(package: Path) -> None:
     own = json.loads(done.stdout)["own_controller"]
     assert (own["name"], own["version"], own["parameters"]) == ("mine", "my-controllers 1.2", {"share": 0.5})
     (package / "my_controllers.py").write_text((package / "my_controllers.py").read_text() + "# edited\n")
-    again = hexjet(package, "fly", "run/scenario.toml")
+    again = hexjet_beside(package, "fly", "run/scenario.toml")
     assert again.returncode == 2
     assert "controller mine is not the one that was flown" in again.stderr
 
