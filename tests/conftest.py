@@ -44,7 +44,7 @@ LONG = (
     "test_own_controller", "test_gcs_session", "test_web", "test_pilot_flight", "test_scenarios", "test_campaign_run", "test_reproduce",
     "test_pilot_envelope", "test_campaign_report", "test_prove", "test_engine_out", "test_faults", "test_identify", "test_measured_margins",
     "test_campaign_rare", "test_worst_folder", "test_engine_archives", "test_controller_process", "test_package",
-    "test_vehicle_export", "test_design_stored", "test_own_blocks", "test_engine_system", "test_examples",
+    "test_vehicle_export", "test_design_stored", "test_own_blocks", "test_examples",
     "test_engine_library", "test_engine_build",
 )  # fmt: skip
 
