@@ -211,21 +211,31 @@ def show_table(
     from rich import box
     from rich.table import Table
 
-    table, rows = Table(box=box.SIMPLE_HEAD, **table_options), list(rows)
-    # A name, such as a key, stays whole, so that it can be copied.
-    is_whole = plain and max((len(first) for first, *_ in rows), default=0) <= 2 * terminal().width // 3
+    table, room = Table(box=box.SIMPLE_HEAD, **table_options), 45  # columns that the other cells need
+    # A name, such as a key, is broken behind its dots alone.
+    rows = [(_break_name(row[0], terminal().width - room), *row[1:]) for row in rows] if plain else rows
     for number, title in enumerate(titles):
         table.add_column(
             title,
             justify="right" if number in right else "left",
             overflow="fold" if plain else "ellipsis",
             min_width=None if number else name_width,
-            no_wrap=is_whole and not number,
+            no_wrap=plain and not number,
         )
     for row in rows:
         table.add_row(*row)
     if table.row_count:
         terminal().print(table, **({"highlight": False, "markup": False} if plain else {}))
+
+
+def _break_name(text: str, most: int) -> str:
+    """Return a text in lines of at most ``most`` letters, broken behind dots and blanks alone."""
+    lines = [""]
+    for part in re.split(r"(?<=[. ])", text):
+        if lines[-1] and len(lines[-1]) + len(part.rstrip()) > most:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def format_help(

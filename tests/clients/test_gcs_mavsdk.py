@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,6 +31,9 @@ from mavsdk.plugins import offboard as off
 from mavsdk.plugins import param as par
 from mavsdk.plugins import telemetry as tel
 from patience import FLIGHT_PATIENCE
+from places import ROOT
+
+from cosim import open_run
 
 RTF = 6.0  # steps of 0.67 ms: a machine that does nothing else does three times as many
 SOON = 5.0  # s for anything that is only asked
@@ -552,3 +556,17 @@ def test_a_new_flight_and_the_log_of_the_old_one(tmp_path: Path) -> None:
     # at PX4's rate: every 50 ms, to the nearest 12 steps, and the last step
     last = first["steps"] - 1
     assert attitude["timestamp"].tolist() == [4000 * k for k in range(last + 1) if k % 12 == 0 or k == last]
+
+
+def test_the_program_of_the_page_takes_off(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "ground-station.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    vehicle = VehicleProcess(tmp_path, RTF)
+    try:
+        address = f"udpout://{LOOPBACK}:{vehicle.port}"
+        exec(program.replace("udpin://127.0.0.1:14540", address).replace("sleep(20)", "sleep(2)"), {})
+        vehicle.stop()
+    finally:
+        vehicle.kill()
+    (run,) = vehicle.folder.parent.glob("run*/flight.parquet")
+    assert open_run(run.parent).log["altitude_m"].max() > 0.5
