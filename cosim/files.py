@@ -7,15 +7,6 @@ from cosim.base.storage.toml import Model, parse_numbers, read_toml, validate
 from cosim.flight import new_folder
 
 __all__ = [
-    "Model",
-    "data_folder",
-    "map_os_errors",
-    "new_folder",
-    "parse_numbers",
-    "read_text",
-    "read_toml",
-    "scratch",
-    "temporary",
-    "validate",
-    "write_whole",
-]
+    "Model", "data_folder", "map_os_errors", "new_folder", "parse_numbers", "read_text", "read_toml", "scratch",
+    "temporary", "validate", "write_whole",
+]  # fmt: skip

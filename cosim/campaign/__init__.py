@@ -32,16 +32,9 @@ _WHERE = {  # module of each lazily imported name
 }
 
 __all__ = [
-    "Campaign",
-    "LocalWorkers",
-    "Study",
-    "as_finished",
-    "fly_again",
-    "open_campaign",
-    "open_study",
-    "proof_study",
+    "Campaign", "LocalWorkers", "Study", "as_finished", "fly_again", "open_campaign", "open_study", "proof_study",
     "run_campaign",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

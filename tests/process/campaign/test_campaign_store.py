@@ -421,19 +421,10 @@ def test_ten_kills_at_random_moments_lose_nothing_and_double_nothing(
 @pytest.mark.parametrize(("sent", "status"), long_after(1, [(signal.SIGINT, 130), (signal.SIGTERM, 143)]))
 def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: signal.Signals, status: int) -> None:
     """And so does SIGTERM, as a batch system sends it."""
-    command = [
-        sys.executable,
-        "-c",
-        "from cosim.cli.main import main; main()",
-        "sweep",
-        "hover",
-        "--vary",
-        "vehicle.mass_kg=5.4:5.8",
-        "--runs",
-        "20000",
-    ]
+    command = [sys.executable, "-c", "from cosim.cli.main import main; main()", "sweep", "hover"]
+    varied = "--vary", "vehicle.mass_kg=5.4:5.8", "--runs", "20000"
     process = psutil.Popen(
-        [*command, "--workers", "2", "--out", "c", "--set", "duration_s=0.1"],
+        [*command, *varied, "--workers", "2", "--out", "c", "--set", "duration_s=0.1"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     while not (tmp_path / "c" / JOURNAL).exists() or not (tmp_path / "c" / JOURNAL).read_bytes():
