@@ -12,7 +12,7 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_449,
-    "cosim": 64_790,
+    "cosim": 64_784,
     "docs": 1_631,
     "tests": 68_816,
     "tools/hexjet_batch": 3_070,
