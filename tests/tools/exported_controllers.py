@@ -17,14 +17,8 @@ from hexjet_export.controller.vectors import RecordedFlight, RecordingController
 
 CC = measure.find_compiler()
 STRICT = (
-    "-Wsign-conversion",
-    "-Wshadow",
-    "-Wstrict-prototypes",
-    "-Wmissing-prototypes",
-    "-Wundef",
-    "-Wcast-qual",
-    "-Werror",
-)
+    "-Wsign-conversion", "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wundef", "-Wcast-qual", "-Werror",
+)  # fmt: skip
 QUIET = EngineOutput((0.0,) * 6, (0.0,) * 6, (0.0,) * 6, (0.0,) * 6)
 
 

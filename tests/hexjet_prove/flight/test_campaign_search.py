@@ -395,18 +395,8 @@ def test_another_search_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_the_command_line_prints_the_search_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = [
-        "search",
-        "gust",
-        "--vary",
-        f"{X}=0:200:3",
-        "--set",
-        "duration_s=4.2",
-        "--workers",
-        "1",
-        "--tolerance",
-        "90",
-    ]
+    varied = ["--vary", f"{X}=0:200:3", "--set", "duration_s=4.2"]
+    line = ["search", "gust", *varied, "--workers", "1", "--tolerance", "90"]
     with pytest.raises(SystemExit) as end:
         main([*line, "--out", str(tmp_path / "run"), "--json"])
     assert end.value.code == 0
