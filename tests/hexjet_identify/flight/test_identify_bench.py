@@ -59,9 +59,9 @@ def test_limits_of_rise_and_fall_are_found_behind_a_curved_line(tmp_path: Path) 
     assert isinstance(result.chosen.form, Limits)
     assert result.chosen.numbers["rise"][0] == pytest.approx(30.0, rel=0.02)
     told = engine_parameters(result)
-    assert told.told("rise")[0] == pytest.approx(30.0 / told.told("gain")[0], rel=0.02)
+    assert told.find("rise")[0] == pytest.approx(30.0 / told.find("gain")[0], rel=0.02)
     assert result.chosen.numbers["fall"][0] == pytest.approx(20.0, rel=0.02)
-    assert told.told("exponent")[0] == pytest.approx(1.3, abs=0.05)
+    assert told.find("exponent")[0] == pytest.approx(1.3, abs=0.05)
 
 
 def test_a_governor_is_not_explained_however_little_it_is_off(hexjet: Hexjet, tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_pa
     "kind", ["stairs of 5 s", *(pytest.param(one, marks=pytest.mark.long) for one in ("ramp", "chirp"))]
 )
 def test_the_static_curve_comes_out_with_its_exponent(tmp_path: Path, kind: str) -> None:
-    value, deviation = engine_parameters(found(tmp_path, kind, 50.0, Truth(exponent=1.7))).told("exponent")
+    value, deviation = engine_parameters(found(tmp_path, kind, 50.0, Truth(exponent=1.7))).find("exponent")
     assert abs(value - 1.7) < 4.0 * deviation < 0.4
 
 
@@ -165,7 +165,7 @@ def test_lost_and_clipped_rows_cost_nothing_but_rows(tmp_path: Path) -> None:
     words = " ".join(result.notes)
     assert "(clipped) or next to such; left out" in words
     assert result.chosen.delay == pytest.approx(0.1, abs=0.004)  # a step within lost rows is known to a row of 20 ms
-    assert engine_parameters(result).told("gain")[0] == pytest.approx(100.0, abs=1.0)
+    assert engine_parameters(result).find("gain")[0] == pytest.approx(100.0, abs=1.0)
 
 
 def test_one_choice_of_what_is_between_rows_is_half_a_row_of_delay(tmp_path: Path) -> None:
@@ -209,11 +209,11 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     assert done.status == 0
     assert "engine: " in done.out
     table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
-    assert table["parameters"]["delay_samples"] == 25
+    # A chirp that is taken for held has half a row of 5 samples less.
+    assert table["parameters"]["delay_samples"] == pytest.approx(22.5, abs=0.5)
     assert table["parameters"]["lag"] == pytest.approx(0.4, rel=0.02)
     assert table["parameters"]["gain"] == pytest.approx(100.0, rel=0.01)
-    flight = ("hover", "--set", "duration_s=0.1", "--engine", "mine/engine.toml", "--controller", "baseline")
-    assert hexjet("fly", *flight).status == 0
+    assert load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.004).thrust_at(1.0) > 100.0
     known = dict(zip(table["uncertainty"]["parameters"], table["uncertainty"]["deviation"], strict=True))
     assert list(known) == ["delay_samples", "lag", "gain", "offset"]
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))

@@ -42,7 +42,7 @@ class Parameters(NamedTuple):
         """Standard deviations of the values."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
-    def told(self, name: str) -> tuple[float, float]:
+    def find(self, name: str) -> tuple[float, float]:
         """Return the value and standard deviation of a named parameter; zeros if the engine has no such parameter."""
         if name not in self.names:
             return 0.0, 0.0
@@ -122,7 +122,7 @@ def why_no_engine(found: Identification) -> str:
         return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N{how}"
     if not found.limits_known:
         return "what throttle 0 and 1 are is not known: throttle_range LOW HIGH"
-    if not engine_parameters(found).told("gain")[0] > 0.0:
+    if not engine_parameters(found).find("gain")[0] > 0.0:
         return "the thrust falls where the throttle rises"
     if found.chosen.delay > MAX_DELAY_SAMPLES * FITTED_STEP_S:
         return f"its delay is longer than {MAX_DELAY_SAMPLES * FITTED_STEP_S:g} s"

@@ -36,7 +36,7 @@ NEWTONS_PER_UNIT = {
     "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
 }  # fmt: skip
 CLIPPED_COLUMN = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
-MAX_GAP_ROWS = 4.0  # rows: what is missing longer is said
+MAX_GAP_ROWS = 4.0  # longer gaps are noted
 
 
 class Columns(NamedTuple):

@@ -19,7 +19,7 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
     """
     record, chosen, limits = found.records[0], found.chosen, found.limits
     told, doubts = engine_parameters(found), []
-    gain, offset, deviation = told.told("gain")[0], *told.told("offset")
+    gain, offset, deviation = told.find("gain")[0], *told.find("offset")
     explained = 1.0 - float(np.var(chosen.residual)) / max(float(np.var(found.problem.output)), 1e-300)
     if explained < 0.5:
         doubts.append(
@@ -42,7 +42,7 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
             "as where columns are swapped or clocks are apart"
         )
     if record.newtons is not None and gain > 0.0 and offset < -apart * deviation:
-        crossing = min(-offset / gain, 1.0) ** (1.0 / (told.told("exponent")[0] or 1.0))
+        crossing = min(-offset / gain, 1.0) ** (1.0 / (told.find("exponent")[0] or 1.0))
         zero = limits[0] + (limits[1] - limits[0]) * crossing
         doubts.append(
             f"the static curve is below 0 up to {record.command_name} {zero:.2g} ({offset / record.newtons:.3g} "

@@ -13,7 +13,7 @@ from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 SPEED_PATTERN = r"\b(rpm|n1?|speed)\b"
 NO_SPEED_PATTERN = r"set.?point|demand|target|command|cmd|air.?speed|wind|pump"
 STATE_COLUMN = re.compile(r"(.*[_ ])?(state|status|ecu[_ ]state)", re.IGNORECASE)
-MIN_RUNNING_S = 5.0  # of a stretch that is worth keeping
+MIN_RUNNING_S = 5.0  # shorter spans are left out
 RPM_PER_UNIT = {"rpm": 1.0, "krpm": 1e3}  # in rpm
 
 

@@ -176,7 +176,7 @@ class _MessageIndex:
 
     messages: dict[Key, list[Frame]] = field(default_factory=dict)
     unknown: set[int] = field(default_factory=set)
-    passed: int = 0  # bytes of no frame
+    passed: int = 0  # bytes outside any frame
     # Bytes at the end that begin a frame.
     cut: int = 0
 
