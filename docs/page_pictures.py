@@ -33,24 +33,24 @@ from cosim.spec.scenario import Scenario
 
 FOLDER = Path(__file__).parent / "pictures"
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-SOON = 60.0  # s for what takes one
+WAIT_S = 60.0  # limit of every wait
 
 
 class Page(NamedTuple):
-    """A page that a command writes: the commands, in the folder, where it is, and how its picture is taken."""
+    """Page that commands write: the commands, its path, and how its picture is taken."""
 
     commands: list[str]
     path: str
-    at: float | None = None  # s of the flight that is shown
+    at: float | None = None  # shown time of the flight [s]
     width: int = 1100
-    height: int | None = None  # of the picture; None: as high as the page
+    height: int | None = None  # of the picture; None: the page's
     scheme: str = "light"
 
 
 DOUBLET = ["fly roll-doublet --controller baseline --out baseline", "fly roll-doublet --controller smith --out smith"]
 MODEL = "identify log smith --axis roll --out logged"
 ROOT = Path(__file__).parents[1]
-START = ROOT / "tests" / "designs" / "edf-as-flown.toml"  # a search anew takes minutes
+START = ROOT / "tests" / "designs" / "edf-as-flown.toml"  # else a search takes minutes
 VARIED = "--vary vehicle.mass_kg=5:6.5 --vary mismatch.delay_samples=0:20"
 FAULT = ["fly fault-flame-out --out fault"]
 PAGES = {
@@ -75,7 +75,7 @@ PAGES = {
     "paper": Page(["paper --out paper"], "paper/report.html"),
     "engine-check": Page(["engine check edf.fmu --out checked"], "checked/report.html"),
 }
-MORE = {  # looked at, and not in the documentation
+MORE = {  # reviewed, not in the documentation
     "replay": Page([DOUBLET[1], "replay smith --draws 8 --out replayed"], "replayed/report.html"),
     "worst": Page(
         [f"search roll-doublet {VARIED} --controller smith --worst --budget 40 --out worst"], "worst/search.html"
@@ -99,16 +99,16 @@ MORE = {  # looked at, and not in the documentation
 }
 SERVED = {"runs": Page([], "", height=620), "live": Page([], "", width=1280, height=800)}  # made by no command
 SIZES, SCHEMES = ((1400, 900), (390, 844)), ("light", "dark")
-HIGHEST = 12_000  # pixels of a whole page, at most: what a browser still takes
+MAX_HEIGHT = 12_000  # pixels that a browser can take
 
 
 def write(page: Page, folder: Path, done: set[str]) -> Path:
-    """Run the commands that ``done`` has not, in the folder; the page.  Raises InputError where one leaves none."""
+    """Run the commands of a page that are not in ``done``; return the page.  Raises InputError without one."""
     os.chdir(folder)
-    shutil.copy(ROOT / "fmus" / "edf.fmu", folder)  # named without the place of this installation
+    shutil.copy(ROOT / "fmus" / "edf.fmu", folder)  # so that commands name no path
     for command in page.commands:
         if command not in done:
-            with suppress(SystemExit):  # some say with its status that a vehicle has failed, which their page shows
+            with suppress(SystemExit):  # status 1: the vehicle has failed
                 hexjet(command.split())
             done.add(command)
     if not (folder / page.path).is_file():
@@ -118,7 +118,7 @@ def write(page: Page, folder: Path, done: set[str]) -> Path:
 
 @contextmanager
 def live(folder: Path, flies: bool = True) -> Iterator[str]:
-    """The page of ``hexjet gcs --web``, of a vehicle that takes off and goes somewhere in a wind, or stands."""
+    """Yield the address of ``hexjet gcs --web`` with a vehicle that flies in a wind, or stands."""
     exchange = Exchange()
     windy = Scenario.load("hover", ["environment.wind_ned_m_s=[2.0, 1.0, 0.0]"])
     scenario = windy.replace(name="gcs", engine="edf-as-flown", controller="smith")
@@ -126,7 +126,7 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
     thread = threading.Thread(target=session.run)
 
     def until(true: Callable[[Any], bool], asked: Any) -> None:
-        end = time.monotonic() + SOON
+        end = time.monotonic() + WAIT_S
         while exchange.snapshot is None or not true(exchange.snapshot.status):
             if time.monotonic() > end:
                 raise InputError(f"the vehicle has not come to where it can {type(asked).__name__}")
@@ -147,7 +147,7 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
 
 
 def take(browser: Any, url: str, name: str, page: Page) -> None:
-    """Take the beginning of a page, at a time of its flight."""
+    """Take a picture of a page's beginning, at a time of its flight."""
     viewport = {"width": page.width, "height": page.height or 1000}
     tab = browser.new_page(viewport=viewport, color_scheme=page.scheme)
     tab.goto(url)
@@ -155,12 +155,12 @@ def take(browser: Any, url: str, name: str, page: Page) -> None:
         tab.wait_for_function("document.documentElement.dataset.replay")
         tab.evaluate("t => hexjet.setTime(t)", page.at)
         tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{page.at:.4f}")
-        tab.wait_for_timeout(800)  # with smooth edges when it stands
+        tab.wait_for_timeout(800)  # edges are smooth once it stands still
     if name in ("live", "runs"):
         tab.wait_for_selector("#scene canvas[data-time]" if name == "live" else "#runs tbody tr")
-        tab.wait_for_timeout(4000 if name == "live" else 500)  # something of a track, a row's colours
+        tab.wait_for_timeout(4000 if name == "live" else 500)  # until a track and colours are seen
     if page.height is None:
-        height = min(1600, tab.evaluate("document.documentElement.scrollHeight"))  # what it begins with
+        height = min(1600, tab.evaluate("document.documentElement.scrollHeight"))  # the page's beginning
         tab.set_viewport_size(viewport | {"height": height})
         tab.wait_for_timeout(500)  # figures follow the size of the window
     tab.screenshot(path=FOLDER / f"page-{name}.png")
@@ -168,7 +168,7 @@ def take(browser: Any, url: str, name: str, page: Page) -> None:
 
 
 def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
-    """Take a page in every width and scheme; return what is wrong with it, a line each."""
+    """Take a page in every width and colour scheme; return a line on each thing that is wrong with it."""
     wrong: list[str] = []
     for width, height in SIZES:
         touch = width < 800
@@ -189,8 +189,8 @@ def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
             if shown[0] > width:
                 wrong.append(f"{where}: {shown[0]} pixels wide")
             tab.screenshot(path=folder / f"{name}-{width}-{scheme}-first.png")
-            tab.set_viewport_size({"width": width, "height": min(HIGHEST, shown[1])})
-            tab.wait_for_timeout(1500)  # figures are drawn when they are seen
+            tab.set_viewport_size({"width": width, "height": min(MAX_HEIGHT, shown[1])})
+            tab.wait_for_timeout(1500)  # figures are drawn once seen
             tab.screenshot(path=folder / f"{name}-{width}-{scheme}.png")
             context.close()
     return wrong
@@ -198,7 +198,7 @@ def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
 
 @contextmanager
 def address(name: str, folder: Path, done: set[str]) -> Iterator[str]:
-    """Where a page is, made by its commands or served as long as it is looked at."""
+    """Yield a page's address; it is made by commands, or served as long as it is looked at."""
     if name == "runs":
         write(PAGES["comparison"], folder, done)
         yield write_index(folder).as_uri()
@@ -210,7 +210,7 @@ def address(name: str, folder: Path, done: set[str]) -> Iterator[str]:
 
 
 def review(browser: Any, names: list[str], out: Path) -> int:
-    """Take whole pages into a folder, and say what is wrong with them."""
+    """Take whole pages into a folder, and print what is wrong with them."""
     out.mkdir(parents=True, exist_ok=True)
     home, done, wrong = Path.cwd(), set[str](), list[str]()
     with tempfile.TemporaryDirectory() as name:
@@ -223,7 +223,7 @@ def review(browser: Any, names: list[str], out: Path) -> int:
 
 
 def main(arguments: list[str]) -> int:
-    """Make the pages, and take them."""
+    """Make the pages, and take their pictures."""
     out = Path(arguments[1]).absolute() if arguments[:1] == ["--all"] and arguments[1:] else None
     names = arguments if out is None else arguments[2:]
     known = [*PAGES, *([] if out is None else MORE), *SERVED]

@@ -11,7 +11,7 @@ from cosim.files import new_folder
 
 
 class Ahead:
-    """Adds what the commands that are under way will still do, and knows nothing of the engines' lag."""
+    """Predictor that adds what the commands in transport will still do, without the engines' lag."""
 
     level = "predictor"
     parameters = (Parameter("share", 1.0, "", "of the gain that is believed", 0.0, 2.0),)
@@ -19,20 +19,20 @@ class Ahead:
     shown = (0.0,)
 
     def prepare(self, belief):
-        """Told once what may be believed: here the identified model of this axis, torque to rate."""
+        """Read the identified model of this axis, torque to rate; called once before the flight."""
         model = belief.model
         self.delay = round(model.delay_samples)
-        # what one step of one unit adds to the rate for good: G(1) without the pole near 1, which integrates
+        # Rate that a unit command adds per step: G(1) without the pole near 1, which integrates.
         _, *faster = sorted(model.poles, reverse=True)
         gained = model.gain * prod(1.0 - zero for zero in model.zeros) / prod(1.0 - pole for pole in faster)
         self.gain = belief.parameters["share"] * gained
 
     def reset(self):
-        """At rest."""
+        """Return to rest."""
         self.under_way = deque([0.0] * self.delay, maxlen=self.delay)
 
     def update(self, measured, applied):
-        """Measured rate [rad/s] and the command of the step before, as it was given."""
+        """Return the predicted rate [rad/s] from the measured one and the command applied in the step before."""
         self.under_way.append(applied)
         self.shown = (self.gain * sum(self.under_way),)
         return measured + self.shown[0]
