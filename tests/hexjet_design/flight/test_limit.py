@@ -279,6 +279,7 @@ def test_the_limit_of_a_fraction_is_below_a_controller_that_keeps_the_same_and_g
         (([1.0], [1.0, -1.1], 0.01), "a pole on or outside the unit circle"),
         (([1.0, 0.0], [1.0, -0.9], 0.01), "answers in the step of the command"),
         (([1.0], [1.0, -0.9], 0.01, 0.015), "is not whole steps of 0.01 s; sample_delayed"),
+        (([1.0], [1.0, -0.99999], 0.01, 0.01), "steps; 18, nine times the delay, to 20000"),
         (([1.0], [1.0, -0.9], 0.01, 0.01, 0.9), "peak: 0.9 and noise: inf; above 1 and above 0"),
         (([1.0], [1.0, -0.9], 0.01, 0.05, 1.7, 1e-3), "no linear controller was found with a peak sensitivity"),
     ],

@@ -82,6 +82,7 @@ def test_the_discretisation_is_python_control_s_and_between_steps_the_integral_o
         (([1.0], [0.0]), "denominator: one row of finite coefficients, not all 0"),
         (([0.1], [1.0, -1.0], 0.01, 0.015), "delay: 0.015 s is not whole steps of 0.01 s; sample_delayed"),
         (([1.0], [1.0, 0.0], 0.0, -0.1), "delay: -0.1 s; at least 0"),
+        (([1.0], np.poly([-1e9, -1.0]), 0.0, 1.0), "delay: 1 s turns the loop too often below 1e.10 rad/s"),
         (([1.0], [1.0, 0.0], 0.004, 0.1), "at the limit along a range of frequencies"),
         (([20.0], [1.0, 0.0], 0.0, 0.1), "not stable, it has no margins: poles outside the limit: 2"),
         (([1.1, 1.0], [1.0, 3.0], 0.0, 1.0), "not stable, it has no margins: poles outside the limit: without end"),

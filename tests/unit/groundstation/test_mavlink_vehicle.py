@@ -191,15 +191,9 @@ def test_what_engines_do_not_say_is_not_made_up() -> None:
 def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     """No station shows FUEL_STATUS, so per cent of the tank go where all of them look."""
     fuel = fields(
-        desk,
-        "FUEL_STATUS",
-        "maximum_fuel",
-        "consumed_fuel",
-        "remaining_fuel",
-        "percent_remaining",
-        "flow_rate",
+        desk, "FUEL_STATUS", "maximum_fuel", "consumed_fuel", "remaining_fuel", "percent_remaining", "flow_rate",
         "fuel_type",
-    )
+    )  # fmt: skip
     # 2 kg when full, 1.5 kg left, six engines at 1 g/s: ml and ml/s of 0.808 kg/l, MAV_FUEL_TYPE_LIQUID
     full = 2.0 / 0.808 * 1e3
     # of what is consumed and what remains the gauge measures one, and the other may not be made of it
