@@ -33,7 +33,9 @@ def _summarise_model(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
     """Return one line with up to ``limit`` parameters of the first model; empty without models."""
     for card in cards:
         if card is not None and card.title == "Models" and card.rows and len(card.rows[0]) > 1:
-            parts = [(*row[0].partition(", "), row[1]) for row in card.rows if row[1]]
+            # What is not told, and what compares the models, is in the table alone.
+            told = [row for row in card.rows if any(map(str.isdigit, row[1])) and not row[0].startswith("BIC")]
+            parts = [(*row[0].partition(", "), row[1]) for row in told]
             texts = [f"{name} {value} {unit}" for name, comma, unit, value in parts if comma]
             return [f"{card.columns[1]}: {', '.join(texts[:limit])}."]
     return []

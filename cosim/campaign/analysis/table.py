@@ -38,14 +38,9 @@ AXIS_METRICS = (  # metrics shown for axes with set-points
     "max_abs_error_rad",
 )
 FLIGHT_METRICS = (  # metrics shown for every study
-    "altitude.max_abs_error_m",
-    "position.max_abs_error_m",
-    "position.drift_m",
-    "speed.max_m_s",
-    "effort.saturated_percent",
-    "effort.throttle_1_s",
-    "fuel_burnt_kg",
-)
+    "altitude.max_abs_error_m", "position.max_abs_error_m", "position.drift_m", "speed.max_m_s",
+    "effort.saturated_percent", "effort.throttle_1_s", "fuel_burnt_kg",
+)  # fmt: skip
 
 
 class KeyColumn(NamedTuple):

@@ -12,14 +12,14 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_449,
-    "cosim": 64_784,
+    "cosim": 64_781,
     "docs": 1_631,
     "tests": 68_806,
     "tools/hexjet_batch": 3_070,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 308,
-    "tools/hexjet_identify": 10_463,
+    "tools/hexjet_identify": 10_462,
     "tools/hexjet_laws": 586,
     "tools/hexjet_paper": 4_508,
     "tools/hexjet_prove": 6_472,

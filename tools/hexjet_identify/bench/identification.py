@@ -76,10 +76,9 @@ class Identification:
         if not self.unknown:
             return []
         names, (total, off) = " and ".join(WORDS.get(name, name) for name in self.unknown), self.chosen.total
-        return [
-            f"the log does not tell {names}, whose 95 % bounds exceed the value; delay and lags together are "
-            f"{total:.3g} ±{1.96 * off:.2g} s. Next: {describe_next_step(self.records, self.total)}"
-        ]
+        bounds = f" ±{1.96 * off:.2g}" if np.isfinite(off) else ""
+        why = f"the log does not tell {names}, whose 95 % bounds exceed the value; delay and lags together are "
+        return [f"{why}{total:.3g}{bounds} s. Next: {describe_next_step(self.records, self.total)}"]
 
     @property
     def judgement(self) -> Judgement:
