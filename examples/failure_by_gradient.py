@@ -23,8 +23,8 @@ def margin(z, sharp=3000.0):
     inertia, thrust = 1.0 + 0.1 * z[0], 1.0 + 0.05 * z[1]
     flown = numbers.flown
     body = flown.replace(inertia_kg_m2=tuple(inertia * value for value in flown.inertia_kg_m2))
-    jets = numbers.jets.replace(factors=tuple(thrust * factor for factor in numbers.jets.factors))
-    roll = to_euler(fly_numbers(numbers.replace(flown=body, jets=jets)).motion.attitude, xp)[0][:, 0]
+    factors = tuple(thrust * factor for factor in numbers.factors)
+    roll = to_euler(fly_numbers(numbers.replace(flown=body, factors=factors)).motion.attitude, xp)[0][:, 0]
     both = xp.concat([roll, -roll])
     return LIMIT - jax.scipy.special.logsumexp(sharp * both) / sharp
 

@@ -8,7 +8,7 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,18 @@ def study(runs: int | None = 6, duration: float = 0.2, fixed: Sequence[str] = ()
         "runs": runs,
     }
     return open_study("hover", **(given | options))
+
+
+class Here:
+    """Workers in this process, so that what a test plants is there too; ``loses``: first flights of chunks lost."""
+
+    def __init__(self, *loses: int) -> None:
+        self.loses = loses
+
+    def fly(self, study: Study, asked: Iterable[Flight]) -> Iterator[Row]:
+        for flight in asked:
+            is_lost = study.batch and flight.number in self.loses
+            yield failed_row(study, flight, "the process was lost") if is_lost else fly_one(study, flight)
 
 
 def without_chance(row: Row) -> Row:

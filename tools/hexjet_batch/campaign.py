@@ -86,8 +86,8 @@ class Chunk(Flight):
 class BatchWorkers:
     """Flies a study's flights on arrays, in the processes of other workers.
 
-    ``together``: flights of one chunk, by default those whose logs, of some 25 columns, come to ``memory_gb``.  A
-    chunk with which three processes were lost is flown by JSBSim, flight by flight.
+    ``together``: flights of one chunk, by default those whose logs, of some 25 columns, come to ``memory_gb``, at most
+    4096.  A chunk with which three processes were lost is flown by JSBSim, flight by flight.
     """
 
     def __init__(self, workers: Workers, together: int | None = None, memory_gb: float = 0.8) -> None:
@@ -99,7 +99,7 @@ class BatchWorkers:
         """See :class:`cosim.studies.Workers`."""
         under_way: dict[int, Chunk] = {}
         lost: list[Flight] = []
-        most = self._together or max(1, int(self._bytes / (25 * 8 * study.base().steps)))
+        most = self._together or min(4096, max(1, int(self._bytes / (25 * 8 * study.base().steps))))
         chunks = (under_way.setdefault(chunk.number, chunk) for chunk in _chunks(flights, most))
         for row in self._workers.fly(study, chunks):
             chunk, rows = under_way.pop(int(row["flight"] or 0)), row.get("rows")

@@ -67,6 +67,7 @@ class HexJetVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Array]):  # type:
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Start new flights, of other noise; flight N has the seed ``seed + N``.  ``options`` has nothing to choose."""
+        super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = seed if isinstance(seed, list) else [None if seed is None else seed + n for n in range(self.num_envs)]
         if seed is not None or not self._seeds:
             self._seeds = [gymnasium.utils.seeding.np_random(each)[0] for each in seeds]

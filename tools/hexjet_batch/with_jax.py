@@ -17,8 +17,7 @@ from hexjet_batch.stages.step import Outputs, start, step
 try:
     import jax
 except ModuleNotFoundError as error:
-    text = f"hexjet_batch.with_jax needs {error.name}, which is not installed: pip install jax"
-    raise ModuleNotFoundError(text, name=error.name) from None
+    raise ModuleNotFoundError(f"hexjet_batch.with_jax needs {error.name}: pip install jax", name=error.name) from None
 
 
 def make_flight(scenarios: Sequence[Scenario]) -> tuple[Numbers, Callable[[Numbers], Outputs]]:

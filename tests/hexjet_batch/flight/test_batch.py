@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -76,7 +75,7 @@ def test_a_check_says_what_is_within_and_what_is_not(tmp_path: Path) -> None:
     short = Scenario.load("full-scale-hover").replace(duration_s=0.4)
     result = check(short, tmp_path)
     assert result.lines() == ["the same flight as by JSBSim at 16 runs a step, completed"]
-    assert json.loads((tmp_path / "check.json").read_text())["same"] is result.is_same is True
+    assert '"same": true' in (tmp_path / "check.json").read_text()
     assert "the same flight as by JSBSim" in (tmp_path / "report.html").read_text()
     result.samples[0] = result.samples[0]._replace(apart=0.1)
     assert result.lines() == ["not as JSBSim at 16 runs a step: roll by 0.1 deg"]

@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from math import radians
 from pathlib import Path
 from typing import Any
 
 import pytest
-from campaign_tools import without_chance
+from campaign_tools import Here, without_chance
 
 from cosim import InputError, Scenario
 from cosim.campaign import open_study, run_campaign
 from cosim.campaign.analysis.statistics import proportion
 from cosim.campaign.run import extend_campaign
-from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from cosim.campaign.workers.flight_row import Row, fly_one
 from cosim.results.metrics import flatten, flight_metrics
 from hexjet_batch.campaign import BatchWorkers, _measure, _reach
 from hexjet_batch.fly import fly_groups
+from hexjet_prove.rare.estimate import Budget
+from hexjet_prove.rare.folder import run_rare
+from hexjet_prove.rare.simulation import Plan
 
 pytestmark = pytest.mark.flight
-
-
-class Here:
-    """Workers in this process; ``loses``: the first flights of chunks that are lost."""
-
-    def __init__(self, *loses: int) -> None:
-        self.loses = loses
-
-    def fly(self, study: Study, asked: Iterable[Flight]) -> Iterator[Row]:
-        for flight in asked:
-            is_lost = study.batch and flight.number in self.loses
-            yield failed_row(study, flight, "the process was lost") if is_lost else fly_one(study, flight)
 
 
 def study(**options: Any) -> Study:
@@ -108,16 +98,21 @@ def test_processes_resume_and_the_folder_says_how_it_flies(tmp_path: Path) -> No
     assert first.referee["confirmed"]  # of micrometres that differ nothing is said
     extend_campaign(tmp_path / "c", runs=4)
     longer = run_campaign(None, tmp_path / "c", 1, resume=True)
-    assert longer.columns["by"] == ["batch"] * 8
-    assert longer.referee["flights"] == 8
+    assert (longer.columns["by"], longer.referee["flights"]) == (["batch"] * 8, 8)
 
 
-def test_a_known_truth_is_counted() -> None:
-    """A start that leans by N(0, 1) deg is off by its size: 4.55 % beyond 2 deg.  Clopper and Pearson's interval holds."""
+@pytest.mark.parametrize(
+    ("limit_deg", "share", "runs"),
+    [(2.0, 0.0455, 300), pytest.param(3.890592, 1e-4, 40_000, marks=pytest.mark.long)],
+)
+def test_a_known_truth_is_counted_and_estimated(limit_deg: float, share: float, runs: int, tmp_path: Path) -> None:
+    """A start that leans by N(0, 1) deg is off by its size.  The intervals of counting and of subset simulation hold."""
     leans = study(
-        vary=["initial.attitude_deg.0=normal(0,1)"], runs=300, design="random", controllers=["smith"],
-        settings=["duration_s=0.1"], success=[f"roll.max_abs_error_rad<={radians(2.0)}"],
+        vary=["initial.attitude_deg.0=normal(0,1)"], runs=runs, design="random", controllers=["smith"],
+        settings=["duration_s=0.1"], success=[f"roll.max_abs_error_rad<={radians(limit_deg)}"],
     )  # fmt: skip
     found = rows(leans)
     low, high = proportion(sum(not row["success"] for row in found.values()), len(found)).exact
-    assert low < 0.0455 < high
+    plan = Plan(Budget(share / 10.0, min(3 * runs, 3000), repeats=4), seeds_vary=False)
+    estimate = run_rare(leans, plan, tmp_path / "rare", Here()).result.estimate  # type: ignore[arg-type]
+    assert max(low, estimate.low) < share < min(high, estimate.high)

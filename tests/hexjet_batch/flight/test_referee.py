@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from campaign_tools import Here
 
 import hexjet_batch.campaign as on_arrays
 from cosim.api.studies import SweepResult
@@ -14,34 +15,20 @@ from cosim.campaign import Campaign, fly_again, open_study, run_campaign
 from cosim.campaign.analysis.page import make_page
 from cosim.campaign.analysis.statistics import widen
 from cosim.campaign.study.keys import with_values
-from cosim.campaign.study.plan import Flight
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row, fly_one
+from cosim.campaign.workers.flight_row import Row
 from cosim.spec.scenario import Scenario
 from hexjet_batch.referee import rates
 
 pytestmark = pytest.mark.flight
 
 
-class Here:
-    """Workers in this process, so that what a test plants is there too."""
-
-    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        return (fly_one(study, flight) for flight in flights)
-
-
 def fly(folder: Path, runs: int = 12, **options: Any) -> Campaign:
     """Doublets in roll whose throttle is limited, of vehicles that differ."""
     settings = ["duration_s=4", "command.0.start_s=0.2", "command.0.width_s=0.7", "command.0.amplitude=20",
                 "vehicle.control.allocation.throttle_max=0.55", "limits.settling_s=false"]  # fmt: skip
-    given = {
-        "vary": ["mismatch.thrust_factor=0.95:1.05"],
-        "runs": runs,
-        "settings": settings,
-        "controllers": ["smith"],
-        "batch": True,
-    } | options
-    return run_campaign(open_study("roll-doublet", **given), folder, Here())  # type: ignore[arg-type]
+    given = {"vary": ["mismatch.thrust_factor=0.95:1.05"], "runs": runs, "settings": settings, "controllers": ["smith"]}
+    flown = open_study("roll-doublet", **given | {"batch": True} | options)
+    return run_campaign(flown, folder, Here())  # type: ignore[arg-type]
 
 
 def shifted(**values: Callable[[Scenario], Any]) -> Any:
@@ -63,10 +50,8 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 def test_an_honest_batch_is_confirmed_and_said_to_be(honest: Campaign) -> None:
     assert honest.columns["by"] == ["batch"] * 12
     assert honest.referee["confirmed"]
-    *_, last = SweepResult(honest, honest.folder).lines()[:3]
-    assert last.startswith(
-        "JSBSim flew 11 of 12 flights again, the 10 nearest to a limit and 1 at random: every verdict"
-    )
+    said = "JSBSim flew 11 of 12 flights again, the 10 nearest to a limit and 1 at random: every verdict"
+    assert SweepResult(honest, honest.folder).lines()[2].startswith(said)
 
 
 PLANTED = {
@@ -95,14 +80,11 @@ def test_a_verdict_that_differs_is_line_one_and_counted(
     monkeypatch.setattr(on_arrays, "fly_groups", PLANTED["a delay one step off"])
     most = max(float(value or 0.0) for value in honest.columns["roll.overshoot_percent"])
     flown = fly(tmp_path / "c", success=[f"roll.overshoot_percent<={most + 0.1}"])
-    rows = [bool(row) for row in flown.columns["success"]]
     numbers = [int(number) for number in flown.referee["success"]]
     assert numbers
-    assert all(rows[number] for number in numbers)
-    lines = SweepResult(flown, flown.folder).lines()
-    assert (
-        lines[0] == f"JSBSim does not confirm this: {len(numbers)} verdicts differ; the shares and intervals count it"
-    )
+    assert all(flown.columns["success"][number] for number in numbers)
+    said = f"JSBSim does not confirm this: {len(numbers)} verdicts differ; the shares and intervals count it"
+    assert SweepResult(flown, flown.folder).lines()[0] == said
     make_page(flown).write(tmp_path / "page.html")
     assert "Verdicts that differ" in (tmp_path / "page.html").read_text(encoding="utf-8")
 

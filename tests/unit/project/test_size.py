@@ -11,10 +11,10 @@ from places import ROOT
 
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
-    "benchmarks": 3_449,
+    "benchmarks": 3_403,
     "cosim": 64_781,
     "docs": 1_631,
-    "tests": 68_806,
+    "tests": 68_796,
     "tools/hexjet_batch": 3_070,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,

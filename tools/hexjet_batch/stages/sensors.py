@@ -36,15 +36,15 @@ class Noise:
     """The standard normals of every flight: rows of step ``k`` are those that its own sensors draw then.
 
     A step takes 13: of gyro, attitude, position and velocity three each, of the height one; then, of sensors with an
-    AHRS, three of the accelerometer, by a generator of their own.
+    AHRS, three of the accelerometer, by a generator of their own.  ``most``: steps of flights drawn at once.
     """
 
-    def __init__(self, seeds: Sequence[int], with_force: bool, block: int = 64) -> None:
-        self._sets = []
+    def __init__(self, seeds: Sequence[int], with_force: bool, most: int = 2**16) -> None:
+        self._sets, self._block = [], max(4, min(64, most // len(seeds)))
         for key, draws in enumerate((13, 3) if with_force else (13,)):
             generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,))) for seed in seeds]
-            self._sets.append((generators, np.empty((len(seeds), block * draws)), np.empty((block, draws, len(seeds)))))
-        self._block = block
+            shape = self._block, draws, len(seeds)
+            self._sets.append((generators, np.empty((len(seeds), self._block * draws)), np.empty(shape)))
 
     def at(self, k: int, together: int = 64) -> Array:
         """Return the draws of step ``k``, which must be the next; ``together``: flights that stay in the cache."""
