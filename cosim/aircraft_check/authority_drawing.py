@@ -16,7 +16,7 @@ from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px: plot, its margin, its title
 Corners = list[tuple[float, float]]
-SECTION_AXES = ((0, 1), (0, 2), (1, 2))  # axes drawn to the right and up
+SECTION_AXES = ((0, 1), (0, 2), (1, 2))  # moments drawn to the right and up
 STYLE = (  # CSS of the drawing
     "text { font: 11px system-ui, sans-serif; fill: #222; } .name { font-weight: 600; } .dim { fill: #666; }"
     " .frame { fill: #fff; } .axis { stroke: #999; stroke-width: 0.8; } .whole { fill: #1f4e79; fill-opacity: 0.12;"

@@ -48,6 +48,7 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
 
 
 def _make_entry(name: str, path: Path) -> dict[str, Any]:
+    """Return the name and the title in the TOML file of a library entry."""
     from cosim.base.storage.toml import read_toml
 
     return {"name": name, "title": str(read_toml(path).get("title", ""))}

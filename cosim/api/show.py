@@ -133,7 +133,7 @@ def _find_entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
     """Return the library's entries called ``name``, one per kind.  Raises InputError if there are none."""
     catalogues = {kind: catalogue(kind) for kind in kinds}
     shown = [
-        {"kind": kind, **entry, "description": _read_text(kind, name), "numbers": list(_list_numbers(kind, name))}
+        {"kind": kind, **entry, "description": _description_of(kind, name), "numbers": list(_list_numbers(kind, name))}
         for kind, entries in catalogues.items()
         for entry in entries
         if entry["name"] == name
@@ -174,10 +174,7 @@ def _show_run(name: str) -> dict[str, Any] | None:
 
 
 def _show_file(name: str) -> dict[str, Any] | None:
-    """Return the description of a scenario's, study's or aircraft's file; None for other names.
-
-    Raises InputError.
-    """
+    """Return the description of a scenario's, study's or aircraft's file; None for other names.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
 
     path = Path(name)
@@ -223,10 +220,7 @@ def _show_design(name: str) -> dict[str, Any] | None:
 
 
 def _show_mapping(name: str) -> dict[str, Any] | None:
-    """Return the description of an engine's mapping file, or None.  Its FMU is not run.
-
-    Raises InputError.
-    """
+    """Return the description of an engine's mapping file, whose FMU is not run, or None.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
     from cosim.engine.source import find_source, resolve_parameters
 
@@ -262,11 +256,12 @@ def _read_library_file(kind: str, name: str) -> dict[str, Any]:
     return read_toml(data_folder(kind) / inside)
 
 
-def _read_text(kind: str, name: str) -> str:
+def _description_of(kind: str, name: str) -> str:
     return " ".join(str(_read_library_file(kind, name).get("description", "")).split())
 
 
 def _list_numbers(kind: str, name: str) -> Iterator[Number]:
+    """Return the values that are shown of a library entry of this kind."""
     if kind == "aircraft":
         return _list_aircraft_numbers(name)
     if kind == "engines":
@@ -425,6 +420,7 @@ def _list_file_numbers(table: Mapping[str, Any], kind: str) -> Iterator[Number]:
 
 
 def _list_leaf_numbers(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
+    """Yield each value of nested tables, under its dotted key behind ``prefix``."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _list_leaf_numbers(value, f"{prefix}{key}.")
@@ -436,10 +432,12 @@ def _list_leaf_numbers(table: Mapping[str, Any], prefix: str) -> Iterator[Number
 
 
 def _format_leaves(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each value of nested tables as ``KEY=VALUE``."""
     return (f"{leaf.name}={_format_value(leaf.value)}" for leaf in _list_leaf_numbers(table, ""))
 
 
 def _find_unit(key: str) -> str:
+    """Return the unit in which the name of a key ends, empty if there is none."""
     from cosim.campaign.study.key import unit_of
 
     return unit_of(key)

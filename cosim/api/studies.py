@@ -233,6 +233,7 @@ def report_tally(progress: Progress) -> Any:
     """Return a callback that reports the number of finished flights and their outcomes to a :class:`Progress`."""
 
     def report(tally: Tally, done: int, of: int) -> None:
+        """Report success rates, or the number of finished flights if the total is unknown."""
         shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))
         progress.update(shares if of else f"{done} flights", done, of)
 

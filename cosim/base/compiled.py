@@ -73,7 +73,7 @@ MODULES = (  # modules that mypyc compiles
 )
 # mypyc's shared library with all compiled modules, one for each Python version.
 SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"
-PURE_VARIABLE = "HEXJET_PURE"  # set it to build and run from source
+PURE_VARIABLE = "HEXJET_PURE"  # if set: build and run without mypyc
 
 
 def is_current() -> bool:

@@ -37,7 +37,7 @@ _JET_INPUTS = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_f
 # Optional outputs of a whole controller: unallocated part, jets shut off, and signals shown in the log.
 OPTIONAL = ("unallocated", "off", "shown")
 _LOGGED = ("rate_setpoint", "predicted", "torque")  # signals for the log, per axis
-LEVEL_BY_OUTPUT = {  # controller's level by an output's name
+LEVEL_BY_OUTPUT = {  # controller part that an FMU replaces
     "throttle_1": "controller", "roll_torque": "rate", "roll_rate_setpoint": "attitude", "predicted_rate": "predictor",
 }  # fmt: skip
 
@@ -51,11 +51,11 @@ def input_names(level: str, jets: int, servos: Sequence[str] = SERVOS, ahead: bo
     if level == "attitude":
         return (*_ANGLES, *_QUATERNION)
     per_jet = [f"{name}_{number}" for name in _JET_INPUTS for number in range(1, jets + 1)]
-    tilts = [f"{_name_tilt(name)}_applied" for name in servos]
+    tilts = [f"{_make_tilt_name(name)}_applied" for name in servos]
     return (*_CONTROLLER_INPUTS, *per_jet, *tilts, *(_AHEAD_INPUTS if ahead else ()))
 
 
-def _name_tilt(servo: str) -> str:
+def _make_tilt_name(servo: str) -> str:
     return f"tilt_{servo}"
 
 
@@ -68,7 +68,7 @@ def output_names(level: str, jets: int, servos: Sequence[str], extras: Sequence[
     if level == "attitude":
         return _RATE_SETPOINTS
     names = [f"throttle_{number}" for number in range(1, jets + 1)]
-    names += [_name_tilt(name) for name in servos]
+    names += [_make_tilt_name(name) for name in servos]
     if "unallocated" in extras:
         names += [f"unallocated_{name}" for name in (*AXES, "collective")]
     if "off" in extras:

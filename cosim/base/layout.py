@@ -158,8 +158,8 @@ class Layout:
             return self.rest_positions
         return self._carry(angles)
 
-    def hinge_axes(self, angles: Sequence[float], jet: int) -> list[TurnedHinge]:
-        """Return the hinges that turn a jet's thrust, at ``angles`` rad, from the body outwards."""
+    def turned_hinges(self, angles: Sequence[float], jet: int) -> list[TurnedHinge]:
+        """Return the hinges that turn a jet's thrust, outwards, with axes and points turned by the ``angles`` [rad]."""
         chain, carriers = self.chains[jet], self._carriers[jet]
         result = []
         for index, (number, effect) in enumerate(chain):

@@ -106,7 +106,7 @@ def need_trust(code: Iterable[Code], what: str) -> None:
                 f"{what}: {'; '.join(folders)}: has code that has not been run before. Check it, then "
                 f"{how} to run and remember it."
             )
-    _extend_decision(accepted=wanted.keys(), contents={entry for found in entries.values() for entry in found or ()})
+    _add_to_decision(accepted=wanted.keys(), contents={entry for found in entries.values() for entry in found or ()})
     _store_hashes({value: f"{item.folder}{item.arguments}" for item, value in hashes.items() if value})
 
 
@@ -143,7 +143,7 @@ def trust(*places: Path | str) -> None:
         if not Path(place).exists():
             raise InputError(f"trust: {place}: is not there")
     paths = [Path(place).resolve() for place in places]
-    _extend_decision(places=[path if path.is_dir() else path.parent for path in paths])
+    _add_to_decision(places=[path if path.is_dir() else path.parent for path in paths])
 
 
 def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None:
@@ -153,7 +153,7 @@ def trust_named_code(choices: Iterable[Path | str | None], folder: Path) -> None
     """
     if _decision.by_program:
         texts = [str(choice) for choice in choices if choice]
-        _extend_decision(named=[name for text in texts for name in _find_code_names(text, folder, is_engine=True)])
+        _add_to_decision(named=[name for text in texts for name in _find_code_names(text, folder, is_engine=True)])
 
 
 def program_code(path: Path, arguments: str) -> Code:
@@ -206,7 +206,7 @@ def command_trust_scope(ask: Callable[[Sequence[str]], bool] | None, arguments: 
     before, previous = (_ask, _decision), os.environ.get(ENV_VAR)
     _ask, _decision = ask, TrustDecision(by_program=False)
     try:
-        _extend_decision(named=_find_named_code(arguments))
+        _add_to_decision(named=_find_named_code(arguments))
         yield
     finally:
         _ask, _decision = before
@@ -231,7 +231,7 @@ def inherit(decided: TrustDecision) -> None:
     _decision = replace(decided, by_program=False)
 
 
-def _extend_decision(**more: Iterable[object]) -> None:
+def _add_to_decision(**more: Iterable[object]) -> None:
     global _decision
     _decision = replace(_decision, **{key: getattr(_decision, key) | set(values) for key, values in more.items()})
 
@@ -306,7 +306,7 @@ def _hash_code(code: Code, entries: set[str] | None) -> str | None:
 
 def _store_hashes(folders: dict[str, str]) -> None:
     """Store hashes of trusted folders, each with folder and arguments, in the user's settings."""
-    _extend_decision(hashes=folders)
+    _add_to_decision(hashes=folders)
     known = _read_stored_hashes()
     lines = [f"{value}  {_escape_line(text)}\n" for value, text in folders.items() if value not in known]
     with suppress(OSError, RuntimeError):  # the user has no home folder

@@ -19,10 +19,10 @@ def printable(text: str) -> str:
 def printable_line(text: str, max_echo: int = 80, max_line: int = 2000) -> str:
     """Return a message as one printable line of ``max_line`` characters, each quoted value cut to ``max_echo``."""
 
-    def shorten(found: re.Match[str]) -> str:
+    def shorten_quoted(found: re.Match[str]) -> str:
         value = found[2] if len(found[2]) <= max_echo else f"{found[2][:max_echo]}..."
         return f"{found[1]}{value}{found[1]}"
 
-    line = _QUOTED.sub(shorten, printable(text).replace("\n", "\\n"))
+    line = _QUOTED.sub(shorten_quoted, printable(text).replace("\n", "\\n"))
     line = _LONG_WORD.sub(lambda found: f"{found[0][:max_echo]}...", line)
     return line if len(line) <= max_line else f"{line[:max_line]}..."

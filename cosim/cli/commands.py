@@ -18,7 +18,7 @@ def _stem(path: str) -> str:
     return Path(path).absolute().stem if path.endswith((".fmu", ".toml")) else Path(path).absolute().name
 
 
-def _show_paths(paths: Iterable[Path] | Path) -> None:
+def _print_paths(paths: Iterable[Path] | Path) -> None:
     for path in (paths,) if isinstance(paths, Path) else paths:
         echo(str(path))
 
@@ -124,7 +124,7 @@ export = Command(
     metavars={"run": "DIR", "to": "FORMAT", "out": "FILE|DIR"},
     writes=(".csv", ".mat", ".mcap", ".parquet", ".ulg", ".ulog"),
     runs_code=False,
-    show=_show_paths,
+    show=_print_paths,
     data=None,
 )
 fly = Command(
@@ -142,7 +142,7 @@ fly = Command(
     "limits or did not come to what the scenario expects or requires, or is not the same.  2: wrong input.",
 )
 engine_build = Command(
-    "engine build", "cosim.engine.source:build_engines", "turbojet", runs_code=False, show=_show_paths, data=None
+    "engine build", "cosim.engine.source:build_engines", "turbojet", runs_code=False, show=_print_paths, data=None
 )
 engine_check = Command(
     "engine check",
@@ -205,7 +205,7 @@ new = Command(
     show=_show_project, data=None,
 )  # fmt: skip
 open = Command(
-    "open", "cosim.cli.commands:open_runs", "runs", metavars={"folder": "DIR"}, runs_code=False, show=_show_paths,
+    "open", "cosim.cli.commands:open_runs", "runs", metavars={"folder": "DIR"}, runs_code=False, show=_print_paths,
     data=None,
 )  # fmt: skip
 sweep = Command(

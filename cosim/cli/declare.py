@@ -141,7 +141,7 @@ class Command:
         return [self.call, *([_import_function(self.like)] if self.like else [])]
 
     def parameters(self, mode: str = "") -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
-        """Return the parameters of :meth:`sources`, each with the function that declares it."""
+        """Return by name each parameter of the command, or of its ``mode``, with the function that declares it."""
         found: dict[str, tuple[inspect.Parameter, Callable[..., Any]]] = {}
         for function in self.sources(mode):
             for name, parameter in inspect.signature(function).parameters.items():

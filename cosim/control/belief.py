@@ -64,6 +64,6 @@ class Belief:
         """Return the built-in predictors of a name, for roll, pitch and yaw.  Raises InputError as a flight does."""
         return self.built_in(name)
 
-    def of(self, axis: str) -> Belief:
-        """Return a copy of the belief for the predictor of an axis."""
+    def for_axis(self, axis: str) -> Belief:
+        """Return a copy with :attr:`axis` set, so that :attr:`model` is that of this axis."""
         return replace(self, axis=axis)

@@ -6,7 +6,7 @@ from math import exp
 
 
 class Fade:
-    """Old answer minus new answer at the step of the change, dying out exponentially.
+    """Difference of old and new output at a change of gains, which decays exponentially.
 
     ``fade_s``: slow against the rate loops, short for a pilot; ``negligible``: of commands of order 1, dropped.
     """

@@ -31,7 +31,7 @@ class CheckedRecord:
 
     def __post_init__(self) -> None:
         kind: Any = type(self)
-        for name, hint in _field_types(kind).items():
+        for name, hint in _find_field_types(kind).items():
             object.__setattr__(self, name, _convert(getattr(self, name), hint, f"{kind.__name__}.{name}"))
 
 
@@ -56,20 +56,20 @@ def to_plain(record: Any) -> dict[str, Any]:
     for field in fields(record):
         value = getattr(record, field.name)
         if value != field.default or type(value) is not type(field.default):
-            values[field.name] = _plain_value(value)
+            values[field.name] = _to_plain_value(value)
     return values
 
 
-def _plain_value(value: Any) -> Any:
+def _to_plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_plain_value(item) for item in value]
+        return [_to_plain_value(item) for item in value]
     if isinstance(value, Enum):
         return value.value
     return to_plain(value) if isinstance(value, CheckedRecord) else value
 
 
 @cache
-def _field_types(kind: type[Any]) -> dict[str, Any]:
+def _find_field_types(kind: type[Any]) -> dict[str, Any]:
     return get_type_hints(kind, include_extras=True)
 
 

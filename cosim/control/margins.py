@@ -230,7 +230,7 @@ def _choose_frequencies(n: Array, d: Array, dt: float, delay: float, most: float
     else:
         for ends, power in ((0, len(d) - len(n)), (-1, 0)):
             of_n, of_d = (np.trim_zeros(each, "b")[ends] for each in (n, d))
-            power = power or _zeros_at_0(d) - _zeros_at_0(n)
+            power = power or _count_zeros_at_0(d) - _count_zeros_at_0(n)
             if power:
                 corners = np.append(corners, abs(of_n / of_d) ** (1.0 / power))
         corners = np.append(corners, 1.0 / delay if delay else [] if len(corners) else 1.0)
@@ -251,7 +251,7 @@ def _choose_frequencies(n: Array, d: Array, dt: float, delay: float, most: float
     return np.append(omega[(omega >= low) & (omega < high)], high)
 
 
-def _zeros_at_0(polynomial: Array) -> int:
+def _count_zeros_at_0(polynomial: Array) -> int:
     return len(polynomial) - len(np.trim_zeros(polynomial, "b"))
 
 
@@ -303,13 +303,13 @@ def sample_delayed(numerator: ArrayLike, denominator: ArrayLike, dt: float, dela
     # The numerators from their values on a circle: a difference of two polynomials would lose their digits.
     z = 2.0 * np.exp(2j * pi * np.arange(order + 1) / (order + 1))
 
-    def numerator_of(B: Array, direct: float) -> Array:
+    def compute_numerator(B: Array, direct: float) -> Array:
         values = [C @ np.linalg.solve(point * np.eye(order) - F, B) + direct for point in z]
         powers = np.fft.fft(np.array(values) * np.polyval(poles, z)).real / (order + 1)
         return np.append(direct, (powers / 2.0 ** np.arange(order + 1))[:order][::-1])
 
-    now = numerator_of(rest[:, order], 0.0 if f else direct)
+    now = compute_numerator(rest[:, order], 0.0 if f else direct)
     if not f:
         return np.trim_zeros(now, "f"), np.pad(poles, (0, steps))
-    late = numerator_of(rest[:, :order] @ first[:, order], direct)
+    late = compute_numerator(rest[:, :order] @ first[:, order], direct)
     return np.trim_zeros(np.append(now, 0.0) + np.append(0.0, late), "f"), np.pad(poles, (0, steps + 1))

@@ -28,7 +28,8 @@ class _OldLaw(NamedTuple):
     filter_gain: float
     predictor: Predictor
 
-    def integrate(self, integral: float, error: float, stop: bool) -> float:
+    def next_integral(self, integral: float, error: float, stop: bool) -> float:
+        """Return the limited integral after one more error; the present one if ``stop``."""
         return integral if stop else max(-self.limit, min(self.limit, integral + self.i * error))
 
 
@@ -144,7 +145,7 @@ class RateAxis:
         is_swapped = self._predictor is not old.predictor
         rate = self._predictor.update(measured, applied) if is_swapped else old_rate
         stop = unallocated * (setpoint - old_rate) > 0.0
-        integral = old.integrate(self._integral, setpoint - old_rate, stop)
+        integral = old.next_integral(self._integral, setpoint - old_rate, stop)
         slope = self._slope
         if self._started:
             slope += old.filter_gain * ((old_rate - self.predicted) / self._step - slope)

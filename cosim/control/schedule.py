@@ -75,14 +75,14 @@ class GainSchedule:
         while k < len(levels) - 1 and thrust_fraction > levels[k]:
             k += 1
         weight = (thrust_fraction - levels[k - 1]) / (levels[k] - levels[k - 1])
-        return Scheduled(thrust_fraction, _interpolate(self._roll, k, weight), _interpolate(self._altitude, k, weight))
+        return Scheduled(thrust_fraction, _mix_levels(self._roll, k, weight), _mix_levels(self._altitude, k, weight))
 
 
 def _nominal_factors(level: ScheduledGains, has_lead: bool) -> Factors:
     return Factors(level.angle, level.p, level.i, level.d, level.lead if has_lead else None)
 
 
-def _interpolate(levels: Sequence[Factors], k: int, weight: float) -> Factors:
+def _mix_levels(levels: Sequence[Factors], k: int, weight: float) -> Factors:
     low, high = levels[k - 1], levels[k]
 
     def between(a: float, b: float) -> float:

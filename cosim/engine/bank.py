@@ -78,13 +78,13 @@ class EngineBank:
             try:
                 self._instances.append(FmuInstance(spec.archive, self._folders[key].path, f"engine {station + 1}"))
             except InstanceError as error:
-                raise EngineError(f"{self._label(station)}: {error}") from error
+                raise EngineError(f"{self._describe_engine(station)}: {error}") from error
 
     def _create_native_bank(self) -> None:
         rows = [instance.make_row() for instance in self._instances]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
-    def _label(self, station: int) -> str:
+    def _describe_engine(self, station: int) -> str:
         return f"engine {station + 1} ({self._specs[station].path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
@@ -128,7 +128,7 @@ class EngineBank:
         try:
             self._instances[station].initialize(settings, throttle, air, step=self._step)
         except InstanceError as error:
-            raise EngineError(f"{self._label(station)}: {error}") from error
+            raise EngineError(f"{self._describe_engine(station)}: {error}") from error
 
     def _run_to_throttle(self, station: int, throttle: float) -> None:
         def hold(constant: float, steps: int) -> list[float]:
@@ -141,7 +141,7 @@ class EngineBank:
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, "before the flight") from failure
         except ResponseError as error:
-            raise EngineError(f"{self._label(station)}: {error}") from error
+            raise EngineError(f"{self._describe_engine(station)}: {error}") from error
 
     def run_down(self, seconds: float) -> EngineOutput:
         """Step each engine with closed throttle before the flight, and return the final reports.
@@ -159,7 +159,7 @@ class EngineBank:
 
     def _describe_failure(self, failure: _bank.FailureError, moment: str) -> EngineError:
         station = failure.args[0]
-        return EngineError(f"{self._label(station)}: {self._instances[station].explain(failure, moment)}")
+        return EngineError(f"{self._describe_engine(station)}: {self._instances[station].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Advance all engines by flight step ``k`` with inputs held, and return the reports at its end.
@@ -213,7 +213,7 @@ class EngineBank:
                 values += [self._instances[station].read(variable) for _, variable in spec.logged_outputs]
             except InstanceError as error:
                 self._native.stop()
-                raise EngineError(f"{self._label(station)}: {error}") from error
+                raise EngineError(f"{self._describe_engine(station)}: {error}") from error
         return tuple(values)
 
     def set_run(self, index: int, on: bool) -> bool:
@@ -225,7 +225,7 @@ class EngineBank:
             return self._instances[index].set_run(on)
         except InstanceError as error:
             self._native.stop()
-            raise EngineError(f"{self._label(index)}: {error}") from error
+            raise EngineError(f"{self._describe_engine(index)}: {error}") from error
 
     def close(self) -> None:
         """Terminate and free the engines and close their files.  May be called again."""

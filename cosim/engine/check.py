@@ -145,6 +145,7 @@ class _EngineCheck:
                 self._host.end()
 
     def _fail(self, question: str, problem: str) -> None:
+        """Record in the report that a question is answered by no, and the problem."""
         report = self._report
         if monotonic() > self._deadline:
             problem = f"takes too long: was not done within {self._time_limit_s:.3g} s; {problem}"

@@ -58,16 +58,16 @@ class CheckReport:
             ("file", self.path),
             ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
             *((port["port"].replace("_", " "), _describe_port(port)) for port in self.ports),
-            *(("input", _describe_variable(v)) for v in self._drop_ports(self.inputs)),
-            *(("output", _describe_variable(v)) for v in self._drop_ports(self.outputs)),
-            *(("parameter", _describe_variable(v)) for v in self._drop_ports(self.parameters)),
+            *(("input", _describe_variable(v)) for v in self._list_other_variables(self.inputs)),
+            *(("output", _describe_variable(v)) for v in self._list_other_variables(self.outputs)),
+            *(("parameter", _describe_variable(v)) for v in self._list_other_variables(self.parameters)),
             ("step", f"{self.step:g} s"),
             *self._response_lines(),
             *((question, words[answer]) for question, answer in self.answers.items()),
         ]
         return [*rows, *(("note", note) for note in self.notes)]
 
-    def _drop_ports(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    def _list_other_variables(self, variables: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         used = {port["name"] for port in self.ports}
         return [v for v in variables if v["name"] not in used]
 
@@ -103,10 +103,10 @@ def _describe_variable(v: dict[str, Any]) -> str:
     value = v.get("value", v["start"])
     start = "" if value is None else f" = {value if isinstance(value, str) else f'{value:g}'}{unit}"
     start += f", from {v['start']:g}" if isinstance(value, float) and v["start"] not in (None, value) else ""
-    limits = "" if v["min"] is None and v["max"] is None else f", {_limit_text(v['min'])} to {_limit_text(v['max'])}"
+    limits = "" if v["min"] is None and v["max"] is None else f", {_show_limit(v['min'])} to {_show_limit(v['max'])}"
     what = f": {v['description']}" if v["description"] else ""
     return f"{v['name']}{start or unit}{limits}{what}"
 
 
-def _limit_text(value: float | None) -> str:
+def _show_limit(value: float | None) -> str:
     return "any" if value is None else f"{value:g}"

@@ -109,7 +109,7 @@ class EngineHost:
         if data[:1] == b"p":
             self._read(data)
         if data[:1] != b"s" or len(data) != 1 + form.size:
-            raise self.invalid_answer()
+            raise self.make_invalid_answer_error()
         return form.unpack_from(data, 1)
 
     def _read(self, data: bytes) -> Any:
@@ -121,13 +121,13 @@ class EngineHost:
             good, answer = json.loads(data.removeprefix(b"p"))
             kind, text = ("", "") if good else map(str, answer)
         except (ValueError, TypeError, RecursionError):
-            raise self.invalid_answer() from None
+            raise self.make_invalid_answer_error() from None
         if good:
             return answer
         self.is_sound = False
         raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
 
-    def invalid_answer(self) -> EngineError:
+    def make_invalid_answer_error(self) -> EngineError:
         self.is_sound = False
         return EngineError(f"{self.label}the process answered what is no answer")
 
@@ -190,7 +190,7 @@ def measure_in(
     try:
         return make_measurement_adapter().validate_python(answer)
     except ValueError:
-        raise host.invalid_answer() from None
+        raise host.make_invalid_answer_error() from None
 
 
 class IsolatedBank:
@@ -215,7 +215,7 @@ class IsolatedBank:
         # The uncertainty is left out, because the process would need numpy to read it.
         told = tuple(replace(spec, uncertainty=None, uncertain_ranges=()) for spec in specs)
         try:
-            self._call(("make", told, step), LIMITS.start_s, "when it was loaded")
+            self._call_host(("make", told, step), LIMITS.start_s, "when it was loaded")
         except BaseException:
             self.host.is_sound = False
             self.close()
@@ -229,13 +229,13 @@ class IsolatedBank:
         return self._host
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Reset the engines, as :meth:`EngineBank.reset`."""
+        """Bring each engine to equilibrium at the throttle, ready for step 0."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
         return self._unpack_output(self.host.request(("reset", held, air), LIMITS.start_s, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Advance all engines by a step, as :meth:`EngineBank.step`."""
+        """Advance all engines by step ``k`` with inputs held, and return the reports at its end."""
         if ambient is None:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
@@ -265,7 +265,7 @@ class IsolatedBank:
 
     def set_run(self, index: int, on: bool) -> bool:
         """Switch one engine off or on, as :meth:`EngineBank.set_run`."""
-        return bool(self._call(("run", index, on), LIMITS.hang_s, "when it was shut off or on"))
+        return bool(self._call_host(("run", index, on), LIMITS.hang_s, "when it was shut off or on"))
 
     def close(self) -> None:
         """Free the engines.  May be called again."""
@@ -284,7 +284,7 @@ class IsolatedBank:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
+    def _call_host(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
         return self.host.call(question, limit, moment)
 
     def _unpack_output(self, data: bytes) -> EngineOutput:
@@ -342,6 +342,7 @@ class _Server:
 
     @property
     def bank(self) -> EngineBank:
+        """The bank that was made last.  Raises EngineError before the first."""
         if self._bank is None:
             raise EngineError("no engines were made")
         return self._bank

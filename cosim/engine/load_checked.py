@@ -50,7 +50,7 @@ def load_engine(
     foreign = source.engine is None
     if isolated is None:
         isolated = foreign if source.mapping.isolated is None else source.mapping.isolated
-    measure = measure_checked if foreign and not unchecked else measure_isolated if isolated else _measure_here
+    measure = measure_checked if foreign and not unchecked else measure_isolated if isolated else _measure_locally
     return replace(load_unchecked(source, parameters, step, measure, air), isolated=isolated)
 
 
@@ -58,7 +58,7 @@ _fit_engines: set[tuple[str, str, float]] = set()  # sha256, mapping, step of ch
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
 
 
-def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
+def _measure_locally(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
     archive, (_, settings) = source.archive, resolve_parameters(source, parameters)
     return measure_once(archive, settings, archive.start, step, air, small=source.engine is None)
 

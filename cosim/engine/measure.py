@@ -40,7 +40,7 @@ class EngineMeasurement(NamedTuple):
     response: Response  # response to a throttle step from 0 to 1
     start: str | None  # parameter that starts it at rest, if any
     ripple: float  # relative ripple of steady thrust
-    small: SmallStep | None = None  # None: library engine, or below ripple
+    small: SmallStep | None = None  # None: not measured, or below the ripple
 
 
 @cache
@@ -83,12 +83,12 @@ def measure(
     Raises InstanceError or ResponseError if it fails, never settles or never answers.
     """
     try:
-        return _measure(archive, settings, start, step, REST_TOLERANCE, air, small)
+        return _measure_unpacked(archive, settings, start, step, REST_TOLERANCE, air, small)
     except RestlessError:
-        return _measure(archive, settings, start, step, SOLVER_TOLERANCE, air, small)
+        return _measure_unpacked(archive, settings, start, step, SOLVER_TOLERANCE, air, small)
 
 
-def _measure(
+def _measure_unpacked(
     archive: Archive,
     settings: tuple[Setting, ...],
     start: str | None,

@@ -87,10 +87,10 @@ def settle(
         before = thrusts
     if rest == 0.0 and _is_constant(before, ripple, ripple * span):
         return before[-1]
-    raise _unsteady_error(before, throttle)
+    raise _make_restless_error(before, throttle)
 
 
-def _unsteady_error(last: Sequence[float], throttle: float) -> RestlessError:
+def _make_restless_error(last: Sequence[float], throttle: float) -> RestlessError:
     moves = max(last) - min(last)
     return RestlessError(
         f"thrust does not settle within {MAX_SETTLING_S:g} s at throttle {throttle:g}: still moves by {moves:.2g} N; "
@@ -128,7 +128,7 @@ def measure_step_response(
         if len(thrusts) * step > MAX_SETTLING_S + longest_delay_s:
             if rest == 0.0 and _is_constant(thrusts[-window:], ripple, ripple * abs(before - thrusts[-1])):
                 break
-            raise _unsteady_error(thrusts[-window:], throttle)
+            raise _make_restless_error(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
     after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
     if _is_constant([before, after], ripple, rest):

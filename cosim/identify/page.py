@@ -60,7 +60,7 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
     data: list[Figure] = []
     dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
     for n, part in enumerate(parts):
-        rows, at = _select_points(part.command_times), _select_points(part.times)
+        rows, at = _select_drawn_points(part.command_times), _select_drawn_points(part.times)
         legend, times = {"showlegend": n == 0}, part.times[at]
         data += [
             trace("command", GREY, part.command_times[rows], part.command[rows], 0, **legend),
@@ -73,6 +73,7 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
     return {"data": data, "layout": layout | HOVER}
 
 
-def _select_points(values: Array) -> Any:
+def _select_drawn_points(values: Array) -> Any:
+    """Return the indices of evenly spaced points of a curve, few enough to draw."""
     max_points = 4000  # per curve
     return np.arange(0, len(values), max(1, len(values) // max_points))

@@ -25,7 +25,7 @@ INDEX_NAME = "index.html"  # file name of the page
 TITLE_MARK = "hexjet open"  # in the title of pages written here
 TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"  # template of the page
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"  # kinds of rows
-SCENARIO = "scenario.toml"  # file of a run that was not completed
+SCENARIO = "scenario.toml"  # if alone: a run that was not completed
 LOG_ENDINGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # of logs of other flight controllers
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
@@ -60,7 +60,7 @@ def write_index(folder: Path) -> Path:
 
     from cosim.results.report.cards import Card, Page
 
-    rows = [entry._asdict() | {"page": _url(entry), "text": _search_text(entry)} for entry in list_entries(folder)]
+    rows = [entry._asdict() | {"page": _url(entry), "text": _make_search_text(entry)} for entry in list_entries(folder)]
     page = folder / INDEX_NAME
     if page.exists() and TITLE_MARK not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
@@ -74,7 +74,7 @@ def _url(entry: Entry) -> str:
     return f"{quote(entry.name)}/{quote(entry.page)}" if entry.page else ""
 
 
-def _search_text(entry: Entry) -> str:
+def _make_search_text(entry: Entry) -> str:
     return " ".join([entry.name, entry.kind, *entry.details.values()]).lower()
 
 
@@ -97,7 +97,7 @@ def read_entry(folder: Path) -> Entry:
     with suppress(InputError):
         summary = parse_json(read_file(folder / SUMMARY), SUMMARY, finite=False)
         if isinstance(summary, dict):
-            return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), page)
+            return Entry(folder.name, RUN, _list_summary_details(summary), flatten_metrics(summary), page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
     if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
         return Entry(folder.name, CAMPAIGN, _describe_study(folder / STUDY) | began, {}, page)
@@ -105,7 +105,7 @@ def read_entry(folder: Path) -> Entry:
     return Entry(folder.name, kind, began, {}, page)
 
 
-def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
+def _list_summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     details = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
     with suppress(KeyError, TypeError, ValueError):  # an older or foreign summary
         digest = (summary.get("own_controller") or {}).get("sha256") or ""

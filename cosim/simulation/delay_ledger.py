@@ -135,19 +135,19 @@ class _Hover:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
         rotors = self._rotor_rows(axis, turned)
         if by_servo <= MINOR_SHARE:
-            rows = [*self._engine_rows(turned.thrusts), *rotors]
-            return [*rows, *_minor_rows("servos give", by_servo, "tilt servos")]
+            rows = [*self._make_engine_rows(turned.thrusts), *rotors]
+            return [*rows, *_make_minor_rows("servos give", by_servo, "tilt servos")]
         if by_thrust <= MINOR_SHARE:
             rows = [*self._servo_rows(turned.servos), *rotors]
-            return [*rows, *_minor_rows("engines give", by_thrust, _name_owner(self._engines))]
+            return [*rows, *_make_minor_rows("engines give", by_thrust, _name_owner(self._engines))]
         why = (
             f"no one delay: servos give {100.0 * by_servo:.0f} % of the moment, by themselves "
             f"{_format_total(self._servo_rows(turned.servos))} samples late, engines {100.0 * by_thrust:.0f} %, "
-            f"{_format_total(self._engine_rows(turned.thrusts))} late: the lag of their sum depends on frequency"
+            f"{_format_total(self._make_engine_rows(turned.thrusts))} late: the lag of their sum depends on frequency"
         )
         return [(why, "allocation", "mixed", None)]
 
-    def _engine_rows(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+    def _make_engine_rows(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
         engines, step, later = self._engines, self._step, self._scenario.mismatch.delay_samples
         owner = _name_owner(engines)
         owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
@@ -199,7 +199,7 @@ class _Hover:
         return measure_small_steps(engine, throttle, self._step)
 
 
-def _minor_rows(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
+def _make_minor_rows(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:
     if share < 5e-4:
         return []
     return [(f"{who} {100.0 * share:.1f} % of the moment beside it: not in the sum", owner, "beside", 0.0)]

@@ -52,4 +52,5 @@ class TerminationCheck:
 
 
 def _lean(state: State) -> str:
+    """Return the attitude as text: roll, pitch and yaw in degrees."""
     return ", ".join(f"{axis} {degrees(angle):z.0f} deg" for axis, angle in zip(AXES, state.euler, strict=True))

@@ -42,13 +42,10 @@ def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:
 
 
 def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
-    """Return the steady fuel flow [kg/s] at a throttle; None if not reported.
-
-    Raises EngineError if the engine fails.
-    """
+    """Return the steady fuel flow [kg/s] at a throttle; None if not reported.  Raises EngineError."""
     if not spec.has_port("fuel_flow"):
         return None
-    return _flows.get((*spec.behaviour_key, throttle, step), lambda: _measure_flow(spec, throttle, step))
+    return _flows.get((*spec.behaviour_key, throttle, step), lambda: _measure_fuel_flow(spec, throttle, step))
 
 
 def measure_small_steps(
@@ -61,11 +58,11 @@ def measure_small_steps(
     Raises EngineError if the engine fails.
     """
     return _around.get(
-        (*spec.behaviour_key, throttle, step, sizes), lambda: _measure_around(spec, throttle, step, sizes)
+        (*spec.behaviour_key, throttle, step, sizes), lambda: _measure_both_ways(spec, throttle, step, sizes)
     )
 
 
-def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> SmallStepResponse:
+def _measure_both_ways(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> SmallStepResponse:
     with make_bank([spec], step) as bank:
         for by in sizes:
             low, high = max(0.0, throttle - by), min(1.0, throttle + by)
@@ -101,7 +98,7 @@ def _remaining_change(bank: Engines, first: float, then: float, step: float) -> 
     return course
 
 
-def _measure_flow(spec: EngineSpec, throttle: float, step: float) -> float:
+def _measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float:
     with make_bank([spec], step) as bank:
         return bank.reset(throttle).fuel_flow[0]
 

@@ -125,7 +125,7 @@ def load_plugins(scenario: Scenario) -> Plugins:
     }
     kinds = {"metrics": "metric", "observers": "observer"}
     sources = {
-        key: [_find_source(kinds.get(key, key), name, scenario) for name in names]
+        key: [_find_block_source(kinds.get(key, key), name, scenario) for name in names]
         for key, names in names_by_key.items()
         if names
     }
@@ -155,7 +155,7 @@ def load_plugins(scenario: Scenario) -> Plugins:
     return Plugins(sources=sources, **plugins)
 
 
-def _find_source(kind: str, name: str, scenario: Scenario) -> Source:
+def _find_block_source(kind: str, name: str, scenario: Scenario) -> Source:
     if kind == "wind" and name.lower().endswith(".csv"):
         path = (scenario.folder / name).absolute()
         if not path.is_file():
@@ -186,15 +186,15 @@ def read_metric(source: Source) -> CustomMetric:
 def make_unavailable_metric(name: str) -> CustomMetric:
     """Return a metric that refuses to be computed, for a killed flight: what finishes such a flight runs no code."""
 
-    def refuse() -> Any:
+    def refuse_to_measure() -> Any:
         raise InputError("not measured: the flight was killed, and what finishes such a flight runs no code")
 
-    return CustomMetric(Source(name, "metric", refuse, {}), (), ())
+    return CustomMetric(Source(name, "metric", refuse_to_measure, {}), (), ())
 
 
 def load_metrics(scenario: Scenario) -> list[CustomMetric]:
     """Return the scenario's custom metrics.  Raises InputError."""
-    return [read_metric(_find_source("metric", name, scenario)) for name in scenario.metrics]
+    return [read_metric(_find_block_source("metric", name, scenario)) for name in scenario.metrics]
 
 
 def _make_block(source: Source, scenario: Scenario, vehicle: Vehicle, number: int) -> Any:
@@ -236,12 +236,12 @@ class GuardedSensors:
         self.columns = read_columns_of(block)
 
     def reset(self, state: State) -> Measured:
-        return self._check_measured("reset", self._block.reset, state, self._inner.reset(state))
+        return self._call_and_check("reset", self._block.reset, state, self._inner.reset(state))
 
     def sample(self, state: State) -> Measured:
-        return self._check_measured("sample", self._block.sample, state, self._inner.sample(state))
+        return self._call_and_check("sample", self._block.sample, state, self._inner.sample(state))
 
-    def _check_measured(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
+    def _call_and_check(self, what: str, method: Callable[..., Any], state: State, measured: Measured) -> Measured:
         answer = _call_guarded(self._source, what, method, state, measured)
         where = f"sensors {self._source.label}"
         if not isinstance(answer, Measured):

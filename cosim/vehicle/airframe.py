@@ -57,8 +57,8 @@ AIR_METHOD: Final = ADAMS_BASHFORTH_2  # integration of rates in the air
 # JSBSim's friction is the force that stops a contact within one run of the rectangular rule. Adams and Bashforth's
 # method would apply half as much again, and rates would oscillate from run to run for ever.
 GROUND_METHOD: Final = RECTANGULAR  # of rates with ground contact
-# Fraction of its range by which a surface is moved, and for how long [s], to measure its effect: small against the
-# bends of tables, long against the lags of actuators.
+# Step that measures a surface's effect, as a fraction of its range, and its duration [s]: so small that tables are
+# straight over it, and longer than the lags of actuators.
 SURFACE_TEST_STEP: Final = (0.05, 2.0)
 # Fraction of a force's change that the first run of a step adds, by integration method.
 FORCE_EXTRAPOLATION: Final = {AIR_METHOD: 0.5, GROUND_METHOD: 1.0}
@@ -174,7 +174,7 @@ class Airframe:
         self._set_methods(AIR_METHOD)
 
     def _bind_properties(self) -> None:
-        node = self._node
+        node = self._property
         self._place = _PropertyReader(node, "position/from-start-neu-{}-ft", "neu", FOOT)
         motion = [
             _group_properties(node, "position/from-start-neu-{}-ft", "neu", FOOT),
@@ -220,13 +220,14 @@ class Airframe:
     def _contact_getters(self, kind: str) -> list[Get]:
         """Return the functions that tell whether each contact of this kind touches the ground."""
         kinds = enumerate(contact.kind for contact in self._vehicle.contacts)
-        return [self._node(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
+        return [self._property(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
-    def _node(self, name: str) -> Property:
+    def _property(self, name: str) -> Property:
+        """Return a property of JSBSim by its name."""
         return self._jsbsim.node(name)
 
     def _set_property(self, name: str, value: float) -> None:
-        self._node(name).set_double_value(value)
+        self._property(name).set_double_value(value)
 
     def reset(
         self,
@@ -464,6 +465,7 @@ class Airframe:
         self._mass = self._full - mass
 
     def _set_burnt_fuel(self, mass: float) -> None:
+        """Set the burnt fuel [kg], a negative point mass of JSBSim."""
         self._set_burnt(-mass / SLUG * JSBSIM_POUNDS_PER_SLUG)
 
     def air(self) -> tuple[float, float]:
@@ -606,6 +608,7 @@ class Airframe:
 
 
 def _skip_run() -> bool:
+    """Do nothing in place of a run of JSBSim, for an airframe that does not move."""
     return True
 
 

@@ -283,6 +283,7 @@ def _draw_normals(draws: list[list[float]], generator: Any, shape: tuple[int, in
 
 
 def _repeat(measured: Measured, sensor: str, last: Measured) -> Measured:
+    """Return the measurement with one sensor's values replaced by its last ones."""
     if sensor == "gyro":
         return measured._replace(rate=last.rate)
     if sensor == "attitude":
@@ -293,6 +294,7 @@ def _repeat(measured: Measured, sensor: str, last: Measured) -> Measured:
 
 
 def _offset(measured: Measured, fault: SensorBias) -> Measured:
+    """Return the measurement with the bias of a fault added to its sensor."""
     x, y, z = fault.vector
     if fault.sensor == "gyro":
         return measured._replace(rate=_add(measured.rate, fault.vector))

@@ -29,6 +29,7 @@ class Tank:
 
     @property
     def empty(self) -> bool:
+        """Whether all fuel is burnt."""
         return self.burnt >= self.mass
 
     def burn(self, flows: PerJet) -> bool:

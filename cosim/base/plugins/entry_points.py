@@ -54,7 +54,7 @@ def load_tool_member(name: str) -> Any:
 
     Raises ImportError where no installed package has it.
     """
-    member = _load_member(API_GROUP, name)
+    member = _load_installed_member(API_GROUP, name)
     if member is None:
         raise ImportError(f"cosim.{name}: none of the tools that are installed has it", name=f"cosim.{name}")
     return member
@@ -62,10 +62,10 @@ def load_tool_member(name: str) -> Any:
 
 def load_hook(name: str) -> Any | None:
     """Return the function that an installed tool provides for ``cosim`` to call, or None."""
-    return _load_member(HOOK_GROUP, name)
+    return _load_installed_member(HOOK_GROUP, name)
 
 
-def _load_member(group: str, name: str) -> Any | None:
+def _load_installed_member(group: str, name: str) -> Any | None:
     return next((each.load() for each in list_tools(group, name=name)), None)
 
 

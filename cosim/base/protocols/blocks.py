@@ -108,7 +108,7 @@ class Allocator(Protocol):
 class Engines(Protocol):
     """Engines of a vehicle: :class:`cosim.engine.EngineBank` with delays, faults and restarts around it."""
 
-    wants_ambient: bool  # their thrust depends on the air
+    wants_ambient: bool  # whether thrust depends on the air
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring the engines into equilibrium at ``throttle``; ``ambient`` None: still standard air at sea level."""

@@ -119,7 +119,7 @@ class _ReferenceFinder:
         load = loader.exec_module
 
         def load_reference(module: ModuleType) -> None:
-            with _reference_environment():
+            with _with_reference_variable():
                 load(module)
 
         loader.exec_module = load_reference  # type: ignore[method-assign]
@@ -127,7 +127,7 @@ class _ReferenceFinder:
 
 
 @contextmanager
-def _reference_environment() -> Iterator[None]:
+def _with_reference_variable() -> Iterator[None]:
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = before or REFERENCE
     try:

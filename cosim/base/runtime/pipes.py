@@ -46,7 +46,7 @@ class Pipes:
 
     def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data`` within ``limit`` s."""
-        self._send(data, _compute_deadline(limit))
+        self._write_all(data, _compute_deadline(limit))
 
     def close(self) -> None:
         """Close both ends; may be called twice.  Only the opener of the file descriptors calls it."""
@@ -61,7 +61,7 @@ class Pipes:
     def exchange(self, data: bytes, count: int, limit: float | None = None) -> bytes:
         """Write all of ``data`` and read ``count`` bytes, both within the limit."""
         end = _compute_deadline(limit)
-        self._send(data, end)
+        self._write_all(data, end)
         return self._read_exactly(count, end)
 
     def receive_line(self, max_bytes: int, limit: float | None = None) -> bytes:
@@ -85,7 +85,7 @@ class Pipes:
     def exchange_message(self, data: bytes, max_bytes: int, limit: float | None = None) -> bytes:
         """Send a message and receive the answer within one limit, as :meth:`receive_message`."""
         end = _compute_deadline(limit)
-        self._send(_LENGTH_PREFIX.pack(len(data)) + data, end)
+        self._write_all(_LENGTH_PREFIX.pack(len(data)) + data, end)
         return self._read_message(max_bytes, end)
 
     def _read_message(self, max_bytes: int, end: float | None) -> bytes:
@@ -125,7 +125,7 @@ class Pipes:
             raise EOFError
         return data
 
-    def _send(self, data: bytes, end: float | None) -> None:
+    def _write_all(self, data: bytes, end: float | None) -> None:
         rest: bytes | memoryview = data
         while True:
             try:

@@ -116,7 +116,7 @@ def _parse_finite(digits: str) -> float:
     return number if isfinite(number) else _refuse_nan(digits[:40])
 
 
-_FINITE_ONLY: dict[str, Any] = {"parse_constant": _refuse_nan, "parse_float": _parse_finite}  # for json.loads
+_FINITE_ONLY: dict[str, Any] = {"parse_constant": _refuse_nan, "parse_float": _parse_finite}  # options of json.loads
 
 
 def write_all(file: int, data: bytes) -> None:

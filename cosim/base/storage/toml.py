@@ -153,7 +153,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
         old = merged.get(key)
         if isinstance(value, Mapping) and isinstance(old, Mapping):
             merged[key] = merge(old, value)
-        elif isinstance(value, Mapping) and isinstance(old, list) and _are_indices(value, old):
+        elif isinstance(value, Mapping) and isinstance(old, list) and _are_keys_indices(value, old):
             entries = {str(index): entry for index, entry in enumerate(old)}
             merged[key] = list(merge(entries, value).values())
         else:
@@ -161,7 +161,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def _are_indices(changes: Mapping[str, Any], entries: list[Any]) -> bool:
+def _are_keys_indices(changes: Mapping[str, Any], entries: list[Any]) -> bool:
     return bool(changes) and all(key in map(str, range(len(entries))) for key in changes)
 
 
@@ -368,14 +368,14 @@ def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> li
         for candidate in models:
             if part in candidate.model_fields:
                 submodels += _find_models(candidate.model_fields[str(part)].annotation)
-            elif _kind_tag(candidate) == part:
+            elif _find_kind_name(candidate) == part:
                 submodels.append(candidate)
         # An index or a mapping's key keeps the models; a field's name leads to the models of its type.
         models = submodels or models
     return sorted({name for candidate in models for name in candidate.model_fields})
 
 
-def _kind_tag(model: type[BaseModel]) -> Any:
+def _find_kind_name(model: type[BaseModel]) -> Any:
     kind = model.model_fields.get("kind")
     return get_args(kind.annotation)[0] if kind and get_args(kind.annotation) else None
 

@@ -79,9 +79,11 @@ class TiltAllocator:
         self._extra = 0.0
 
     def trim(self, collective: float) -> PerJet:
+        """Return each jet's throttle for the collective alone: all are equal to it."""
         return (collective,) * len(self.left)
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
+        """Allocate for engines of this health from now on; return False, unchanged, if that is impossible."""
         new_plan = plan(self._jets, self._limits, self.hover, self._idle, health)
         if new_plan is None:
             return False
@@ -229,9 +231,11 @@ class RotorAllocator:
         """Do nothing: there is no state."""
 
     def trim(self, collective: float) -> PerJet:
+        """Return each jet's throttle for the collective alone: all are equal to it."""
         return (collective,) * len(self.signs)
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
+        """Return False: this allocation is for healthy engines alone."""
         return False
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:

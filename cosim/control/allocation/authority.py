@@ -110,7 +110,7 @@ class Reach:
 
     def section(self, directions: Sequence[Any]) -> list[Range]:
         """Return bounds of the largest moment [N m] along each direction, without tightening them."""
-        return [self._bounds(self._moment_objective(direction), 0) for direction in directions]
+        return [self._bounds(self._make_moment_objective(direction), 0) for direction in directions]
 
     def authority(self, lost: Sequence[int] = ()) -> Authority:
         """Return the largest lift, and the largest moment about each axis with the other two at zero."""
@@ -139,9 +139,9 @@ class Reach:
         """Return the largest moment [N m] along a unit direction in body axes, with none across it at hover's lift.
 
         Minus infinity where the weight cannot be carried so."""
-        return self._bounds(self._moment_objective(direction))
+        return self._bounds(self._make_moment_objective(direction))
 
-    def _moment_objective(self, direction: Any) -> Objective:
+    def _make_moment_objective(self, direction: Any) -> Objective:
         import numpy as np
 
         along = np.concatenate([np.zeros(3), np.asarray(direction, float)])
@@ -215,19 +215,19 @@ class Reach:
         jets = len(self._least)
         scale = self._weight / jets
 
-        def wrench_of(x: Array) -> tuple[Array, Array]:
+        def compute_wrench(x: Array) -> tuple[Array, Array]:
             effects, turns = self._linearise_wrench(x[:jets] * scale, x[jets:])
             return effects @ x[:jets] * scale, np.hstack([effects * scale, turns])
 
         # Rows that nothing changes would make the program infeasible, so they are checked here directly.
         middle = 0.5 * (low + high)
         offset = middle + SHIFT * (high - low) * np.cos(np.arange(len(middle)))
-        changes = np.hstack([rows @ wrench_of(x)[1] * (high > low) for x in (start, middle, offset)])
+        changes = np.hstack([rows @ compute_wrench(x)[1] * (high > low) for x in (start, middle, offset)])
         sides, sizes, _ = np.linalg.svd(changes, full_matrices=False)
         active = sides[:, sizes > 1e-9 * max(sizes[0], 1e-300)].T
 
         def negative_goal(x: Array) -> tuple[float, Array]:
-            wrench, change = wrench_of(x)
+            wrench, change = compute_wrench(x)
             return -float(goal @ wrench), -(goal @ change)
 
         result = minimize(
@@ -238,12 +238,12 @@ class Reach:
             bounds=list(zip(low, high, strict=True)),
             constraints={
                 "type": "eq",
-                "fun": lambda x: active @ (rows @ wrench_of(x)[0] - values),
-                "jac": lambda x: active @ rows @ wrench_of(x)[1],
+                "fun": lambda x: active @ (rows @ compute_wrench(x)[0] - values),
+                "jac": lambda x: active @ rows @ compute_wrench(x)[1],
             },
             options={"ftol": 1e-10, "maxiter": 100},
         )
-        wrench, _ = wrench_of(np.clip(result.x, low, high))
+        wrench, _ = compute_wrench(np.clip(result.x, low, high))
         residual = np.max(np.abs(rows @ wrench - values))
         return float(objective.goal @ wrench) if residual <= tolerance else -inf
 
@@ -260,7 +260,7 @@ class Reach:
         for jet, group in enumerate(layout.groups):
             axis, twist = axes[group], layout.stations[jet].twist
             columns.append([*axis, *_moment_of_force(positions[jet], axis, twist)])
-            for hinge in layout.hinge_axes(angles, jet):
+            for hinge in layout.turned_hinges(angles, jet):
                 # The thrust turns with the hinge, and so does the station if the hinge carries it.
                 fx, fy, fz = cross(hinge.axis, axis)
                 force = (hinge.effect * fx, hinge.effect * fy, hinge.effect * fz)

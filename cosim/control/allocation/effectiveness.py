@@ -29,15 +29,15 @@ from cosim.base.signals import NO_JETS, ZERO3, Actuation, JetHealth, PerJet, Per
 from cosim.control.allocation._effectiveness import Solver
 
 # Rows of the force and moment demand.
-ROLL: Final = 0
-PITCH: Final = 1
-LIFT: Final = 2
-YAW: Final = 3
-FORWARD: Final = 4
-RIGHT: Final = 5
-PRIORITIES: Final = ((ROLL, PITCH), (LIFT,), (YAW,))  # rows, highest priority first
-HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of lowest priority
-AHEAD: Final = ((FORWARD,),)  # row added in forward flight
+ROW_ROLL: Final = 0
+ROW_PITCH: Final = 1
+ROW_LIFT: Final = 2
+ROW_YAW: Final = 3
+ROW_FORWARD: Final = 4
+ROW_RIGHT: Final = 5
+PRIORITIES: Final = ((ROW_ROLL, ROW_PITCH), (ROW_LIFT,), (ROW_YAW,))  # rows, highest priority first
+HORIZONTAL: Final = ((ROW_FORWARD, ROW_RIGHT),)  # optional rows of lowest priority
+AHEAD: Final = ((ROW_FORWARD,),)  # row added in forward flight
 # Largest angle between a tilt and the demanded force. Chosen by us: beyond it are solutions with front and rear turned
 # against each other, from which no small step leads out.
 MAX_SWING_RAD: Final = 0.6
@@ -198,7 +198,7 @@ class EffectivenessAllocator:
         found, missing = self._solve(wanted, self._weight, MAX_FIRST, False)
         self._levels = usual
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
-        self.is_balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
+        self.is_balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROW_ROLL, ROW_PITCH, ROW_LIFT))
         self._preferred = found[: self._jets]
         self._hovers = self._last = found
 
@@ -213,7 +213,7 @@ class EffectivenessAllocator:
     def trim(self, collective: float) -> PerJet:
         """Return the thrust fractions that balance the vehicle at ``collective``, with hinges near rest."""
         wanted = [0.0, 0.0, self._jets * (self._low + self._span * collective), 0.0, 0.0, 0.0]
-        found, _ = self._solve(wanted, wanted[LIFT], MAX_FIRST, False)
+        found, _ = self._solve(wanted, wanted[ROW_LIFT], MAX_FIRST, False)
         return self._thrust_fractions(found)
 
     @property
@@ -257,7 +257,7 @@ class EffectivenessAllocator:
         effects: list[float] = []
         for j, scale in enumerate(self._scales):
             turn = 0.0
-            for row, inverse in zip((ROLL, PITCH, YAW), self._inverse[axis], strict=True):
+            for row, inverse in zip((ROW_ROLL, ROW_PITCH, ROW_YAW), self._inverse[axis], strict=True):
                 turn += inverse * rows[row][j] / self._norms[row]
             effects.append(turn / scale)
         # The commands are linearised: they differ from the exact ones by the square of ``small``.
@@ -282,7 +282,7 @@ class EffectivenessAllocator:
     def _attains_acceleration(self, axis: int, size: float, missed: float = 1e-4) -> bool:
         """Return whether hover attains an angular acceleration, but for a fraction ``missed`` of weight and moment."""
         _, missing = self.solve_hover((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
-        return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROLL, PITCH, LIFT, YAW))
+        return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROW_ROLL, ROW_PITCH, ROW_LIFT, ROW_YAW))
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
         """Return throttles and tilts for lift and angular accelerations, and the part beyond the limits.
@@ -329,8 +329,8 @@ class EffectivenessAllocator:
         if asked < least:  # even idle thrust points forward
             force = max(force, sqrt(least * least - asked * asked))
         wanted = self._wrench(asked, torque, ZERO3)
-        wanted[PITCH] += pitch
-        wanted[FORWARD] = force
+        wanted[ROW_PITCH] += pitch
+        wanted[ROW_FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
         neutral, preferred, servo_limits, levels = self._neutral, self._preferred, self._servo_limits, self._levels
         self._neutral, self._servo_limits = list(neutral), list(servo_limits)
@@ -342,9 +342,9 @@ class EffectivenessAllocator:
         self._levels = self._levels_ahead
         found, missing = self._solve(wanted, whole, MAX_ITERATIONS, True)
         self._neutral, self._preferred, self._servo_limits, self._levels = neutral, preferred, servo_limits, levels
-        missing[LIFT] += lift - asked
-        missing[FORWARD] += without - force
-        return self._make_actuation(found, missing), missing[FORWARD]
+        missing[ROW_LIFT] += lift - asked
+        missing[ROW_FORWARD] += without - force
+        return self._make_actuation(found, missing), missing[ROW_FORWARD]
 
     def _share_weight(self, balanced: float) -> list[float]:
         """Return each jet's part of the weight [N] at neutral angles: equal, with the least change that balances pitch.
@@ -368,14 +368,14 @@ class EffectivenessAllocator:
             if -TINY <= missing[row] * self._norms[row] <= TINY:
                 missing[row] = 0.0
         roll = pitch = yaw = 0.0
-        if missing[ROLL] or missing[PITCH] or missing[YAW]:
+        if missing[ROW_ROLL] or missing[ROW_PITCH] or missing[ROW_YAW]:
             (a, b, c), (d, e, f), (g, h, i) = self._inverse
-            x, y, z = missing[ROLL], missing[PITCH], missing[YAW]
+            x, y, z = missing[ROW_ROLL], missing[ROW_PITCH], missing[ROW_YAW]
             roll, pitch, yaw = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
         return Actuation(
             self._thrust_fractions(found),
             tuple(found[self._jets :]) or self.rest,
-            Unallocated(roll, pitch, yaw, missing[LIFT] / (self._jets * self._span)),
+            Unallocated(roll, pitch, yaw, missing[ROW_LIFT] / (self._jets * self._span)),
             NO_JETS,
         )
 
@@ -432,7 +432,7 @@ def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[H
 
 def _describe_largest_missing(missing: Sequence[float], norms: Sequence[float]) -> str:
     """Describe the largest of the missing moments and lift, with its unit."""
-    names = {ROLL: ("roll", "N m"), PITCH: ("pitch", "N m"), LIFT: ("lift", "N")}
+    names = {ROW_ROLL: ("roll", "N m"), ROW_PITCH: ("pitch", "N m"), ROW_LIFT: ("lift", "N")}
     row = max(names, key=lambda each: abs(missing[each]))
     name, unit = names[row]
     return f"{missing[row] / norms[row]:.3g} {unit} of {name}"

@@ -81,7 +81,7 @@ class EngineMonitor:
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
         self._engines = [
-            _Engine(_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
+            _Engine(_low_pass_gain(step, reference.shortest / factor), _low_pass_gain(step, reference.longest * factor))
             for reference in references
         ]
         # A sudden fall is judged separately, over five times the confirmation: the shortest window with room for it.
@@ -163,7 +163,7 @@ class EngineMonitor:
         return tuple(thrusts)
 
     def _sudden_deficit(self, i: int, x: float) -> float:
-        """Return how far ``x`` is below what a healthy engine can have reached, from its report a while ago."""
+        """Return how far a thrust ``x`` [N] is below what a healthy engine reaches from its report a while ago."""
         start, before = self._window[self._sudden][i], self._window[0][i]
         least = start
         for commanded in self._past[: self._sudden + self._latest - self._earliest + 1]:
@@ -276,7 +276,7 @@ class _Curve:
         self._straight = all(abs(self._start + x * slope - y) <= 1e-9 * abs(slope) for x, y in zip(xs, ys, strict=True))
 
     def at(self, x: float) -> float:
-        """Return the value at ``x``."""
+        """Return the curve at ``x``, interpolated linearly and held constant beyond its ends."""
         if self._x <= x < self._end:
             return self._y + self._rise * (x - self._x) / self._run
         xs, ys = self._xs, self._ys
@@ -290,16 +290,16 @@ class _Curve:
         return self._y + self._rise * (x - self._x) / self._run
 
     def straight_at(self, u: float) -> float:
-        """Return the value at a throttle, by one line if the points from 0 to 1 are on it."""
+        """Return the curve at the throttle ``u``, by one straight line if all its points from 0 to 1 are on that."""
         return self._start + u * self._slope if self._straight else self.at(u)
 
 
-def _filter_gain(step: float, lag: float) -> float:
+def _low_pass_gain(step: float, lag: float) -> float:
     return 1.0 - exp(-step / lag) if lag > 0.0 else 1.0
 
 
 def _interpolate(xs: Sequence[float], ys: Sequence[float], x: float) -> float:
-    """Interpolate linearly, constant beyond the ends."""
+    """Return the curve ``ys`` over ``xs`` at ``x``, interpolated linearly and constant beyond its ends."""
     if x <= xs[0]:
         return ys[0]
     if x >= xs[-1]:

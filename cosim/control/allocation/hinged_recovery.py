@@ -34,18 +34,18 @@ from typing import Final, NamedTuple
 from cosim.base.limits import clamp
 from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
-    FORWARD,
     HORIZONTAL,
-    LIFT,
     MAX_FIRST,
     MAX_ITERATIONS,
     MAX_SWING_RAD,
-    PITCH,
     PRIORITIES,
-    RIGHT,
-    ROLL,
+    ROW_FORWARD,
+    ROW_LIFT,
+    ROW_PITCH,
+    ROW_RIGHT,
+    ROW_ROLL,
+    ROW_YAW,
     TINY,
-    YAW,
     AllocationModel,
     EffectivenessAllocator,
     SolverOptions,
@@ -54,8 +54,8 @@ from cosim.control.allocation.effectiveness import (
 # Lift deficit over weight from which hinges stay near the largest lift. Chosen by us: the altitude loop corrects 1 %.
 MAX_LIFT_DEFICIT: Final = 0.01
 # Rows of force and moment that hinges serve, highest priority first: hinges that carry engines, or deflect thrust.
-ENGINE_HINGE_PRIORITIES: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
-DEFLECTOR_PRIORITIES: Final = ((ROLL, PITCH), (YAW,))
+ENGINE_HINGE_PRIORITIES: Final = ((ROW_ROLL, ROW_PITCH), (ROW_YAW,), (ROW_LIFT,), (ROW_FORWARD, ROW_RIGHT))
+DEFLECTOR_PRIORITIES: Final = ((ROW_ROLL, ROW_PITCH), (ROW_YAW,))
 
 
 class EngineLag(NamedTuple):
@@ -66,10 +66,7 @@ class EngineLag(NamedTuple):
 
 
 class HingedRecovery(EffectivenessAllocator):
-    """Allocator that after an engine loss turns the vehicle by hinges; while all engines run an EffectivenessAllocator.
-
-    ``lag``: of the engines.
-    """
+    """Allocator that after an engine loss turns the vehicle by hinges; while all run an EffectivenessAllocator."""
 
     def __init__(self, model: AllocationModel, lag: EngineLag) -> None:
         self._lag = lag
@@ -133,11 +130,11 @@ class HingedRecovery(EffectivenessAllocator):
         turning, missing = self._solve_servos(wanted, servos, reach, stand, MAX_ITERATIONS, True)
         self._turning_on = self._turns_against_demand(wanted, missing, turning)
         if self._carriers:
-            given, enough = lift - missing[LIFT], (1.0 - MAX_LIFT_DEFICIT) * self._weight
+            given, enough = lift - missing[ROW_LIFT], (1.0 - MAX_LIFT_DEFICIT) * self._weight
             if not self._short and given < min(lift, enough):
                 self._short, self._lifting = True, turning
             self._update_lean(missing, given)
-        missing[LIFT] = short[LIFT]
+        missing[ROW_LIFT] = short[ROW_LIFT]
         return self._make_actuation([*self._carrying[:jets], *turning], missing)
 
     def allocate_forward(
@@ -180,10 +177,10 @@ class HingedRecovery(EffectivenessAllocator):
         found = [self._solve_servos(weight, start, self._servo_limits, rest, passes, False) for start in starts]
         norms, costs = self._norms, []
         for _, missing in found:
-            turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
-            costs.append(unbalanced * turned + abs(missing[LIFT]) * norms[LIFT])
+            turned = abs(missing[ROW_ROLL]) * norms[ROW_ROLL] + abs(missing[ROW_PITCH]) * norms[ROW_PITCH]
+            costs.append(unbalanced * turned + abs(missing[ROW_LIFT]) * norms[ROW_LIFT])
         self._lifting, missing = found[costs.index(min(costs))]
-        return missing[LIFT] * norms[LIFT] > MAX_LIFT_DEFICIT
+        return missing[ROW_LIFT] * norms[ROW_LIFT] > MAX_LIFT_DEFICIT
 
     def _ranges_near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
         """Return the servos' ranges [rad], for hinges that carry engines within ``MAX_SWING_RAD`` of these angles."""
@@ -208,17 +205,17 @@ class HingedRecovery(EffectivenessAllocator):
         """Return the servo angles that give the wrench ``wanted`` at the reported thrusts, and its residual."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
         options = SolverOptions(last, ends, self._turns, servo_limits, neutral)
-        found, missing = self._solve(wanted, wanted[LIFT], passes, rated, options)
+        found, missing = self._solve(wanted, wanted[ROW_LIFT], passes, rated, options)
         return found[self._jets :], missing
 
     def _turns_against_demand(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
-        if all(-TINY <= missing[row] * self._norms[row] <= TINY for row in (ROLL, PITCH)):
+        if all(-TINY <= missing[row] * self._norms[row] <= TINY for row in (ROW_ROLL, ROW_PITCH)):
             return False
         lag = self._lag
         coming = [max(0.0, f + lag.delay * up) for f, up in zip(self._reported, self._rising, strict=True)]
         moments, _ = self._solver.linear([*coming, *servos], self.pressure)
-        return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
+        return moments[ROW_ROLL] * wanted[ROW_ROLL] + moments[ROW_PITCH] * wanted[ROW_PITCH] <= 0.0
 
     def _update_lean(
         self, missing: Sequence[float], lift: float, lean_s: float = 0.1, max_rad: float = 0.2, held_rad: float = 0.1
@@ -230,6 +227,6 @@ class HingedRecovery(EffectivenessAllocator):
         """
         share, (roll, pitch) = self._lag.step / (lean_s + self._lag.step), self.lean
         most = max_rad if self._short else held_rad
-        to_roll = clamp(atan2(missing[RIGHT], lift), most)
-        to_pitch = clamp(atan2(-missing[FORWARD], lift), most)
+        to_roll = clamp(atan2(missing[ROW_RIGHT], lift), most)
+        to_pitch = clamp(atan2(-missing[ROW_FORWARD], lift), most)
         self.lean = (roll + share * (to_roll - roll), pitch + share * (to_pitch - pitch))

@@ -215,11 +215,10 @@ def _boost_commands(trim: Array, up: Array, centre: float, top: tuple[float, Arr
 def _optimise_commands(
     given: Array, trim: Array, up: Array, roll: Array, side: Array, limits: tuple[float, float, float, float]
 ) -> tuple[Array, Array, Array, float] | None:
-    """Return the commands of trim, of ``up`` and of ``reach`` of roll, and the largest ``reach`` for which all fit.
+    """Find commands for trim, ``up`` and the largest multiple ``reach`` of ``roll`` with each jet in its limits.
 
     Every corner ``trim +- up +- roll`` is within the limits, which are low, high, centre and what is kept for ``up``.
-    Pitch may be left over on ``up`` and ``roll``, at a cost; so may, at a small one, what the jets do beyond what
-    they did when all were healthy, so that no jet does more than its share where it need not.
+    ``up`` and ``roll`` may leave pitch over, at a cost, and jets may do more than in health, at a small one.
     """
     import numpy as np
 

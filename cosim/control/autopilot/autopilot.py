@@ -63,7 +63,7 @@ class Autopilot(FlightState):
             mission.done and bool(mission.items),
             self.failsafe,
             self.energy.remaining,
-            self.remote.sticks_fresh(self.k),
+            self.remote.has_fresh_sticks(self.k),
             self.watch.link_lost >= 0,
             self.watch.zones,
             self.landmarks.rally,
@@ -135,10 +135,10 @@ class Autopilot(FlightState):
             self.watch.check_sensors(estimates.failures)
             if not estimates.has_position and self.mode not in (*DIRECT, Mode.ALTCTL, Mode.LAND):
                 self.activate_failsafe(LAND, "position lost")
-        if self.mode in STICK_MODES and self.is_flying() and not self.remote.sticks_fresh(k):
+        if self.mode in STICK_MODES and self.is_flying() and not self.remote.has_fresh_sticks(k):
             self.say(Severity.WARNING, "sticks lost, holding", k)
             self.enter(Mode.HOLD, k)
-        if self.mode is Mode.OFFBOARD and not self.remote.setpoint_fresh(k):
+        if self.mode is Mode.OFFBOARD and not self.remote.has_fresh_setpoint(k):
             self.say(Severity.WARNING, "no more set-points, holding", k)
             self.enter(Mode.HOLD, k)
 
@@ -166,7 +166,7 @@ class Autopilot(FlightState):
             if braking is not None:
                 self.course.guide.restart_height()
                 return braking
-        if collective is None or self.landing.collective is not None or not self._commands_collective():
+        if collective is None or self.landing.collective is not None or not self._is_collective_commanded():
             # Before the first step nothing was allocated.
             if k > 0:
                 self.envelope.restart_at(report.collective)
@@ -221,7 +221,7 @@ class Autopilot(FlightState):
             return self._command_in_air(k)
         if not self._needs_take_off(k):
             return self._end_take_off(k, "")
-        if self._commands_collective():
+        if self._is_collective_commanded():
             return self._command_mode(k)
         command = self.take_off.rise(k - self.arming.since)
         return self._end_take_off(k, "did not leave the ground") if command is None else command
@@ -252,7 +252,7 @@ class Autopilot(FlightState):
                 return self._command_settling(k, landing.collective)
             landing.collective = None
         command = self._command_mode(k)
-        if self._commands_collective():
+        if self._is_collective_commanded():
             if has_contact and landing.touchdown.is_standing:
                 self.stand(k)
         elif course.descending and is_down:
@@ -307,7 +307,7 @@ class Autopilot(FlightState):
         self.hold_here(k)
         return self.course.fly()
 
-    def _commands_collective(self) -> bool:
+    def _is_collective_commanded(self) -> bool:
         return self.remote.commands_collective(self.mode)
 
     def handle(self, request: Request, k: int) -> Answer:

@@ -67,10 +67,10 @@ class FailsafeMonitor:
         self, k: int, measured: Measured, fix: Fix, home: Home | None, report: Report, mode: Mode, acting: bool = False
     ) -> None:
         """Check one step in the air; ``acting``: the fence's action is being flown."""
-        self._check_engines(report)
+        self._act_on_failed_engines(report)
         self._tank.update(k, mode)
         self._check_fence(fix.position, measured.altitude, home, acting)
-        self._check_wind(fix)
+        self._warn_of_wind(fix)
         if self.link_lost >= 0 and not self._link_has_acted:
             elapsed = (k - self.link_lost) * self._step
             if elapsed >= self._parameters["HJ_LINK_DELAY"]:
@@ -108,7 +108,7 @@ class FailsafeMonitor:
             return height - ceiling, f"{height:.0f} m above home, the fence is at {ceiling:g} m"
         return 0.0, ""
 
-    def _check_engines(self, report: Report) -> None:
+    def _act_on_failed_engines(self, report: Report) -> None:
         new = [str(jet) for jet in report.lost if jet not in self._lost_engines]
         self._lost_engines = report.lost
         if new:
@@ -122,7 +122,7 @@ class FailsafeMonitor:
         for text in new:
             self._act(LAND if text in _LAND_AT_ONCE_ON else int(self._parameters["HJ_SENS_ACT"]), text)
 
-    def _check_wind(self, fix: Fix) -> None:
+    def _warn_of_wind(self, fix: Fix) -> None:
         most = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))
         before = self._wind_s
         self._wind_s = before + self._step if hypot(*fix.disturbance) > self.max_wind * most else 0.0

@@ -134,11 +134,11 @@ def table(
     if control.position is None:
         raise InputError("vehicle.control.position is missing: this vehicle cannot be flown by the autopilot")
     parameters = [
-        *_loop_parameters(control),
-        *_position_parameters(control.position),
-        *_flight_parameters(pilot),
-        *_predictor_parameters(control.predictor, controller, delay),
-        *_failsafe_parameters(pilot),
+        *_list_loop_parameters(control),
+        *_list_position_parameters(control.position),
+        *_list_flight_parameters(pilot),
+        *_list_predictor_parameters(control.predictor, controller, delay),
+        *_list_failsafe_parameters(pilot),
         *_px4_parameters(),
         *_geometry_parameters(jets),
     ]
@@ -152,7 +152,7 @@ def _make_gain(name: str, default: float, unit: str, group: str, text: str, most
     return Parameter(name, "float", default, 0.0, most or _MAX_GAIN_RATIO * default, unit, group, text, decimals=5)
 
 
-def _loop_parameters(control: Control) -> Iterator[Parameter]:
+def _list_loop_parameters(control: Control) -> Iterator[Parameter]:
     rate = (control.rate.roll, control.rate.pitch, control.rate.yaw)
     # Commands are throttle on roll, rad of tilt on pitch and yaw.
     units = (("s/rad", "1/rad", "s^2/rad"), ("s", "1", "s^2"), ("s", "1", "s^2"))
@@ -178,14 +178,14 @@ def _loop_parameters(control: Control) -> Iterator[Parameter]:
     yield Parameter("HJ_SPEED_DN", "float", height.descent_limit_m_s, 0.1, 20.0, "m/s", "Height", "most descent rate")
 
 
-def _position_parameters(gains: PositionGains) -> Iterator[Parameter]:
+def _list_position_parameters(gains: PositionGains) -> Iterator[Parameter]:
     yield _make_gain("HJ_POS_P", gains.position_1_s, "1/s", "Position", "commanded speed per position error")
     yield _make_gain("HJ_VEL_P", gains.velocity_1_s, "1/s", "Position", "commanded acceleration per velocity error")
     text = "largest lean in automatic flight"
     yield Parameter("HJ_LEAN_MAX", "float", degrees(gains.lean_rad), 2.0, 45.0, "deg", "Position", text, decimals=1)
 
 
-def _flight_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
+def _list_flight_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
     def entry(name: str, default: float, least: float, most: float, unit: str, text: str) -> Parameter:
         return Parameter(name, "float", default, least, most, unit, "Automatic flight", text)
 
@@ -204,7 +204,7 @@ def _flight_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
     yield entry("HJ_SPOOL_TIME", pilot.spool_s, 0.2, 60.0, "s", "from idle to hover thrust before take-off")
 
 
-def _predictor_parameters(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
+def _list_predictor_parameters(tuning: PredictorTuning, controller: str, delay: float | None) -> Iterator[Parameter]:
     group = "Predictor"
     specs = sorted(PREDICTORS.values(), key=lambda spec: spec.value)
     values = tuple(EnumValue(spec.value, spec.name) for spec in specs if delay is not None or not spec.needs_model)
@@ -226,7 +226,7 @@ def _predictor_parameters(tuning: PredictorTuning, controller: str, delay: float
                 )  # fmt: skip
 
 
-def _failsafe_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
+def _list_failsafe_parameters(pilot: PilotSettings) -> Iterator[Parameter]:
     def entry(name: str, default: float, most: float, unit: str, text: str, least: float = 0.0) -> Parameter:
         return Parameter(name, "float", default, least, most, unit, "Failsafe", text)
 

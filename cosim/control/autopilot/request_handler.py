@@ -90,9 +90,9 @@ def _set_mode(pilot: FlightState, request: rq.SetMode, k: int) -> Answer:
         return HANDLERS[type(mode_request)](pilot, mode_request, k)
     if mode is Mode.ORBIT:
         return refuse(Result.DENIED, "ORBIT is begun by a command that names its radius")
-    if mode is Mode.OFFBOARD and not pilot.remote.setpoint_fresh(pilot.k):
+    if mode is Mode.OFFBOARD and not pilot.remote.has_fresh_setpoint(pilot.k):
         return refuse(Result.TEMPORARILY_REJECTED, "OFFBOARD needs a set-point that is not old, send those first")
-    if mode in STICK_MODES and pilot.is_flying() and not pilot.remote.sticks_fresh(pilot.k):
+    if mode in STICK_MODES and pilot.is_flying() and not pilot.remote.has_fresh_sticks(pilot.k):
         return refuse(Result.TEMPORARILY_REJECTED, f"{mode.value} needs sticks, and there are none")
     pilot.enter(mode, k)
     return accept()
@@ -108,21 +108,21 @@ def _begin_take_off(pilot: FlightState, request: rq.Takeoff, k: int) -> Answer:
     pilot.take_off.height = height
     pilot.arming.flew = False
     pilot.arming.since = k
-    return _accept_start(pilot)
+    return _accept_and_tell_if_unarmed(pilot)
 
 
-def _accept_start(pilot: FlightState) -> Answer:
+def _accept_and_tell_if_unarmed(pilot: FlightState) -> Answer:
     return accept("" if pilot.armed else "begins when armed")
 
 
-def _land(pilot: FlightState, request: rq.Land, k: int) -> Answer:
+def _begin_landing(pilot: FlightState, request: rq.Land, k: int) -> Answer:
     if not pilot.is_flying():
         return refuse(Result.TEMPORARILY_REJECTED, "landing refused: it is on the ground")
     pilot.enter(Mode.LAND, k)
     return accept()
 
 
-def _return(pilot: FlightState, request: rq.ReturnHome, k: int) -> Answer:
+def _begin_return(pilot: FlightState, request: rq.ReturnHome, k: int) -> Answer:
     if not pilot.is_flying():
         return refuse(Result.TEMPORARILY_REJECTED, "return refused: it is on the ground")
     if pilot.landmarks.home is None:
@@ -131,7 +131,7 @@ def _return(pilot: FlightState, request: rq.ReturnHome, k: int) -> Answer:
     return accept()
 
 
-def _goto(pilot: FlightState, request: rq.Goto, k: int) -> Answer:
+def _begin_flight_to(pilot: FlightState, request: rq.Goto, k: int) -> Answer:
     if not pilot.is_flying():
         return refuse(Result.TEMPORARILY_REJECTED, "goto refused: it is on the ground")
     course, here = pilot.course, pilot.estimates.fix.position
@@ -172,7 +172,7 @@ def _begin_orbit(pilot: FlightState, request: rq.Orbit, k: int) -> Answer:
     return accept()
 
 
-def _hold(pilot: FlightState, request: rq.Hold, k: int) -> Answer:
+def _enter_hold(pilot: FlightState, request: rq.Hold, k: int) -> Answer:
     if pilot.mode is Mode.HOLD and pilot.course.position is None:
         # It is stopping or has stopped, so a repeated request does not move the target.
         pilot.failsafe = ""
@@ -230,7 +230,7 @@ def _start_mission(pilot: FlightState, request: rq.MissionStart, k: int) -> Answ
     if not flying:
         pilot.arming.flew = False
     pilot.mission_flight.begin(flying)
-    return _accept_start(pilot)
+    return _accept_and_tell_if_unarmed(pilot)
 
 
 def _set_current_item(pilot: FlightState, request: rq.MissionSetCurrent, k: int) -> Answer:
@@ -312,11 +312,11 @@ HANDLERS: dict[type[Any], Callable[[FlightState, Any, int], Answer]] = {  # func
     rq.Kill: _kill,
     rq.SetMode: _set_mode,
     rq.Takeoff: _begin_take_off,
-    rq.Land: _land,
-    rq.ReturnHome: _return,
-    rq.Goto: _goto,
+    rq.Land: _begin_landing,
+    rq.ReturnHome: _begin_return,
+    rq.Goto: _begin_flight_to,
     rq.Orbit: _begin_orbit,
-    rq.Hold: _hold,
+    rq.Hold: _enter_hold,
     rq.SetSpeed: _set_speed,
     rq.SetHome: _set_home,
     rq.Sticks: _store_remote_input,

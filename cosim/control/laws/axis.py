@@ -29,7 +29,7 @@ class AxisLaw(Protocol):
         """Return to rest, with nothing applied."""
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
-        """Return the command of a step, from rates [rad/s] and what was applied of the command before."""
+        """Return the command of a step from rates [rad/s] and the applied part of the previous command."""
 
 
 @dataclass(frozen=True)

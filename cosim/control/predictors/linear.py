@@ -55,11 +55,11 @@ def smith_response(model: RateModel, filter_s: float | None = None) -> PairRespo
     """Return ``P_y`` and ``P_u`` of Smith's predictor, filtered where ``filter_s`` is not None."""
     numerator, denominator = ([1.0], [1.0]) if filter_s is None else robustness_filter(model, filter_s)
 
-    def response(z: Complex) -> Pair:
+    def compute_response(z: Complex) -> Pair:
         f = np.polyval(numerator, z) / np.polyval(denominator, z)
         return f, model_response(model, z) - f * delayed_response(model, z)
 
-    return response
+    return compute_response
 
 
 def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> PairResponse:
@@ -94,7 +94,7 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
     of_rate = [row @ gain for row in rows]
     of_mode = [[row @ correct[:, i] for row in rows] for i in range(order)]
 
-    def response(z: Complex) -> Pair:
+    def compute_response(z: Complex) -> Pair:
         denominator_at = np.polyval(denominator, z)
         command = np.zeros_like(z)
         delay = z**-modes.whole
@@ -104,7 +104,7 @@ def observer_response(model: RateModel, bandwidth: float, disturbance: bool) -> 
             command += np.polyval(numerator, z) / denominator_at * input_delay
         return np.asarray(z * np.polyval(of_rate, z) / denominator_at), command
 
-    return response
+    return compute_response
 
 
 @dataclass(frozen=True)
@@ -316,12 +316,12 @@ def linear_response(predictor: LinearPredictor) -> PairResponse:
     transition, entering = np.array(predictor.transition), np.stack([predictor.of_rate, predictor.of_command], axis=1)
     of_state, weights = np.array(predictor.of_state), np.array(predictor.weights)
 
-    def response(z: Complex) -> Pair:
+    def compute_response(z: Complex) -> Pair:
         states = np.linalg.solve(np.eye(len(of_state)) - transition / z[:, None, None], entering.astype(complex))
         of_rate, of_late = (of_state @ states).T
         return np.asarray(of_rate), np.asarray(of_late * z ** -len(weights) + np.polyval([*weights, 0.0], 1.0 / z))
 
-    return response
+    return compute_response
 
 
 class LinearSpace:

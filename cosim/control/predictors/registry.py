@@ -58,13 +58,12 @@ class TuningParameter:
 
 @dataclass(frozen=True)
 class PredictorSpec:
-    """A kind of predictor.
+    """Registry entry of a predictor: its name, parameters, factory, and linear response for a design.
 
-    ``make`` makes one from the model that it believes in and its own parameters, with the delay that a controller adds
-    itself in the model; None for a model where the vehicle states none and ``needs_model`` is false.  It raises
-    InputError where the model is not of the kind that it needs.  ``response`` and ``space`` are the same as a linear
-    system, for a design: ``P_y`` and ``P_u`` for any ``|z| >= 1``.  A design needs the first; without the second it
-    finds responses in time from the first.
+    ``make`` makes a predictor from its model, with the delay that a controller adds itself, and its parameters; the
+    model is None where the vehicle states none and ``needs_model`` is false.  Raises InputError for an unsuitable one.
+    ``response`` and ``space`` are the same as a linear system, for a design: ``P_y`` and ``P_u`` for any ``|z| >= 1``.
+    A design needs the first; without the second it finds responses in time from the first.
     """
 
     name: str
@@ -166,10 +165,7 @@ class Registry(Mapping[str, PredictorSpec]):
         return self[name]
 
     def check(self, tuning: PredictorTuning, where: str) -> None:
-        """Check the tuning of plug-in predictors in a vehicle against their parameters.
-
-        Raises InputError: one line with the key, the value and what is allowed.
-        """
+        """Check the tuning of plug-in predictors in a vehicle against their parameters.  Raises InputError."""
         for name, values in tuning.own.items():
             parameters = {
                 parameter.name: parameter

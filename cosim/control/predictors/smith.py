@@ -93,7 +93,7 @@ class DelayedModel:
         samples = int(model.delay_samples)
         fraction = model.delay_samples - samples
         self.line = DelayLine(samples)
-        self.model = _fractional_delay(model, fraction) if fraction else rate_model(model)
+        self.model = _make_fractional_delay(model, fraction) if fraction else rate_model(model)
 
     def reset(self) -> None:
         """Return to rest."""
@@ -194,7 +194,7 @@ def robustness_filter(model: RateModel, time_constant: float) -> tuple[list[floa
     return [b0, at_one - b0, 0.0], [1.0, -2.0 * a, a * a]
 
 
-def _fractional_delay(model: RateModel, fraction: float) -> DiscreteModel:
+def _make_fractional_delay(model: RateModel, fraction: float) -> DiscreteModel:
     poles = model.poles
     if model.pole_pairs or model.zero_pairs:
         raise InputError("identified model: with pairs of poles or zeros its delay must be a whole number of samples")

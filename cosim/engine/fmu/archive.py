@@ -180,10 +180,7 @@ def hash_equations(data: bytes, root: ElementTree.Element, description: Any) -> 
 
 
 def read_engine_sources(data: bytes) -> list[tuple[str, bytes]]:
-    """Return names and contents of the engine's own C sources in a shipped archive.
-
-    Raises UnusableError where one is damaged.
-    """
+    """Return the engine's own C sources in a shipped archive: names and contents.  Raises UnusableError."""
     adapter = {f"sources/{name}" for name in (*ADAPTER_FILES, *ADAPTER_GENERATED, "fmi2.c", "fmi3.c")}
     try:
         with Zip(io.BytesIO(data)) as fmu:

@@ -68,14 +68,14 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
     try:
         description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
     except Exception as error:
-        raise _explain_refusal(complaints) if complaints else _unusable_error(error) from error
+        raise _explain_refusal(complaints) if complaints else _make_unusable_error(error) from error
     more = _validate_model(description)
     if more is not None:
         complaints += [complaint for complaint in more if complaint not in complaints]
     elif undeclared := _find_undefined_unit(description):
         complaints.append(undeclared)
     elif stumbled:
-        raise _unusable_error(stumbled)
+        raise _make_unusable_error(stumbled)
     if dangerous := [
         complaint for complaint in [*_repeated_names(description), *complaints] if not is_harmless_violation(complaint)
     ]:
@@ -133,7 +133,7 @@ def _explain_refusal(complaints: Sequence[str]) -> UnusableError:
     return UnusableError(f"modelDescription.xml is not valid: {complaints[0]}{more}")
 
 
-def _unusable_error(error: object) -> UnusableError:
+def _make_unusable_error(error: object) -> UnusableError:
     return UnusableError(f"modelDescription.xml cannot be used: {to_one_line(error)}")
 
 

@@ -212,7 +212,7 @@ class FmuInstance:
         return (
             archive.fmi,
             self._slave.component,
-            self._address("DoStep"),
+            self._function_address("DoStep"),
             self._start_steps + done,
             sets,
             gets,
@@ -221,7 +221,7 @@ class FmuInstance:
             tuple(self._inputs[name] for name in BASE_INPUTS),
         )
 
-    def _address(self, name: str) -> int:
+    def _function_address(self, name: str) -> int:
         try:
             return ctypes.cast(self._slave.function(name), ctypes.c_void_p).value or 0
         except OSError as error:
@@ -251,7 +251,7 @@ class FmuInstance:
                     places[name] = number, index, port.gain, port.bias, port.low, port.high
                 else:
                     places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
-            function = self._address(f"{way}{kind}")
+            function = self._function_address(f"{way}{kind}")
             # Of the inputs only the throttle, which is the first port, is set in each step.
             first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
             blocks.append((function, VALUE_TYPES[kind], tuple(first_index), tuple(values), *first))

@@ -87,11 +87,11 @@ else:
     )  # fmt: skip
 
 
-class _RangeTable(Model):
+class _ThrottleRangeTable(Model):
     throttle: tuple[float, float] | None = None
 
 
-class _RotorTable(Model):
+class _RotorInertiaTable(Model):
     inertia_kg_m2: NotNegative = 0.0
 
 
@@ -126,15 +126,15 @@ def flatten(table: object) -> object:
     return values
 
 
-class _StartTable(Model):
+class _WarmUpTable(Model):
     warm_up_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
 
 
-class _RestTable(Model):
+class _RestThrustTable(Model):
     thrust: NotNegative = 0.0
 
 
-class _LedgerTable(Model):
+class _LedgerDelayTable(Model):
     delay_s: NotNegative | None = None
 
 
@@ -146,15 +146,15 @@ class MappingFile(Model):
     isolated: bool | None = None  # own process; None: as the scenario says
     ports: _Ports = Field(default_factory=_Ports.model_construct)
     units: _Units = Field(default_factory=_Units.model_construct)
-    range: _RangeTable = Field(default_factory=_RangeTable.model_construct)
+    range: _ThrottleRangeTable = Field(default_factory=_ThrottleRangeTable.model_construct)
     scale: _Scale = Field(default_factory=_Scale.model_construct)
     parameters: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
     inputs: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
-    start: _StartTable = Field(default_factory=_StartTable.model_construct)
-    rest: _RestTable = Field(default_factory=_RestTable.model_construct)
-    rotor: _RotorTable = Field(default_factory=_RotorTable.model_construct)
+    start: _WarmUpTable = Field(default_factory=_WarmUpTable.model_construct)
+    rest: _RestThrustTable = Field(default_factory=_RestThrustTable.model_construct)
+    rotor: _RotorInertiaTable = Field(default_factory=_RotorInertiaTable.model_construct)
     flame_out: _FlameOutTable | None = None
-    ledger: _LedgerTable = Field(default_factory=_LedgerTable.model_construct)
+    ledger: _LedgerDelayTable = Field(default_factory=_LedgerDelayTable.model_construct)
     uncertainty: Uncertainty | None = None  # uncertainty of identified parameters
     # Further outputs to log, by column name.
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
@@ -176,7 +176,7 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     limits = file.range.throttle
     if limits and limits[0] == limits[1]:
         raise InputError(f"{path}: range.throttle = {list(limits)}: what 0 and 1 are must differ")
-    for port, unit in _stated_values(file.units).items():
+    for port, unit in _list_stated_values(file.units).items():
         quantity = KINDS[port].quantity
         if port != "throttle" and find_unit(unit, quantity) is None:
             raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
@@ -184,10 +184,10 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
         file,
         path.parent / file.fmu,
         PortMap(
-            _stated_values(file.ports),
-            _stated_values(file.units),
+            _list_stated_values(file.ports),
+            _list_stated_values(file.units),
             limits,
-            scale=_stated_values(file.scale),
+            scale=_list_stated_values(file.scale),
             inputs=file.inputs,
             warm_up_s=file.start.warm_up_s,
             rest_n=file.rest.thrust,
@@ -195,5 +195,5 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     )
 
 
-def _stated_values(table: Model) -> dict[str, Any]:
+def _list_stated_values(table: Model) -> dict[str, Any]:
     return {name: value for name, value in table.model_dump().items() if value is not None}

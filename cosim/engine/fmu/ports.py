@@ -136,7 +136,7 @@ def _find_mapped(port: str, kind: PortKind, name: str, variables: Sequence[Varia
     candidates = [v for v in variables if v.causality == kind.causality]
     matches = [v for v in candidates if v.name == name] or [v for v in candidates if v.name.lower() == name.lower()]
     if not matches:
-        raise PortError(f"has no {kind.causality} called {name} for {port} ({_list_names(kind.causality, candidates)})")
+        raise PortError(f"has no {kind.causality} called {name} for {port} ({_join_names(kind.causality, candidates)})")
     if len(matches) > 1:
         raise PortError(f"has several {kind.causality}s called {name} in other case; state the exact name")
     if matches[0].type not in kind.types:
@@ -170,7 +170,7 @@ def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Map
         usable = [v for v in usable if is_unit_of(v.unit, v.base, kind.quantity)]
     if len(usable) == 1:
         return usable[0]
-    listed = _list_names(kind.causality, usable or candidates)
+    listed = _join_names(kind.causality, usable or candidates)
     count = f"several {kind.causality}s" if usable else f"no {kind.causality}"
     raise PortError(f"has {count} that may be its {port} ({listed}); {_advise_mapping(port)}")
 
@@ -219,7 +219,7 @@ def _advise_mapping(port: str) -> str:
     return f'hexjet engine map begins a file that states it: [ports] {port} = "..."'
 
 
-def _list_names(causality: str, variables: Sequence[Variable]) -> str:
+def _join_names(causality: str, variables: Sequence[Variable]) -> str:
     names = [v.name for v in variables]
     shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
     return f"{causality}s: {shown or 'none'}"

@@ -31,7 +31,7 @@ def resolve_start(port_map: PortMap, inputs: Sequence[Variable], ports: Mapping[
     for name, stated in port_map.inputs.items():
         variable = next((v for v in inputs if v.name == name), None)
         if variable is None:
-            raise PortError(f"[inputs]: no input is called {name} ({_list_names(inputs)})")
+            raise PortError(f"[inputs]: no input is called {name} ({_join_variable_names(inputs)})")
         if name in port_names:
             raise PortError(f"[inputs]: {name} is its port {port_names[name]}, which the simulation sets")
         if variable.is_array and variable.reference in arrays:
@@ -65,6 +65,6 @@ def convert_value(variable: Variable, specified: ConstantValue, where: str) -> f
     return value
 
 
-def _list_names(variables: Sequence[Variable]) -> str:
+def _join_variable_names(variables: Sequence[Variable]) -> str:
     shown = ", ".join(v.name for v in variables[:20])
     return f"there are: {shown or 'none'}" + (f" and {len(variables) - 20} more" if len(variables) > 20 else "")

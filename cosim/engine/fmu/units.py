@@ -32,6 +32,7 @@ class Quantity(NamedTuple):
 
     @property
     def exponents(self) -> Exponents:
+        """Exponents of the SI base units in the SI unit of the quantity."""
         return exponents(self.si)
 
 
@@ -139,11 +140,11 @@ def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, floa
         isclose(base.factor, known[0], rel_tol=1e-3) and isclose(base.offset, known[1], rel_tol=1e-3, abs_tol=0.1)
     ):
         raise UnitError(
-            f"is in {name}, which the FMU defines as {_unit_text(base.factor, base.offset, quantity.si)} and which is "
-            f"{_unit_text(*known, quantity.si)}"
+            f"is in {name}, which the FMU defines as {_show_unit(base.factor, base.offset, quantity.si)} and which is "
+            f"{_show_unit(*known, quantity.si)}"
         )
     return base.factor, base.offset
 
 
-def _unit_text(factor: float, offset: float, si: str) -> str:
+def _show_unit(factor: float, offset: float, si: str) -> str:
     return f"{factor:g} {si}" + (f" above {offset:g} {si}" if offset else "")

@@ -27,7 +27,7 @@ class UnpackedArchive:
         self.path = Path(tempfile.mkdtemp(prefix="engine-", dir=scratch()))
         self._library = self.path / find_library(archive)
         try:
-            _extract(archive, data, self.path)
+            _extract_archive(archive, data, self.path)
         except BaseException:
             self.remove()
             raise
@@ -57,7 +57,7 @@ class UnpackedArchive:
         self.close()
 
 
-def _extract(archive: Archive, data: bytes, folder: Path) -> None:
+def _extract_archive(archive: Archive, data: bytes, folder: Path) -> None:
     with Zip(io.BytesIO(data)) as fmu:
         for name in fmu.namelist():
             if name.startswith((f"binaries/{platform_folder(archive.fmi)}/", "resources/")):

@@ -68,7 +68,7 @@ def build_all(
         for fmi in FMI_VERSIONS:
             target, token = archive_path(fmus, name, fmi), hash_build_inputs(engine, adapter, fmi)
             if force or not _is_up_to_date(target, token):
-                _build(engine, adapter, fmi, token, target, {})
+                _build_archive(engine, adapter, fmi, token, target, {})
             archives.append(target)
     return archives
 
@@ -88,7 +88,7 @@ def build_one(
     files = (f"{name}\0{len(data)}\0".encode() + data for name, data in sorted(resources.items()))
     digest = f" {hashlib.sha256(b''.join(files)).hexdigest()}" if resources else ""
     token = _make_hash(f"{engine.name} {engine.variables} FMI {fmi}{digest}", _build_inputs(engine, adapter, fmi))
-    _build(engine, adapter, fmi, token, target, resources, within)
+    _build_archive(engine, adapter, fmi, token, target, resources, within)
 
 
 def platform_folder(fmi: int) -> str:
@@ -109,7 +109,7 @@ def _is_up_to_date(archive: Path, token: str) -> bool:
     return f'"{token}"' in text and any(name.startswith(f"binaries/{folder}/") for name in names)
 
 
-def _build(
+def _build_archive(
     engine: EngineDefinition,
     adapter: Path,
     fmi: int,
@@ -160,14 +160,14 @@ def compile_sources(folder: Path, label: str) -> None:
     with tempfile.TemporaryFile() as output, tempfile.TemporaryDirectory(dir=folder) as build:
         try:
             with _prepend_cmake_to_path(), _redirect_output(output.fileno()):
-                build_platform_binary(folder, build, cmake_options=_cmake_options())
+                build_platform_binary(folder, build, cmake_options=_list_cmake_options())
         except (subprocess.CalledProcessError, OSError) as error:
             output.seek(0)
             reason = _explain_failure(output.read().decode(errors="replace"), error)
             raise BuildError(f"{label}: {reason}") from error
 
 
-def _cmake_options() -> dict[str, str]:
+def _list_cmake_options() -> dict[str, str]:
     options = {"CMAKE_C_FLAGS:STRING": C_FLAGS}
     compiler = shutil.which((os.environ.get("CC") or "cc").split()[0])
     if compiler and sys.platform != "win32":
@@ -231,7 +231,7 @@ def hash_build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> str:
 def _build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> list[Path]:
     """Return the files that an archive depends on: C sources and the builder itself."""
     tool = [engine.tool] if engine.tool else []
-    return [*engine.sources, *tool, *_adapter_files(adapter, fmi), *sorted(Path(__file__).parent.glob("*.py"))]
+    return [*engine.sources, *tool, *_list_adapter_files(adapter, fmi), *sorted(Path(__file__).parent.glob("*.py"))]
 
 
 def _make_hash(label: str, paths: Iterable[Path]) -> str:
@@ -241,13 +241,13 @@ def _make_hash(label: str, paths: Iterable[Path]) -> str:
     return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
 
 
-def _adapter_files(adapter: Path, fmi: int) -> list[Path]:
+def _list_adapter_files(adapter: Path, fmi: int) -> list[Path]:
     return [adapter / name for name in (*ADAPTER_FILES, f"fmi{fmi}.c")]
 
 
 def _read_contents(engine: EngineDefinition, adapter: Path, fmi: int, token: str) -> dict[str, bytes]:
     """Return the archive's files without the binary by path; FMI's headers are left out, as the standard requires."""
-    files = {path.name: path.read_bytes() for path in [*engine.sources, *_adapter_files(adapter, fmi)]}
+    files = {path.name: path.read_bytes() for path in [*engine.sources, *_list_adapter_files(adapter, fmi)]}
     if engine.tool is not None:
         files["slave.c"] = engine.tool.read_bytes()
     files["variables.h"] = render_variables_header(engine, token).encode()

@@ -103,7 +103,7 @@ def _parse_engine(folder: Path, data: dict[str, Any]) -> EngineDefinition:
         )
     required = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
     _check_keys("", data, required | {"ledger", "rotor", "flame_out", "uncertainty"}, required)
-    step = _finite_number("internal_step_s", data["internal_step_s"])
+    step = _require_finite("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise BuildError(f"internal_step_s = {step}: must be above 0")
     variables = tuple(
@@ -117,7 +117,7 @@ def _parse_engine(folder: Path, data: dict[str, Any]) -> EngineDefinition:
         _check_variable(variables, port, variable, *PORTS[port])
     for entry, variable in ledger.items():
         _check_variable(variables, entry, variable, "parameter")
-    inertia = _finite_number("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
+    inertia = _require_finite("rotor.inertia_kg_m2", rotor.get("inertia_kg_m2", 0.0))
     if inertia < 0.0:
         raise BuildError(f"rotor.inertia_kg_m2 = {inertia}: must not be below 0")
     flame_out = _parse_flame_out(data["flame_out"]) if "flame_out" in data else {}
@@ -143,7 +143,7 @@ def _parse_flame_out(table: dict[str, Any]) -> dict[str, float]:
             raise BuildError(f"flame_out.electric = {table['electric']!r}: allowed: true")
         return {"electric": True}
     _check_keys("flame_out", table, {*FLAME_OUT_KEYS, "electric"}, set(FLAME_OUT_KEYS))
-    numbers = {key: _finite_number(f"flame_out.{key}", table[key]) for key in FLAME_OUT_KEYS}
+    numbers = {key: _require_finite(f"flame_out.{key}", table[key]) for key in FLAME_OUT_KEYS}
     for key, value in numbers.items():
         if key == "thrust_left" and not 0.0 <= value <= 1.0:
             raise BuildError(f"flame_out.{key} = {value}: must be from 0 to 1")
@@ -184,7 +184,7 @@ def _parse_variable(name: str, reference: int, table: dict[str, Any]) -> Variabl
     if unit is not None and unit not in UNITS:
         raise BuildError(f"{where}.unit = {unit!r}: allowed: {', '.join(UNITS)}")
     low, high, start = (
-        _finite_number(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start")
+        _require_finite(f"{where}.{key}", table[key]) if key in table else None for key in ("min", "max", "start")
     )
     if (start is None) != (causality == "output"):
         raise BuildError(f"{where}: inputs and parameters have a start, outputs have none")
@@ -208,7 +208,7 @@ def _check_keys(where: str, table: Mapping[str, Any], allowed: set[str], require
         raise BuildError(f"{prefix}{key} is missing")
 
 
-def _finite_number(where: str, value: Any) -> float:
+def _require_finite(where: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300 or value != value:
         raise BuildError(f"{where} = {value!r}: must be a finite number")
     return float(value)

@@ -12,14 +12,14 @@ GENERATION_TOOL = "hexjet-cosim"  # named in modelDescription.xml
 TIME = VariableDefinition("time", 0, "independent", False, "s", None, None, None, "Simulated time")
 
 
-def _c_literal(value: float | None, default: str) -> str:
+def _to_c_literal(value: float | None, default: str) -> str:
     return default if value is None else repr(value)
 
 
 def _table_row(v: VariableDefinition) -> str:
     """Return a variable's row in the C table."""
     kind = f'"{v.name}", {v.causality.upper()}, {"INTEGER" if v.integer else "REAL"}, offsetof(Variables, {v.name})'
-    limits = f"{_c_literal(v.min, '-HUGE_VAL')}, {_c_literal(v.max, 'HUGE_VAL')}, {_c_literal(v.start, '0.0')}"
+    limits = f"{_to_c_literal(v.min, '-HUGE_VAL')}, {_to_c_literal(v.max, 'HUGE_VAL')}, {_to_c_literal(v.start, '0.0')}"
     return f"    {{{kind}, {limits}}}"
 
 

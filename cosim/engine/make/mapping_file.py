@@ -93,20 +93,20 @@ def _make_lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -
     yield from _make_table(
         "units",
         [
-            _open_line(f'{each.port} = "{KINDS[each.port].quantity.si}"', each.trouble)
+            _format_open_line(f'{each.port} = "{KINDS[each.port].quantity.si}"', each.trouble)
             for each in findings
             if each.part == "units"
         ],
     )
     yield from _make_table(
-        "range", [_open_line("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
+        "range", [_format_open_line("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
     )
     for title, variables in (
         ("inputs", archive.inputs),  # without a line: the FMU's start value
         ("parameters", archive.parameters),
     ):
         free = [v for v in variables if v.name not in taken and v.type != "String"]
-        yield from _make_table(title, [_with_comment(f"# {_key(v)} = {v.start or 0.0:g}", _describe(v)) for v in free])
+        yield from _make_table(title, [_add_comment(f"# {_key(v)} = {v.start or 0.0:g}", _describe(v)) for v in free])
 
 
 def _make_table(title: str, lines: Sequence[str]) -> Sequence[str]:
@@ -117,25 +117,25 @@ def _make_table(title: str, lines: Sequence[str]) -> Sequence[str]:
 def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterator[str]:
     """Yield the line of a port; none for an optional port without a candidate."""
     if each.variable is not None:
-        line = f"{each.port} = {_toml_string(each.variable.name)}"
+        line = f"{each.port} = {_format_toml_string(each.variable.name)}"
         is_ready = not each.trouble or each.port in NEEDED
         about = "; ".join([_describe(each.variable), *each.notes])
-        yield _with_comment(line, about) if is_ready else _with_comment(f"# {line}", each.trouble)
+        yield _add_comment(line, about) if is_ready else _add_comment(f"# {line}", each.trouble)
     elif each.trouble:
-        yield _open_line(f'{each.port} = ""', each.trouble)
+        yield _format_open_line(f'{each.port} = ""', each.trouble)
         free = [v for v in _select(archive, KINDS[each.port].causality) if v.name not in taken and each.port in NEEDED]
-        yield from (f"#     {_toml_string(v.name)}: {_describe(v)}\n" for v in free)
+        yield from (f"#     {_format_toml_string(v.name)}: {_describe(v)}\n" for v in free)
 
 
 def _select(archive: Archive, causality: str) -> Sequence[Variable]:
     return {"input": archive.inputs, "output": archive.outputs}.get(causality, archive.parameters)
 
 
-def _open_line(line: str, trouble: str) -> str:
+def _format_open_line(line: str, trouble: str) -> str:
     return f"# OPEN: {trouble}\n# {line}\n"
 
 
-def _with_comment(line: str, comment: str, column: int = 32) -> str:
+def _add_comment(line: str, comment: str, column: int = 32) -> str:
     return f"{line:{column - 1}} # {comment}\n"
 
 
@@ -151,9 +151,9 @@ def _describe(v: Variable) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def _toml_string(name: str) -> str:
+def _format_toml_string(name: str) -> str:
     return toml_text({"x": name}).partition("=")[2].strip()
 
 
 def _key(v: Variable) -> str:
-    return _toml_string(v.name) if not v.name.replace("_", "").isalnum() or not v.name.isascii() else v.name
+    return _format_toml_string(v.name) if not v.name.replace("_", "").isalnum() or not v.name.isascii() else v.name

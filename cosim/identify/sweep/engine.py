@@ -114,10 +114,7 @@ def _choose_band(
 
 
 def settling_lag(engine: EngineSpec, step: float) -> float:
-    """Return the settling lag [s] of an engine's thrust after a small step around half throttle.
-
-    Raises InputError for an engine that does not answer.
-    """
+    """Return the settling lag [s] of thrust after a small step.  Raises InputError if the engine does not respond."""
     throttle = 0.5
     return _measure_lags(engine, throttle, 0.02, step)[1]
 

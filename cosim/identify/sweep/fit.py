@@ -153,6 +153,7 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
 
 
 def _is_logarithmic(name: str) -> bool:
+    """Return whether the logarithm of a parameter is fitted, and not the parameter."""
     return name == "gain" or name.startswith("lag")
 
 
@@ -194,6 +195,7 @@ class _FitProblem:
                 raise InputError(f"hold {name}={fixed:g}: out of range")
 
     def model(self, x: Array) -> Model:
+        """Return the model with the unknowns ``x``, and the other parameters as held."""
         full = self.full.copy()
         full[self.free] = x
         return Model(
@@ -209,6 +211,7 @@ class _FitProblem:
         return np.asarray(np.log(model.response(self.hertz) / self.value))
 
     def residuals(self, x: Array) -> Array:
+        """Return the weighted errors of log magnitude, then those of phase [rad], at the unknowns ``x``."""
         error = self.error(self.model(x))
         return np.concatenate([self.weight * error.real, self.weight * error.imag])
 
@@ -239,6 +242,7 @@ class _FitProblem:
         return np.asarray(np.clip(x[self.free], self.low[self.free], self.high[self.free]))
 
     def _fit_phase(self, x: Array) -> None:
+        """Set the sign, and the delay in ``x``, to those with the least phase error over whole delays."""
         last = len(x) - 1
         delays = np.arange(0.0, self.high[last] + 1.0) if last in self.free else x[last:]
         undelayed = x.copy()
@@ -268,6 +272,7 @@ class _FitProblem:
         return first, last
 
     def solve(self, label: str) -> Fit:
+        """Fit the free parameters by least squares; return the fit, named ``label``, with 95 % intervals."""
         from scipy.optimize import least_squares
         from scipy.special import stdtrit
 

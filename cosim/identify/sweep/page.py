@@ -89,7 +89,7 @@ def response_figure(identification: Identification, points: int = 300, coherence
     """Return the figure of measured and modelled responses over frequency, logarithmic."""
     response = identification.response
     hertz = np.geomspace(response.hertz[0], response.hertz[-1], points)
-    data = _bode_traces("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
+    data = _make_bode_traces("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
     data.append(_make_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, coherence_row))
     for number, fit in enumerate(identification.fits):
         data += _model_curves(
@@ -112,7 +112,7 @@ def _model_curves(
     value = model(hertz)
     phase = np.degrees(np.unwrap(np.angle(value)))
     turns = np.round((identification.response.phase_deg[0] - phase[0]) / 360.0)
-    curves = _bode_traces(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
+    curves = _make_bode_traces(label, colour, "lines", hertz, 20.0 * np.log10(np.abs(value)), phase + 360.0 * turns)
     at = identification.response.hertz
     ratio = model(at) / identification.response.value
     curves.append(_make_trace(label, colour, "lines", at, 20.0 * np.log10(np.abs(ratio)), 2))
@@ -122,7 +122,7 @@ def _model_curves(
     return curves
 
 
-def _bode_traces(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
+def _make_bode_traces(label: str, colour: str, mode: str, hertz: Array, magnitude: Array, phase: Array) -> list[Figure]:
     return [_make_trace(label, colour, mode, hertz, magnitude, 0), _make_trace(label, colour, mode, hertz, phase, 1)]
 
 

@@ -218,10 +218,7 @@ def half_width(fit: Fit, name: str) -> float:
 
 
 def is_negligible_lag(fit: Fit, name: str, max_steps: float = 0.05) -> bool:
-    """Return whether a free lag is too short to be seen in the samples.
-
-    ``max_steps``: largest such lag over the step.
-    """
+    """Return whether a free lag is too short to be seen in the samples: less than ``max_steps`` steps."""
     return name in fit.bounds and name.startswith("lag") and fit.values[name] < max_steps * fit.model.step
 
 

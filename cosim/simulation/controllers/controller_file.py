@@ -267,7 +267,7 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
     source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters
     unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
-    lines = _note_proof_and_engine(made, spec) if noted else []
+    lines = _list_proof_and_engine_notes(made, spec) if noted else []
     if made.engine_sha256 in (spec.identity, spec.sha256) and (
         any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items())
         or any(made.engine_parameters.get(key) != value for key, value in scenario.engine_parameters.items())
@@ -294,13 +294,13 @@ def list_design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec)
         f"{Path(each.file).name}: {line}"
         for each in parameters
         if each.kind == "design"
-        for line in _note_proof_and_engine(
+        for line in _list_proof_and_engine_notes(
             validate(ControllerFile, parse_table(each.content, each.file), each.file).design, engine
         )
     ]
 
 
-def _note_proof_and_engine(made: Purpose, spec: EngineSpec) -> list[str]:
+def _list_proof_and_engine_notes(made: Purpose, spec: EngineSpec) -> list[str]:
     lines = [f"its proof failed: {made.proof.failed}"] if made.proof and made.proof.failed else []
     if made.proof is None:
         lines.append(NO_PROOF)

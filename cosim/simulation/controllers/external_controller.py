@@ -80,11 +80,11 @@ class ExternalController:
     def make_block(self) -> None:
         """Return the user's block, except predictors.  Raises InputError; :meth:`close` frees it."""
         if self.source.level == "controller":
-            self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
+            self.whole = GuardedController(self._prepare(self._belief), self._guard, self._belief)
         elif self.source.level == "rate":
-            self.rate = GuardedRate(self._make_block(self._belief), self._guard)
+            self.rate = GuardedRate(self._prepare(self._belief), self._guard)
         elif self.source.level == "attitude":
-            self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
+            self.attitude = GuardedAttitude(self._prepare(self._belief), self._guard)
 
     def make_predictors(self) -> list[Predictor]:
         """Return the predictors that feed the rate loop: the user's, or built-in ones."""
@@ -93,11 +93,11 @@ class ExternalController:
             return belief.predictors(self.source.predictor)
         axes = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
         return [
-            GuardedPredictor(self._make_block(belief.of(axis)), self._guard, axis) if axis in axes else NoPredictor()
+            GuardedPredictor(self._prepare(belief.for_axis(axis)), self._guard, axis) if axis in axes else NoPredictor()
             for axis in AXES
         ]
 
-    def _make_block(self, belief: Belief) -> Any:
+    def _prepare(self, belief: Belief) -> Any:
         """Return a new block after its ``prepare`` with the belief.  Raises InputError if that fails."""
         block = self.source.make()
         self._blocks.append(block)

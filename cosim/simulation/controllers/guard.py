@@ -68,7 +68,7 @@ class CallGuard:
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
-            raise self.make_error(f"{what} gave {_shorten(answer)}: must be {len(names)} numbers") from None
+            raise self.make_error(f"{what} gave {_shorten_repr(answer)}: must be {len(names)} numbers") from None
         if len(values) != len(names):
             raise self.make_error(f"{what} gave {len(values)} numbers: must be {len(names)}")
         for value, name in zip(values, names, strict=True):
@@ -84,7 +84,7 @@ class CallGuard:
             raise self.make_error(f"shown raised {describe_error(error)}") from error
 
 
-def _shorten(value: Any) -> str:
+def _shorten_repr(value: Any) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -222,6 +222,7 @@ class GuardedController(Guarded):
         return self._store(self._check(self._guard.call("update", self.block.update, command, measured, applied)))
 
     def _store(self, answer: Actuation) -> Actuation:
+        """Store an answer as the last commands with its signals, and return it."""
         self._throttle, self._tilt = answer.throttle, answer.tilt
         self.signals = self._control_signals(answer.throttle)
         return answer
@@ -235,6 +236,7 @@ class GuardedController(Guarded):
         return ControlSignals(UNKNOWN3, UNKNOWN3, UNKNOWN3, mean, mean)
 
     def _check(self, answer: Any) -> Actuation:
+        """Return the block's answer as an actuation within all limits.  Raises FlightError."""
         guard = self._guard
         is_actuation = isinstance(answer, Actuation)
         if is_actuation:
@@ -243,7 +245,7 @@ class GuardedController(Guarded):
             try:
                 throttles, tilts = answer if self._tilt_limit or self._ranges else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
-                raise guard.make_error(f"update gave {_shorten(answer)}: must be throttles and tilts") from None
+                raise guard.make_error(f"update gave {_shorten_repr(answer)}: must be throttles and tilts") from None
         throttle = self._round_to_limits(throttles)
         tilt: PerServo
         if self._ranges:

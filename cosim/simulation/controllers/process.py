@@ -132,9 +132,9 @@ class ProcessBlock:
             "vehicle": belief.vehicle.model_dump(mode="json"),
         }
         self._belief = json.dumps(belief_table).encode() + b"\n"
-        self._host = self._start()
+        self._host = self._start_host()
 
-    def _start(self) -> Host:
+    def _start_host(self) -> Host:
         host = _start_process(self._command, self._folder, self._label)
         try:
             _receive_description(host, self._label)
@@ -155,7 +155,7 @@ class ProcessBlock:
         """Send one frame and return the process's answer.  Raises FlightError."""
         assert self._host is not None
         frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
-        answer = self._exchange(self._host, frame, self._k)
+        answer = self._exchange_frame(self._host, frame, self._k)
         if len(self._frames_sent) < self.max_frames:
             self._frames_sent.append(frame)
             self._frames_received.append(answer)
@@ -171,7 +171,7 @@ class ProcessBlock:
         actuation, self.signals = wire.parse_answer(values, self._jets, self._servos, self._extras)
         return actuation
 
-    def _exchange(self, host: Host, frame: bytes, k: int) -> bytes:
+    def _exchange_frame(self, host: Host, frame: bytes, k: int) -> bytes:
         answer = host.exchange(frame, self._out.size, self._limit)
         (number,) = _STEP_HEADER.unpack_from(answer)
         if number == -1.0:
@@ -183,12 +183,12 @@ class ProcessBlock:
     def check_repeatable(self) -> bool:
         """Return whether another process of the program gives the same answers, bit for bit."""
         try:
-            host = self._start()
+            host = self._start_host()
         except (InputError, FlightError):
             return False
         try:
             for frame, answer in zip(self._frames_sent, self._frames_received, strict=True):
-                if self._exchange(host, frame, int(_STEP_HEADER.unpack_from(frame)[0])) != answer:
+                if self._exchange_frame(host, frame, int(_STEP_HEADER.unpack_from(frame)[0])) != answer:
                     return False
         except FlightError:
             return False
@@ -207,7 +207,7 @@ def make_program_command(path: Path, arguments: str) -> Command:
     """Return the command that runs a file: Python by this interpreter, others as programs."""
     words = arguments.split()
 
-    def command() -> Sequence[str]:
+    def list_words() -> Sequence[str]:
         if path.suffix == ".py":
             return [sys.executable, str(path), *words]
         if os.access(path, os.X_OK):
@@ -219,4 +219,4 @@ def make_program_command(path: Path, arguments: str) -> Command:
         copied.chmod(0o700)
         return [str(copied), *words]
 
-    return command
+    return list_words

@@ -37,8 +37,8 @@ def format_row(row: Row, servo: bool) -> str:
     return ",".join([repr(value) for value in (*throttle, *(tilt if servo else ()), *shown)])
 
 
-def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
-    """Read the rows of a table, and the columns for the log.  Raises InputError with the line that does not fit."""
+def read_commands(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
+    """Read recorded actuator commands: rows, and columns for the log.  Raises InputError that begins with ``where``."""
     try:
         first, *lines = read_text(path).splitlines()
     except ValueError as error:

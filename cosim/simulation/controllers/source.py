@@ -57,7 +57,7 @@ _MODULE_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # form of module:Nam
 PYTHON_NAME = re.compile(r"[A-Za-z_]\w*")  # form of a Python name
 
 
-def _sha256(path: Path) -> str:
+def _hash_file(path: Path) -> str:
     return hashlib.sha256(read_file(path)).hexdigest()
 
 
@@ -91,7 +91,7 @@ class Source:
         """SHA-256 of each file of the block, or of its text if it is in no file."""
         if self.text:
             return {f"{self.label}, its source": hashlib.sha256(self.text.encode()).hexdigest()}
-        return {name: _sha256(path) for name, path in self.files.items()}
+        return {name: _hash_file(path) for name, path in self.files.items()}
 
     @property
     def sha256(self) -> str:
@@ -136,8 +136,8 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
         if not path.is_file():
             raise InputError(f"controller {controller}: {path}: no such file")
         if named.before:
-            return _find_process(controller, path, named.after)
-        return _find_record(controller, path) if path.suffix.lower() == ".csv" else _find_fmu(controller, path)
+            return _find_process_source(controller, path, named.after)
+        return _record_source(controller, path) if path.suffix.lower() == ".csv" else _fmu_source(controller, path)
     if named is None and controller in PREDICTORS:
         return None
     if controller.startswith(IN_MEMORY_PREFIX):
@@ -256,24 +256,24 @@ def _find_in_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     need_trust([Code(path)], where)
-    file_hashes = [(file, _sha256(file)) for file in _files_by_path.get(path, [path]) if file.is_file()]
+    file_hashes = [(file, _hash_file(file)) for file in _files_by_path.get(path, [path]) if file.is_file()]
 
-    def load_file() -> Source:
+    def load_from_file() -> Source:
         module, neighbours = execute_file(path, where)
         _files_by_path[path] = [path, *neighbours]
         files = {file.name: file for file in (path, *neighbours)}
         return _make_source(kind, name, _get_member(module, attribute, kind, where, path), None, files)
 
-    return _sources.get((kind, name, str(path), tuple(file_hashes)), load_file)
+    return _sources.get((kind, name, str(path), tuple(file_hashes)), load_from_file)
 
 
 _files_by_path: dict[Path, list[Path]] = {}  # files that were last read
 
 
-def _find_process(controller: str, path: Path, arguments: str) -> Source:
+def _find_process_source(controller: str, path: Path, arguments: str) -> Source:
     need_trust([program_code(path, arguments)], f"controller {label_of(controller)}")
     command = make_program_command(path, arguments)
-    key = (controller, str(path), _sha256(path))
+    key = (controller, str(path), _hash_file(path))
 
     def load_process() -> Source:
         description = request_description(command, path.parent, label_of(controller))
@@ -282,7 +282,7 @@ def _find_process(controller: str, path: Path, arguments: str) -> Source:
     return _sources.get(key, load_process)
 
 
-def _find_fmu(controller: str, path: Path) -> Source:
+def _fmu_source(controller: str, path: Path) -> Source:
     from cosim.engine.make.controller_fmu import describe_controller, make_command, read_controller_fmu
 
     try:
@@ -290,7 +290,7 @@ def _find_fmu(controller: str, path: Path) -> Source:
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
     need_trust([Code(fmu.path, (path, fmu.path))], f"controller {label_of(controller)}")
-    key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
+    key = (controller, str(path), *[_hash_file(file) for file in fmu.files.values()])
     command_line = make_command(path)
     return _sources.get(
         key,
@@ -298,8 +298,8 @@ def _find_fmu(controller: str, path: Path) -> Source:
     )
 
 
-def _find_record(controller: str, path: Path) -> Source:
-    rows, columns = recorded.read_rows(path, f"controller {label_of(controller)}")
+def _record_source(controller: str, path: Path) -> Source:
+    rows, columns = recorded.read_commands(path, f"controller {label_of(controller)}")
     source = Source(
         controller, "controller", lambda: recorded.RecordedController(rows, columns), {path.name: path}, columns=columns
     )
@@ -425,13 +425,13 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
 
 
 def _make_factory(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
-    def make() -> Any:
+    def make_or_refuse() -> Any:
         try:
             return make_block()
         except Exception as error:
             raise InputError(f"{where}: cannot be made without arguments: {describe_error(error)}") from error
 
-    return make
+    return make_or_refuse
 
 
 def check_method(block: Any, method: str, arguments: Sequence[str], where: str) -> None:

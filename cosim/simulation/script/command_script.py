@@ -49,13 +49,13 @@ class CommandScript:
                 continue
             before = len(self._waves)
             if isinstance(entry, TableCommand):
-                self._waves += _read_table(entry, scenario, start, where)
+                self._waves += _read_table_waves(entry, scenario, start, where)
             elif isinstance(entry, SticksCommand):
-                self._waves += _read_sticks(entry, scenario, start, where)
+                self._waves += _read_stick_waves(entry, scenario, start, where)
             else:
                 signal = SIGNALS.index(entry.signal)
                 wave = _make_waveform(entry, scenario, start, where)
-                self._waves.append((signal, _scale(wave, radians(1.0)) if signal in _ANGLES else wave))
+                self._waves.append((signal, _scale_waveform(wave, radians(1.0)) if signal in _ANGLES else wave))
             if any(SIGNALS[signal] == "collective" for signal, _ in self._waves[before:]):
                 collective.append(start)
         self.signals = [SIGNALS[signal] for signal in sorted({signal for signal, _ in self._waves})]
@@ -101,33 +101,33 @@ def make_sweep(step: float, start: int, length: int, amplitude: float, low: floa
     growth = log(ratio)
     scale = 2.0 * pi * low * step * (length / growth if growth else length)
 
-    def wave(k: int) -> float:
+    def value_at(k: int) -> float:
         n = k - start
         if not 0 <= n < length:
             return 0.0
         progress = ratio ** (n / length) - 1.0 if growth else n / length
         return amplitude * sin(scale * progress)
 
-    return wave
+    return value_at
 
 
 def make_doublet(start: int, width: int, amplitude: float) -> Waveform:
     """Return a waveform of ``amplitude`` for ``width`` steps, then its opposite for as long."""
 
-    def wave(k: int) -> float:
+    def value_at(k: int) -> float:
         n = k - start
         return 0.0 if n < 0 or n >= 2 * width else (amplitude if n < width else -amplitude)
 
-    return wave
+    return value_at
 
 
 def make_pulse(start: int, end: int | None, amplitude: float) -> Waveform:
     """Return a waveform of ``amplitude`` from step ``start`` to before ``end``, or for good."""
 
-    def wave(k: int) -> float:
+    def value_at(k: int) -> float:
         return amplitude if k >= start and (end is None or k < end) else 0.0
 
-    return wave
+    return value_at
 
 
 def _make_waveform(
@@ -144,11 +144,11 @@ def _make_waveform(
     return lambda k: amplitude * min(1.0, max(0.0, (k - start) / length))
 
 
-def _scale(wave: Waveform, factor: float) -> Waveform:
+def _scale_waveform(wave: Waveform, factor: float) -> Waveform:
     return lambda k: factor * wave(k)
 
 
-def _read_table(entry: TableCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+def _read_table_waves(entry: TableCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
     path = scenario.folder / entry.file
     times, columns = read_columns(path, SIGNALS, f"{where}.file")
     waves = []
@@ -156,18 +156,18 @@ def _read_table(entry: TableCommand, scenario: Scenario, start: int, where: str)
         signal = SIGNALS.index(name)
         factor = radians(1.0) if signal in _ANGLES else 1.0
         waves.append(
-            (signal, _interpolate(times, [factor * v for v in values], entry.interpolate, scenario.step_s, start))
+            (signal, _wave_of_table(times, [factor * v for v in values], entry.interpolate, scenario.step_s, start))
         )
     return waves
 
 
-def _interpolate(
+def _wave_of_table(
     times: Sequence[float], values: Sequence[float], interpolation: str, step: float, start: int
 ) -> Waveform:
     """Return the waveform of table rows: 0 before the first, constant after the last."""
     linear = interpolation == "linear"
 
-    def wave(k: int) -> float:
+    def value_at(k: int) -> float:
         # A tolerance of a billionth of a step for rounding, so that a row on the grid counts from its own step on.
         t = (k - start) * step + 1e-9 * step
         i = bisect_right(times, t) - 1
@@ -178,10 +178,10 @@ def _interpolate(
         fraction = (t - times[i]) / (times[i + 1] - times[i])
         return values[i] + fraction * (values[i + 1] - values[i])
 
-    return wave
+    return value_at
 
 
-def _read_sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
+def _read_stick_waves(entry: SticksCommand, scenario: Scenario, start: int, where: str) -> list[tuple[int, Waveform]]:
     path = scenario.folder / entry.file
     times, columns = read_columns(path, STICK_COLUMNS, f"{where}.file")
     for name, values in columns.items():
@@ -191,12 +191,12 @@ def _read_sticks(entry: SticksCommand, scenario: Scenario, start: int, where: st
     step = scenario.step_s
     tilt = radians(entry.tilt_deg)
     zeros = [0.0] * len(times)
-    position = {name: _interpolate(times, columns.get(name, zeros), "linear", step, start) for name in STICK_COLUMNS}
+    position = {name: _wave_of_table(times, columns.get(name, zeros), "linear", step, start) for name in STICK_COLUMNS}
     end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
     waves = (
-        _scale(position["roll"], tilt),
+        _scale_waveform(position["roll"], tilt),
         # Stick forward is positive and commands nose down.
-        _scale(position["pitch"], -tilt),
+        _scale_waveform(position["pitch"], -tilt),
         _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end),
         _running_sum(position["throttle"], entry.climb_m_s * step, start, end),
     )

@@ -73,14 +73,14 @@ class DisturbanceScript:
         if self._calm and self._parts:
             return self._last
         parts = (
-            _total_vector(self._forces, k),
-            _total_vector(self._moments, k),
-            _total_torque(self._torques, k),
-            _total_vector(self._winds, k, self._steady_wind),
+            _sum_vectors(self._forces, k),
+            _sum_vectors(self._moments, k),
+            _sum_torques(self._torques, k),
+            _sum_vectors(self._winds, k, self._steady_wind),
             self._total_payload(k),
             self._gusts.get(k),
-            _total_torque(self._outputs, k),
-            _total_torque(self._seen, k),
+            _sum_torques(self._outputs, k),
+            _sum_torques(self._seen, k),
         )
         if parts != self._parts:
             self._parts = parts
@@ -96,7 +96,7 @@ class DisturbanceScript:
         return (mass, x / mass, y / mass, z / mass) if mass else (0.0, 0.0, 0.0, 0.0)
 
 
-def _total_torque(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
+def _sum_torques(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
     if not entries:
         return ZERO3
     total = [0.0, 0.0, 0.0]
@@ -105,7 +105,7 @@ def _total_torque(entries: list[tuple[int, Waveform]], k: int) -> Vector3:
     return (total[0], total[1], total[2])
 
 
-def _total_vector(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZERO3) -> Vector3:
+def _sum_vectors(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZERO3) -> Vector3:
     if not entries:
         return start
     x, y, z = start

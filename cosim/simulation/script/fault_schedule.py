@@ -57,9 +57,9 @@ class FaultSchedule:
         self.commanded = False
         self.next = NEVER
         for index, fault in enumerate(self._scenario.fault):
-            self._schedule(fault, f"fault.{index}")
+            self._schedule_fault(fault, f"fault.{index}")
 
-    def _schedule(self, fault: Fault, where: str) -> None:
+    def _schedule_fault(self, fault: Fault, where: str) -> None:
         self._check_fault(fault, where)
         scenario = self._scenario
         start = scenario.count(fault.start_s, f"{where}.start_s")
@@ -97,7 +97,7 @@ class FaultSchedule:
 
     def inject(self, fault: Fault, k: int) -> None:
         """Begin ``fault`` at step ``k``, whatever its ``start_s``."""
-        self._schedule(fault.model_copy(update={"start_s": k * self._scenario.step_s}), "inject")
+        self._schedule_fault(fault.model_copy(update={"start_s": k * self._scenario.step_s}), "inject")
         self.next, self.commanded = min(self.next, k), True
 
     def clear(self, k: int) -> None:

@@ -75,13 +75,13 @@ def _deform(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
     (x, y, z), (x_by_y, x_by_z, y_by_z) = map(exp, mismatch.stretch), mismatch.shear
     upper = ((x, x_by_y, x_by_z), (0.0, y, y_by_z), (0.0, 0.0, z))
 
-    def change(i: int, j: int) -> float:
+    def change_of_moment(i: int, j: int) -> float:
         moved = (upper[i][m] * second[m][n] * upper[j][n] for m in range(3) for n in range(3))
         return sum(moved) - second[i][j]
 
-    own = [change(axis, axis) for axis in range(3)]
+    own = [change_of_moment(axis, axis) for axis in range(3)]
     moments = tuple(moment + sum(own) - part for moment, part in zip(vehicle.inertia_kg_m2, own, strict=True))
-    products = (xy + change(0, 1), xz + change(0, 2), yz + change(1, 2))
+    products = (xy + change_of_moment(0, 1), xz + change_of_moment(0, 2), yz + change_of_moment(1, 2))
     deformed = vehicle.model_copy(update={"inertia_kg_m2": moments, "products_kg_m2": products})
     _check_inertia(deformed, f"mismatch.stretch = {list(mismatch.stretch)}, shear = {list(mismatch.shear)}")
     return deformed

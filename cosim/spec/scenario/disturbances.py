@@ -47,7 +47,7 @@ class TorqueCommandDisturbance(Model):
     seen: bool = False  # whether the predictor is told of it
 
     @model_validator(mode="after")
-    def _check_seen(self) -> Self:
+    def _refuse_seen_at_actuators(self) -> Self:
         if self.seen and self.at == "actuators":
             raise ValueError("a predictor can see only what is added at the controller (at = 'controller')")
         return self

@@ -41,7 +41,7 @@ class Range(Model):
     max: float | None = None
 
     @model_validator(mode="after")
-    def _require_value(self) -> Self:
+    def _require_min_or_max(self) -> Self:
         if self.min is None and self.max is None:
             raise ValueError("give min, max or both")
         return self
@@ -111,7 +111,7 @@ class Station(Model):
     parameters: dict[str, float] = {}
 
     @model_validator(mode="after")
-    def _require_value(self) -> Self:
+    def _require_engine_or_parameters(self) -> Self:
         if self.engine is None and not self.parameters:
             raise ValueError("give engine, parameters or both")
         return self

@@ -18,7 +18,7 @@ from cosim.base.storage.toml import Model, read_toml, validate
 from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
 SUBSTEPS = 4  # default: JSBSim runs per control step
-CAMPAIGN = "campaign"  # word in place of an error
+CAMPAIGN = "campaign"  # accepted in place of "0.01 deg"
 _PATTERN = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")  # "0.01 deg"
 _Positive = Annotated[float, Field(gt=0.0)]  # a positive number
 
@@ -42,7 +42,7 @@ class StepErrors(Model):
     def fewest_runs(self, size: float, unit: str) -> int | None:
         """Return the fewest JSBSim runs per step with an error of at most ``size`` [deg or mm], or None."""
         kept = None
-        for runs, error in reversed(list(zip(self.runs, self._list_errors(unit), strict=True))):
+        for runs, error in reversed(list(zip(self.runs, self._list_errors_in_unit(unit), strict=True))):
             if error > size:
                 break
             kept = runs
@@ -61,7 +61,7 @@ class StepErrors(Model):
 
     def smallest_error(self, unit: str) -> float:
         """Return the error [deg or mm] with the largest measured number of runs."""
-        return self._list_errors(unit)[-1]
+        return self._list_errors_in_unit(unit)[-1]
 
     def errors_at(self, runs: int) -> tuple[float, float] | None:
         """Return the errors [deg, mm] with ``runs`` JSBSim runs per step; None if not measured."""
@@ -70,7 +70,7 @@ class StepErrors(Model):
         place = self.runs.index(runs)
         return self.attitude_deg[place], self.place_mm[place]
 
-    def _list_errors(self, unit: str) -> Sequence[float]:
+    def _list_errors_in_unit(self, unit: str) -> Sequence[float]:
         return self.attitude_deg if unit == "deg" else self.place_mm
 
 

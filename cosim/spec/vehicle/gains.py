@@ -35,8 +35,8 @@ class RateControl(Model):
 class EngineLead(Model):
     """Poles of an engine and those to which a lead moves them; see :mod:`cosim.control.lead`."""
 
-    natural_rad_s: Positive  # two poles; with damping 0 a single lag
-    damping: Positive | None = None
+    natural_rad_s: Positive  # of two poles; without damping of one
+    damping: Positive | None = None  # None: a single lag
     pole_rad_s: Positive  # each of the poles becomes minus this
 
 
@@ -178,8 +178,8 @@ class WingControl(Model):
     """Settings of wing-borne forward flight; see :mod:`cosim.control.phases.wing`."""
 
     tilts: Annotated[list[str], Field(min_length=1)]  # hinges that turn thrust forward
-    acceleration_m_s2: Positive  # of the speed set-point, rising
-    braking_m_s2: Positive  # of the speed set-point, falling
+    acceleration_m_s2: Positive  # largest rise of the speed set-point
+    braking_m_s2: Positive  # largest fall of the speed set-point
     velocity_1_s: Positive  # acceleration per speed error
     integral_1_s2: NotNegative  # acceleration per integrated speed error
     integral_limit_m_s2: NotNegative  # limit of the integral part

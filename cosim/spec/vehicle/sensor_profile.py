@@ -21,14 +21,14 @@ _LATENCY_KEYS = ("latency_s", "latency_samples")  # of a profile, of a vehicle
 
 def profile_names() -> list[str]:
     """Return the names of all sensor profiles, the neutral one first."""
-    return [STATED, *read_toml(_profiles_file())]
+    return [STATED, *read_toml(_profiles_path())]
 
 
 def describe_profile(profile: str) -> str:
     """Return a profile's name with its file and the first letters of that file's SHA-256; nothing for ``stated``."""
     if profile == STATED:
         return ""
-    return f"{profile} ({_profiles_file().name} {sha256(_profiles_file().read_bytes()).hexdigest()[:HASH_DIGITS]})"
+    return f"{profile} ({_profiles_path().name} {sha256(_profiles_path().read_bytes()).hexdigest()[:HASH_DIGITS]})"
 
 
 def load_with_profile(
@@ -64,9 +64,9 @@ def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str)
                 )
 
 
-def _profiles_file() -> Path:
+def _profiles_path() -> Path:
     return data_folder("aircraft") / "sensors.toml"
 
 
 def _read_profile(profile: str) -> dict[str, dict[str, Any]]:
-    return {} if profile == STATED else read_toml(_profiles_file())[profile]
+    return {} if profile == STATED else read_toml(_profiles_path())[profile]

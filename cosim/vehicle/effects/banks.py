@@ -29,10 +29,7 @@ from cosim.vehicle.effects.effect import Effect, Load
 
 
 class Banks(Effect):
-    """Reaction of a vehicle's left and right tilting bank on the body.
-
-    ``step``: control step, s.
-    """
+    """Reaction of a vehicle's left and right tilting bank on the body; ``step``: control step [s]."""
 
     def __init__(self, servo: Servo, jets: Sequence[Jet], step: float) -> None:
         self._step = step

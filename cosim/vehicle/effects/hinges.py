@@ -63,10 +63,7 @@ class _TurnedMass:
 
 
 class HingeReactions(Effect):
-    """Reactions of hinges whose parts have mass or inertia.
-
-    ``step``: control step, s.
-    """
+    """Reactions of hinges whose parts have mass or inertia; ``step``: control step [s]."""
 
     def __init__(self, hinges: Sequence[Hinge], jets: Sequence[Jet], step: float) -> None:
         self._step = step

@@ -93,7 +93,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     from cosim.base.storage.toml import read_toml
     from cosim.groundstation.mavlink.wire.signing import read_key
     from cosim.results.autopilot.request_log import read_requests
-    from cosim.simulation.controllers.recorded import read_rows
+    from cosim.simulation.controllers.recorded import read_commands
     from cosim.simulation.script.command_script import read_columns
     from cosim.spec.scenario.parameter_file import read_whole
     from cosim.vehicle.model_file import read_model as read_airframe
@@ -105,7 +105,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
         "mapping": read_toml,
         "python": lambda path: execute_file(path, "controller"),
         "wind": lambda path: read_columns(path, ("north_m_s",), "wind"),
-        "commands": lambda path: read_rows(path, "controller"),
+        "commands": lambda path: read_commands(path, "controller"),
         "requests": read_requests,
         "parameter file": lambda path: read_whole(path, "parameters"),
         "autopilot's parameters": read_parameters,

@@ -112,7 +112,7 @@ def test_a_range_that_is_not_convex_is_told_closer_by_cutting_it() -> None:
     hull = Hull.of(made, thrust, thrust, low, high)
     assert hull is not None
     reach = Reach(made, [2.0], [2.0], [(0.0, 1.2)], [0.0], 2.0 * cos(0.6))
-    about = reach._moment_objective(np.array([1.0, 0.0, 0.0]))
+    about = reach._make_moment_objective(np.array([1.0, 0.0, 0.0]))
     goal, rows, values = about.goal, about.rows[:1], about.values[:1]
     found = reach._bounds(type(about)(goal, rows, values), 12)
     assert found.lower == pytest.approx(2.0 * sin(0.6), rel=1e-6)  # the twist's share of the thrust ahead

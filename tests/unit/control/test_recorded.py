@@ -10,7 +10,7 @@ import pytest
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, EngineOutput, Measured
-from cosim.simulation.controllers.recorded import COLUMNS, RecordedController, format_header, format_row, read_rows
+from cosim.simulation.controllers.recorded import COLUMNS, RecordedController, format_header, format_row, read_commands
 from cosim.simulation.controllers.source import find_controller_source
 
 ROWS = [
@@ -31,14 +31,14 @@ def table(path: Path, *lines: str) -> Path:
 
 def test_what_is_written_is_read_to_the_last_bit(tmp_path: Path) -> None:
     path = table(tmp_path / "actuators.csv", format_header(4, True), *[format_row(row, True) for row in ROWS])
-    rows, columns = read_rows(path, "controller")
+    rows, columns = read_commands(path, "controller")
     assert repr(rows) == repr(ROWS)
     assert columns == COLUMNS
 
 
 def test_a_vehicle_without_servos_has_no_tilts(tmp_path: Path) -> None:
     path = table(tmp_path / "actuators.csv", format_header(4, False), *[format_row(row, False) for row in ROWS])
-    rows, _ = read_rows(path, "controller")
+    rows, _ = read_commands(path, "controller")
     assert [row[0] for row in rows] == [row[0] for row in ROWS]
     assert {row[1] for row in rows} == {(0.0, 0.0)}
 
@@ -63,7 +63,7 @@ def test_it_gives_its_rows_in_order_and_says_where_they_end(tmp_path: Path) -> N
 def test_a_line_that_a_kill_cut_off_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "actuators.csv"
     path.write_text("\n".join([format_header(4, True), *[format_row(row, True) for row in ROWS], "0.5,0.5,0.4"]))
-    assert len(read_rows(path, "controller")[0]) == 2
+    assert len(read_commands(path, "controller")[0]) == 2
 
 
 @pytest.mark.parametrize(
@@ -80,4 +80,4 @@ def test_what_is_no_record_is_refused(tmp_path: Path, lines: list[str], said: st
     path = tmp_path / "actuators.csv"
     path.write_text("\n".join(lines))
     with pytest.raises(InputError, match=said):
-        read_rows(path, "controller actuators.csv")
+        read_commands(path, "controller actuators.csv")

@@ -574,13 +574,13 @@ def test_what_a_model_cannot_have_is_one_line(tmp_path: Path, model: str, said: 
 def test_properties_in_one_call_are_the_same_bits_one_by_one() -> None:
     names = ["position/geod-alt-ft", "velocities/p-rad_sec", "attitude/phi-rad", "inertia/mass-slugs"]
     with airframe() as (frame, _):
-        groups = [(*[frame._node(name) for name in names[i : i + 3]], 0.3048) for i in range(2)]
+        groups = [(*[frame._property(name) for name in names[i : i + 3]], 0.3048) for i in range(2)]
         read = Properties(groups)
         frame.reset(Initial(attitude_deg=(3.0, 2.0, 40.0)), OFF, (1.0, -2.0, 0.0))
         for step in range(10):
             forces = [(0.1 * step, 0.2 if step > 5 else 0.0, -14.0 - jet - step / 3.0) for jet in range(6)]
             frame.step(forces, CALM)
-            fx, fy, fz = [frame._node(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
+            fx, fy, fz = [frame._property(f"external_reactions/jet1/{axis}").get_double_value() for axis in "xyz"]
             assert (fx * POUND_FORCE, fy * POUND_FORCE, fz * POUND_FORCE) == pytest.approx(forces[0], rel=1e-15)
         assert read.read() == tuple(tuple(node.get_double_value() * 0.3048 for node in group[:3]) for group in groups)
 

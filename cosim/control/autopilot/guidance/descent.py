@@ -123,7 +123,7 @@ class CollectiveFloor:
         slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
         k = self._k
         up = max(0.0, sink) * slope + k * (sink - v) + self._trim
-        least = self._collective_at(up, upright, weight)
+        least = self._collective_for_acceleration(up, upright, weight)
         self.is_acting = least > collective
         if self.is_acting:
             self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, self.max_trim)
@@ -133,9 +133,10 @@ class CollectiveFloor:
 
     def collective_for(self, up: float, upright: float, weight: float) -> float:
         """Return the collective for an upward acceleration [m/s^2], not below half of that of idle thrust."""
-        return self._collective_at(max(up, -self._slowing), upright, weight)
+        return self._collective_for_acceleration(max(up, -self._slowing), upright, weight)
 
-    def _collective_at(self, up: float, upright: float, weight: float) -> float:
+    def _collective_for_acceleration(self, up: float, upright: float, weight: float) -> float:
+        """Return the collective, within its limits, for an upward acceleration [m/s^2]."""
         thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, MIN_UPRIGHT)
         return min(max(thrust - self._idle, self._least), self._most)
 

@@ -70,17 +70,17 @@ class Guide:
     def towards(self, target: Pair, speed: float) -> Pair:
         """Return the roll and pitch [rad] that fly to a position."""
         self._start_track()
-        return self._lean_towards(self.tracker.towards(target, speed))
+        return self._lean_to_follow(self.tracker.towards(target, speed))
 
     def around(self, centre: Pair, radius: float, speed: float, clockwise: bool) -> Pair:
         """Return the roll and pitch [rad] that fly round a centre."""
         self._start_track()
-        return self._lean_towards(self.tracker.around(centre, radius, speed, clockwise))
+        return self._lean_to_follow(self.tracker.around(centre, radius, speed, clockwise))
 
     def at_velocity(self, velocity: Pair) -> Pair:
         """Return the roll and pitch [rad] that fly at a velocity."""
         self._start_track()
-        return self._lean_towards(self.tracker.at_velocity(velocity))
+        return self._lean_to_follow(self.tracker.at_velocity(velocity))
 
     def to_height(self, altitude: float, up: float, down: float) -> float:
         """Return the height set-point [m] on its way to ``altitude`` [m] at these rates [m/s] at most."""
@@ -133,7 +133,7 @@ class Guide:
         """Height [m] at which the set-point would come to rest if stopped now."""
         return self._height.stop_position[0]
 
-    def _lean_towards(self, track: Track) -> Pair:
+    def _lean_to_follow(self, track: Track) -> Pair:
         return lean_from_acceleration(self._position.update(track, self._fix), self._yaw)
 
     def _start_track(self) -> None:

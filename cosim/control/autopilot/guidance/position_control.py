@@ -40,19 +40,20 @@ class PositionController:
 
     def update(self, track: Track, fix: Fix) -> Pair:
         """Return the commanded horizontal acceleration, m/s^2 NED."""
-        answer = self._acceleration(self._law, track, fix)
+        answer = self._commanded_acceleration(self._law, track, fix)
         if not self._fades:
             return answer
         n, e = (fade.update() for fade in self._fades)
         if self._left is not None:
-            old = self._acceleration(self._left, track, fix)
+            old = self._commanded_acceleration(self._left, track, fix)
             self._left = None
             n, e = old[0] + n - answer[0], old[1] + e - answer[1]
             for fade, value in zip(self._fades, (n, e), strict=True):
                 fade.begin(value)
         return answer[0] + n, answer[1] + e
 
-    def _acceleration(self, law: tuple[float, float, float], track: Track, fix: Fix) -> Pair:
+    def _commanded_acceleration(self, law: tuple[float, float, float], track: Track, fix: Fix) -> Pair:
+        """Return the horizontal acceleration [m/s^2, NED] by the two gains and the largest lean in ``law``."""
         kp, kv, lean = law
         (tp, tv, ta), (p, v, b) = track, fix
         cn, ce = limit_length(kp * (tp[0] - p[0]), kp * (tp[1] - p[1]), self._catch_up)

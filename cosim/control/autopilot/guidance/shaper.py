@@ -101,7 +101,7 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
             continue
         lever = sum(abs((jet.position_m[1], jet.position_m[0], jet.reaction_m)[axis]) for jet in jets)
         lead = getattr(control.lead, name, None)
-        authority.append(COMMAND_FRACTION * room * lever * per_jet / inertia[axis] / _lead_effort(lead, gain[axis]))
+        authority.append(COMMAND_FRACTION * room * lever * per_jet / inertia[axis] / _lead_gain_at(lead, gain[axis]))
     return (authority[0], authority[1], authority[2])
 
 
@@ -120,13 +120,14 @@ def _full_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
     authority = []
     for axis, name in enumerate(AXES):
-        extra = max(1.0 + gain[axis] * slowest, _lead_effort(getattr(vehicle.control.lead, name, None), gain[axis]))
+        extra = max(1.0 + gain[axis] * slowest, _lead_gain_at(getattr(vehicle.control.lead, name, None), gain[axis]))
         moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
         authority.append(COMMAND_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], least) / extra)
     return (authority[0], authority[1], authority[2])
 
 
-def _lead_effort(lead: EngineLead | bool | None, gain: float) -> float:
+def _lead_gain_at(lead: EngineLead | bool | None, gain: float) -> float:
+    """Return ``1 / G`` of the lead's engine poles at ``s = gain`` [1/s]; 1 without a lead."""
     if not isinstance(lead, EngineLead):
         return 1.0
     x = gain / lead.natural_rad_s

@@ -68,16 +68,16 @@ class Tracker:
         n, e = target[0] - self._p[0], target[1] - self._p[1]
         distance = hypot(n, e)
         if distance == 0.0:
-            return self._move_at(0.0, 0.0)
+            return self._move_at_velocity(0.0, 0.0)
         # The speed from which braking in whole steps ends at the target.
         unit = self._b * self._step
         braking = self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5)
         scale = min(min(speed, braking), distance / self._step) / distance
-        return self._move_at(n * scale, e * scale)
+        return self._move_at_velocity(n * scale, e * scale)
 
     def at_velocity(self, velocity: Pair) -> Track:
         """Move one step towards a velocity, m/s."""
-        return self._move_at(velocity[0], velocity[1])
+        return self._move_at_velocity(velocity[0], velocity[1])
 
     @property
     def point(self) -> Pair:
@@ -100,7 +100,7 @@ class Tracker:
             radius_error,
         )
         along = sqrt(max(0.0, speed * speed - across * across)) * (1.0 if clockwise else -1.0)
-        return self._move_at(across * n - along * e, across * e + along * n)
+        return self._move_at_velocity(across * n - along * e, across * e + along * n)
 
     @property
     def stop_position(self) -> Pair:
@@ -111,7 +111,7 @@ class Tracker:
         scale = 0.5 * speed / self._a * self._step
         return (self._p[0] + vn * scale, self._p[1] + ve * scale)
 
-    def _move_at(self, north: float, east: float) -> Track:
+    def _move_at_velocity(self, north: float, east: float) -> Track:
         v, p, dt = self._v, self._p, self._step
         dn, de = north - v[0], east - v[1]
         change = hypot(dn, de)

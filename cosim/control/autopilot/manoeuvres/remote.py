@@ -50,10 +50,10 @@ class RemoteControl:
         else:
             self.setpoint, self._setpoint_at = request, k
 
-    def sticks_fresh(self, k: int) -> bool:
+    def has_fresh_sticks(self, k: int) -> bool:
         return (k - self._sticks_at) * self._step <= self._parameters["HJ_STICK_TIME"]
 
-    def setpoint_fresh(self, k: int) -> bool:
+    def has_fresh_setpoint(self, k: int) -> bool:
         return (k - self._setpoint_at) * self._step <= self._parameters["HJ_OFFB_TIME"]
 
     def commands_collective(self, mode: Mode) -> bool:
@@ -63,9 +63,9 @@ class RemoteControl:
 
     def refusals(self, mode: Mode, k: int) -> list[str]:
         """Return why the vehicle may not be armed in a mode flown by sticks or set-points."""
-        if mode is Mode.OFFBOARD and not self.setpoint_fresh(k):
+        if mode is Mode.OFFBOARD and not self.has_fresh_setpoint(k):
             return ["mode OFFBOARD needs set-points, and there are none"]
-        if mode in STICK_MODES and not self.sticks_fresh(k):
+        if mode in STICK_MODES and not self.has_fresh_sticks(k):
             return [f"mode {mode.value} needs sticks, and there are none"]
         if mode in DIRECT and self.sticks is not None and self.sticks.throttle > self.off_throttle:
             return ["the throttle stick is not down"]
@@ -74,7 +74,7 @@ class RemoteControl:
     def needs_take_off(self, mode: Mode, k: int) -> bool:
         """Return whether the sticks or the set-point need the vehicle to leave the ground."""
         sticks, setpoint = self.sticks, self.setpoint
-        if mode in STICK_MODES and sticks is not None and self.sticks_fresh(k):
+        if mode in STICK_MODES and sticks is not None and self.has_fresh_sticks(k):
             return sticks.throttle > (self.off_throttle if mode in DIRECT else self.up_throttle)
         if mode is Mode.OFFBOARD:
             if isinstance(setpoint, OffboardAttitude):
