@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _bars: list[Bar] = []  # progress bars on the terminal now
-_options: dict[str, str] = {}  # of the command that runs, by the names of its arguments in Python
+_options: dict[str, str] = {}  # by argument of the running command
 
 
 def name_options(options: Mapping[str, str]) -> None:
