@@ -57,7 +57,7 @@ class ParameterGuard:
     def prepare(self) -> None:
         """Start the checker's preparation in its thread; returns at once."""
         if self.checker is not None:
-            self._submit(self.checker.prepare)
+            self._submit_to_thread(self.checker.prepare)
 
     def defer(self, waiting: PendingRequest) -> bool:
         """Queue a change that affects a loop for :meth:`take_verdicts`; return False if it affects none."""
@@ -84,7 +84,7 @@ class ParameterGuard:
         if self._verdict is None and self._deferred:
             self._batch = list(self._deferred)[: self.batch_size]
             steps = _to_steps(parameters, [waiting.request for waiting in self._batch])
-            self._verdict = self._submit(lambda: self._find_batch_cautions(steps))
+            self._verdict = self._submit_to_thread(lambda: self._find_batch_cautions(steps))
         if self._verdict is None or not self._verdict.done():
             return []
         verdicts = self._verdict.result()
@@ -109,7 +109,7 @@ class ParameterGuard:
             self._thread.shutdown(cancel_futures=True)
             self._thread = None
 
-    def _submit(self, task: Callable[[], T]) -> Future[T]:
+    def _submit_to_thread(self, task: Callable[[], T]) -> Future[T]:
         self._thread = self._thread or ThreadPoolExecutor(1, "parameters")
         return self._thread.submit(task)
 

@@ -107,7 +107,7 @@ def make_time_base(first: Log, second: Log) -> TimeBase:
 
 def difference(first: Log, second: Log, name: str, base: TimeBase) -> Array:
     """Return a column of the second log less that of the first on a time base, angles wrapped to 180 deg."""
-    return _subtract(first[name][base.first], second[name][base.second], name, first)
+    return _subtract_columns(first[name][base.first], second[name][base.second], name, first)
 
 
 def median_step(times: Array) -> float:
@@ -123,7 +123,7 @@ def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]
         return []
     keys = dict.fromkeys([*left, *right])
     return [
-        (key, _abbreviate(left.get(key)), _abbreviate(right.get(key)))
+        (key, _format_abbreviated(left.get(key)), _format_abbreviated(right.get(key)))
         for key in keys
         if left.get(key) != right.get(key) and key not in ("title", "description", "changed")
     ]
@@ -158,7 +158,7 @@ def _compare_signals(first: Log, second: Log, names: Sequence[str], base: TimeBa
         left, right = first[name][base.first], second[name][base.second]
         unlike = np.flatnonzero(_canonical_bits(left) != _canonical_bits(right))
         finite = np.isfinite(left) & np.isfinite(right)
-        size = np.abs(_subtract(left, right, name, first))
+        size = np.abs(_subtract_columns(left, right, name, first))
         peak = int(np.argmax(np.where(finite, size, -1.0)))
         yield Signal(
             name,
@@ -173,7 +173,7 @@ def _compare_signals(first: Log, second: Log, names: Sequence[str], base: TimeBa
         )
 
 
-def _subtract(left: Array, right: Array, name: str, log: Log) -> Array:
+def _subtract_columns(left: Array, right: Array, name: str, log: Log) -> Array:
     apart: Array = right - left
     frame = next((column.frame for column in (*log.described, *COLUMNS) if column.name == name), "")
     return np.asarray(wrap(apart)) if frame == EULER else apart
@@ -207,6 +207,6 @@ def _list_leaves(table: Mapping[str, Any] | Sequence[Any], before: str = "") -> 
             yield f"{before}{key}", value
 
 
-def _abbreviate(value: Any) -> str:
+def _format_abbreviated(value: Any) -> str:
     text = "-" if value is None else value if isinstance(value, str) else str(value)
     return text if len(text) <= 40 else f"{text[:12]}..." if " " not in text else f"{text[:37]}..."

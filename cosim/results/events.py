@@ -157,7 +157,7 @@ def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Itera
             lines = [
                 fault.describe()
                 for fault in scheduled
-                if _affects(fault, kind, name) and _acts(fault, start, end, step)
+                if _fault_acts_on(fault, kind, name) and _acts(fault, start, end, step)
             ]
             where = f"jet {name}" if kind == "jet" else f"{name} {'servo' if kind == 'servo' else ''}".strip()
             yield Event(
@@ -170,7 +170,7 @@ def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Itera
             )
 
 
-def _affects(fault: Fault, kind: str, name: str) -> bool:
+def _fault_acts_on(fault: Fault, kind: str, name: str) -> bool:
     if kind == "jet":
         return int(name) in getattr(fault, "jet", ())
     return getattr(fault, kind, None) == name

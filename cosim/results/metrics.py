@@ -135,14 +135,14 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     contact, jets = find_contact_rows(log), jets_in(log.columns)
     saturated, flying = saturation_in_flight(log, reach), np.count_nonzero(~contact)
     altitude, speed = log["altitude_m"], np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"])
-    return _build(
+    return _to_record(
         Metrics,
         axes=axes,
         altitude=altitude_metrics(log["altitude_setpoint_m"], altitude, contact),
         touchdown_m_s=touchdown(contact, altitude, log["velocity_down_m_s"]),
         position=_position_metrics(log),
-        speed=_build(SpeedMetrics, max_m_s=_peak(speed), final_m_s=_last_value(speed)),
-        effort=_build(
+        speed=_to_record(SpeedMetrics, max_m_s=_peak(speed), final_m_s=_last_value(speed)),
+        effort=_to_record(
             EffortMetrics,
             saturated_percent=_to_plain(100.0 * np.count_nonzero(saturated, axis=-1) / flying) if flying else None,
             alternating_percent=alternating_percent(_ranges(log, reach), step_s),
@@ -197,7 +197,7 @@ def _axis_metrics(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetr
     error = wrap(setpoint - angle)
     last = _finite_values(error[..., -round(FINAL_WINDOW_S / step_s) :])
     steps, percent, seconds = _measure_steps(setpoint, angle, error, step_s)
-    return _build(
+    return _to_record(
         AxisMetrics,
         commanded=bool(steps) or bool(np.any(np.diff(setpoint[np.isfinite(setpoint)]) != 0.0)),
         rmse_rad=_rms(error),
@@ -268,7 +268,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
     """Return the metrics of the height error (m), over the rows that have a set-point."""
     error = height_error(setpoint, altitude, contact)
     size = np.abs(error)
-    return _build(AltitudeMetrics, rmse_m=_rms(error), max_abs_error_m=_peak(size), final_error_m=_last_value(size))
+    return _to_record(AltitudeMetrics, rmse_m=_rms(error), max_abs_error_m=_peak(size), final_error_m=_last_value(size))
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
@@ -368,11 +368,11 @@ def _position_metrics(log: Columns) -> PositionMetrics:
     drift = np.hypot(north - north[..., :1], east - east[..., :1]) if north.size else north
     ends = {"drift_m": _peak(drift), "final_drift_m": _last_value(drift)}
     if not commands_position(log):
-        return _build(PositionMetrics, **ends)
+        return _to_record(PositionMetrics, **ends)
     off = np.hypot(log[POSITION_SETPOINT[0]] - north, log[POSITION_SETPOINT[1]] - east)
     remaining = _last_value(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
     errors = {"rmse_m": _rms(off), "max_abs_error_m": _peak(off), "final_error_m": _last_value(off)}
-    return _build(PositionMetrics, **ends, **errors, waypoints_left=remaining)
+    return _to_record(PositionMetrics, **ends, **errors, waypoints_left=remaining)
 
 
 def commands_position(log: Columns) -> bool:
@@ -447,7 +447,7 @@ def _describe_range(low: float | None, high: float | None) -> str:
     return f"at least {low:g}" if high is None else f"{low:g} to {high:g}"
 
 
-def _build(kind: type[R], **values: Any) -> R:
+def _to_record(kind: type[R], **values: Any) -> R:
     """Return a record; one of many flights has arrays, which are not checked."""
     is_of_many = any(isinstance(value, np.ndarray) for value in values.values())
     return kind.model_construct(**values) if is_of_many else kind(**values)

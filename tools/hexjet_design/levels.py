@@ -109,14 +109,14 @@ def make_schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, 
         level=[
             ThrustLevel(
                 share=round_gain(level.thrust_fraction),
-                **{axis: _gain_factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
+                **{axis: _make_gain_factors(of[level.fuel], of[1.0]) for axis, of in tunings.items()},
             )
             for level in rows
         ],
     )
 
 
-def _gain_factors(here: Tuning, full: Tuning) -> ScheduledGains:
+def _make_gain_factors(here: Tuning, full: Tuning) -> ScheduledGains:
     lead = here.lead
     factors = {
         "angle": round_gain(here.angle_gain / full.angle_gain),

@@ -114,17 +114,17 @@ def find_allowances(
     allowances = {}
     delay = channel.actuator_delay
 
-    def meets(changed: Channel) -> bool:
+    def is_met(changed: Channel) -> bool:
         fixed = roll.before.tuning
         lead, model = engine_lead(changed) if with_lead else None, changed.model("trial")
         return any(isfinite(tune(changed, name, model, fixed, need, lead=lead).objective) for name in tried)
 
     say("which delay would allow one")
-    if delay > 0.0 and (fraction := _largest(lambda part: meets(channel.with_delay(round(part * delay))))) is not None:
+    if delay > 0.0 and (fraction := _largest(lambda part: is_met(channel.with_delay(round(part * delay))))) is not None:
         allowances["delay_s"] = round(fraction * delay) * channel.step
     if channel.identified is None:
         say("which lag would allow one")
-        if (fraction := _largest(lambda part: meets(channel.with_lags(part)))) is not None:
+        if (fraction := _largest(lambda part: is_met(channel.with_lags(part)))) is not None:
             allowances["lag_factor"] = fraction
     return allowances
 

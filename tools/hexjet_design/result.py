@@ -382,7 +382,7 @@ def rows(design: Design) -> list[list[str]]:
 def channel_rows(design: Design) -> list[list[str]]:
     """Return before and after of every channel, as :data:`COLUMNS`."""
     return [
-        [f"{axis}, {when}", *_cells(state, axis_design.channel)]
+        [f"{axis}, {when}", *_make_cells(state, axis_design.channel)]
         for axis, axis_design in design.axes.items()
         for when, state in (("shipped", axis_design.before), ("designed", axis_design.after))
         if state is not None
@@ -412,7 +412,7 @@ def row_lines(design: Design) -> list[str]:
             "settled > N s: a step is not within 5 % after N s, as long as the linear loop is looked at (50 times the "
             "channel's delay)"
         )
-    full = {axis: _cells(each.after, each.channel) for axis, each in design.axes.items() if each.after is not None}
+    full = {axis: _make_cells(each.after, each.channel) for axis, each in design.axes.items() if each.after is not None}
     changed = {axis for axis, _, _, cells in _level_cells(design) if cells != full[axis]}
     fuels = [level.level.fuel for level in design.levels]
     lines += [
@@ -428,12 +428,12 @@ def _level_cells(design: Design) -> Iterator[tuple[str, str, float, list[str]]]:
     for level in design.levels:
         for axis, state in level.unscheduled.items():
             channel = level.level.channels[axis]
-            yield axis, "held", level.level.fuel, _cells(state, channel)
+            yield axis, "held", level.level.fuel, _make_cells(state, channel)
             if design.schedule is not None:
-                yield axis, "scheduled", level.level.fuel, _cells(level.after[axis], channel)
+                yield axis, "scheduled", level.level.fuel, _make_cells(level.after[axis], channel)
 
 
-def _cells(state: Assessment, channel: Channel) -> list[str]:
+def _make_cells(state: Assessment, channel: Channel) -> list[str]:
     gains = state.tuning.gains
     first = [
         state.controller + (WITH_LEAD if state.tuning.lead else ""),

@@ -271,10 +271,10 @@ def write_csv(rows: list[Row], path: Path) -> None:
         )  # fmt: skip
         for row in rows:
             values = (row.paper, row.linear, row.linear_deviation, row.flight, row.flight_deviation)
-            out.writerow([row.key, row.quantity, row.unit, row.place, *map(_csv_number, values), row.origin, row.note])
+            out.writerow([row.key, row.quantity, row.unit, row.place, *map(_format_csv, values), row.origin, row.note])
 
 
-def _csv_number(value: float | None) -> str:
+def _format_csv(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
 
 

@@ -215,9 +215,9 @@ def doublet(amplitude: float, start: float, width: float, step: float) -> Signal
     """
     edges = [t / step for t in (start, start + width, start + 2.0 * width)]
 
-    def after(edge: float, k: int) -> float:
+    def is_after(edge: float, k: int) -> float:
         # This is the fraction of step k after the edge; 1e-9 is for lengths that are no binary fractions.
         part = k + 1.0 - edge
         return 0.0 if part < 1e-9 else (1.0 if part > 1.0 - 1e-9 else part)
 
-    return lambda k: amplitude * (after(edges[0], k) - 2.0 * after(edges[1], k) + after(edges[2], k))
+    return lambda k: amplitude * (is_after(edges[0], k) - 2.0 * is_after(edges[1], k) + is_after(edges[2], k))

@@ -29,7 +29,7 @@ def row_margin(row: Row, study: Study) -> float:
     """
     if not row["success"] and row["outcome"] != "completed":
         stated = row.get(MARGIN)
-        return -abs(_to_finite_margin(stated)) if stated is not None else _failure_margin(row, study)
+        return -abs(_to_finite_margin(stated)) if stated is not None else _margin_of_failed_flight(row, study)
     stated = row.get(MARGIN)
     margin = _to_finite_margin(stated) if stated is not None else success_margin(row, study.success)
     return max(margin, 0.0) if row["success"] else min(margin, -MIN_FAILED_MARGIN)
@@ -76,7 +76,7 @@ def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -
     return min(margins[1:], default=margins[0])
 
 
-def _failure_margin(row: Row, study: Study) -> float:
+def _margin_of_failed_flight(row: Row, study: Study) -> float:
     flown = row.get("duration_s")
     return -FailedFlight(0.0 if flown is None else _to_finite_margin(flown), study.base().duration_s).scales
 

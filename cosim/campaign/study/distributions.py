@@ -130,16 +130,16 @@ class Vary(Model):
     def _check_bounds(self) -> Vary:
         low, high = self.support
         if not self.values and low >= high:
-            raise ValueError(f"{self.key}: {_as_text(low)} to {_as_text(high)} is empty; the lower bound comes first")
+            raise ValueError(f"{self.key}: {_to_text(low)} to {_to_text(high)} is empty; the lower bound comes first")
         if low <= 0.0 and (self.scale == "log" or self.lognormal is not None):
             if self.scale == "log":
-                raise ValueError(f"{self.key}: a logarithmic range needs bounds above 0, not {_as_text(low)}")
+                raise ValueError(f"{self.key}: a logarithmic range needs bounds above 0, not {_to_text(low)}")
             if self.lognormal is not None and self.lognormal.min is not None:
                 raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
         for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
             # Beyond 8 standard deviations the inverse of the distribution loses digits.
             if form is not None and not (form.score(low) < 8.0 and form.score(high) > -8.0):
-                raise ValueError(f"{self.key}: {_as_text(low)} to {_as_text(high)} is too far out for this {name}")
+                raise ValueError(f"{self.key}: {_to_text(low)} to {_to_text(high)} is too far out for this {name}")
         return self
 
     @model_validator(mode="after")
@@ -147,12 +147,12 @@ class Vary(Model):
         values = self.values or []
         kinds = {"text" if isinstance(v, str) else "bool" if isinstance(v, bool) else "number" for v in values}
         if len(kinds) > 1:
-            raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_as_text, values))}")
+            raise ValueError(f"{self.key}: values of different kinds: {', '.join(map(_to_text, values))}")
         repeated = first_repeated(values)
         if repeated is not None:
-            raise ValueError(f"{self.key}: {_as_text(repeated)} is there twice")
+            raise ValueError(f"{self.key}: {_to_text(repeated)} is there twice")
         if self.relative and kinds - {"number"}:
-            raise ValueError(f"{self.key}: a {self.relative} is a number, not {_as_text(values[0])}")
+            raise ValueError(f"{self.key}: a {self.relative} is a number, not {_to_text(values[0])}")
         return self
 
     @property
@@ -183,16 +183,16 @@ class Vary(Model):
         if self.uncertainty:
             return self.key
         sign = next(sign for sign, relative in RELATIVE.items() if relative == self.relative)
-        return f"{self.key}{sign}{self._format_form()}"
+        return f"{self.key}{sign}{self._format_distribution()}"
 
-    def _format_form(self) -> str:
+    def _format_distribution(self) -> str:
         if self.values is not None:
-            return ",".join(_as_text(value) for value in self.values)
+            return ",".join(_to_text(value) for value in self.values)
         if self.range is not None:
-            span = ":".join(_as_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
+            span = ":".join(_to_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
             return f"log({span})" if self.scale == "log" else span
         name = next(name for name in CALLS if getattr(self, name) is not None)
-        numbers = ["" if number is None else _as_text(number) for _, number in getattr(self, name)]
+        numbers = ["" if number is None else _to_text(number) for _, number in getattr(self, name)]
         return f"{name}({','.join(numbers if any(numbers[2:]) else numbers[:2])})"
 
 
@@ -279,7 +279,7 @@ def first_repeated(values: Sequence[T]) -> T | None:
     return next((value for index, value in enumerate(values) if value in values[:index]), None)
 
 
-def _as_text(value: bool | int | float | str) -> str:
+def _to_text(value: bool | int | float | str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return number_text(value) if isinstance(value, float) else str(value)

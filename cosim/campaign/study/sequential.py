@@ -178,15 +178,15 @@ class SequentialTest:
         """Return the largest failure probability at which an ending as good as this has the probability ``error``."""
         if self.failures == self.flights and self._crossed != "shown":
             return 1.0
-        return self._find_root(lambda failing: self._probability_as_good(failing) - error)
+        return self._find_root(lambda failing: self._probability_of_ending_as_good(failing) - error)
 
     def _lower_failure_bound(self, error: float) -> float:
         """Return the smallest failure probability at which an ending as bad as this has the probability ``error``."""
         if self.failures == 0:
             return 0.0
-        return self._find_root(lambda failing: error - self._probability_as_bad(failing))
+        return self._find_root(lambda failing: error - self._probability_of_ending_as_bad(failing))
 
-    def _probability_as_good(self, failing: float) -> float:
+    def _probability_of_ending_as_good(self, failing: float) -> float:
         shown = self._ends_probability(self._ends["shown"], failing)
         if self._crossed == "shown":
             return shown
@@ -194,7 +194,7 @@ class SequentialTest:
             return shown + self._ends_probability(self._open_ends(range(self._lowest, self.failures + 1)), failing)
         return 1.0 - self._ends_probability(self._ends["refuted"][:-1], failing)
 
-    def _probability_as_bad(self, failing: float) -> float:
+    def _probability_of_ending_as_bad(self, failing: float) -> float:
         refuted = self._ends_probability(self._ends["refuted"], failing)
         if self._crossed == "refuted":
             return refuted

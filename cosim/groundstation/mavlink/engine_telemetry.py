@@ -86,7 +86,7 @@ def esc_status(v: TelemetryState) -> list[Message]:
     unknown = [nan] * 4
     return [
         mav.MAVLink_esc_status_message(
-            first, v.us, [to_field(speed, -I32, I32) for speed in _take_four(rpm, first, 0.0)], unknown, unknown
+            first, v.us, [to_field(speed, -I32, I32) for speed in _pad_to_four(rpm, first, 0.0)], unknown, unknown
         )
         for first in _first_engines(v)
     ]
@@ -99,14 +99,14 @@ def esc_info(v: TelemetryState) -> list[Message]:
     return [
         mav.MAVLink_esc_info_message(
             first, v.us, counter, v.vehicle.jets, 0,
-            sum(1 << i for i, alive in enumerate(_take_four(health, first, 0.0)) if alive),
+            sum(1 << i for i, alive in enumerate(_pad_to_four(health, first, 0.0)) if alive),
             [0] * 4, [0] * 4, [I16] * 4,
         )
         for first in _first_engines(v)
     ]  # fmt: skip
 
 
-def _take_four(values: Sequence[float], first: int, missing: float) -> list[float]:
+def _pad_to_four(values: Sequence[float], first: int, missing: float) -> list[float]:
     return [values[i] if i < len(values) else missing for i in range(first, first + 4)]
 
 

@@ -116,7 +116,7 @@ class MavlinkVehicle:
         if frame.system == 0:
             refused["no system"] += 1
             return
-        if not self._is_for_us(message):
+        if not self._is_addressed_to_vehicle(message):
             refused["other vehicle"] += 1
             return
         client = Client(peer, frame.system, frame.component)
@@ -171,7 +171,7 @@ class MavlinkVehicle:
             for peer, message in service.poll(now):
                 self.send(peer, (message,))
 
-    def _is_for_us(self, message: Message) -> bool:
+    def _is_addressed_to_vehicle(self, message: Message) -> bool:
         system = getattr(message, "target_system", 0)
         if message.msgname == "MANUAL_CONTROL":
             system = message.target

@@ -388,11 +388,11 @@ def _parse_message(text: str | bytes) -> dict[str, Any]:
     if isinstance(text, bytes):
         raise InputError("message: must be text")
 
-    def refuse(word: str) -> float:
+    def refuse_constant(word: str) -> float:
         raise InputError(f"message: {word} is no number here")
 
     try:
-        value = json.loads(text, parse_constant=refuse)
+        value = json.loads(text, parse_constant=refuse_constant)
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise

@@ -88,14 +88,14 @@ class PilotRecord:
         if pilot.home is not None:
             self._write_changed("home", k, pilot.home._asdict())
         if k % self._every == 0:
-            self._append("estimate", k, **_describe_estimate(pilot.status))
+            self._add_line("estimate", k, **_describe_estimate(pilot.status))
 
     def close(self) -> None:
         """Write the messages since the last step and close the file; may be called twice."""
         if self._file.number >= 0:
             try:
                 self._write_messages()
-                self._flush()
+                self._flush_file()
             finally:
                 self._file.close()
 
@@ -104,7 +104,7 @@ class PilotRecord:
         if messages and messages[-1].number > self._said:
             for message in messages:
                 if message.number > self._said:
-                    self._append("message", message.k, severity=int(message.severity), text=message.text)
+                    self._add_line("message", message.k, severity=int(message.severity), text=message.text)
             self._said = messages[-1].number
 
     def _write_parameters(self, k: int) -> None:
@@ -112,27 +112,27 @@ class PilotRecord:
         if not self._values:
             self._values = dict(values)
             numbers = {name: int(value) if table[name].kind == "int" else value for name, value in values.items()}
-            self._append("parameters", k, values=numbers)
+            self._add_line("parameters", k, values=numbers)
         elif values != self._values:
             for name, value in values.items():
                 if value != self._values[name]:
-                    self._append("parameter", k, name=name, value=int(value) if table[name].kind == "int" else value)
+                    self._add_line("parameter", k, name=name, value=int(value) if table[name].kind == "int" else value)
             self._values = dict(values)
 
     def _write_changed(self, kind: str, k: int, now: Line) -> None:
         if self._last.get(kind) != now:
             self._last[kind] = now
-            self._append(kind, k, **now)
+            self._add_line(kind, k, **now)
 
-    def _append(self, kind: str, k: int, **fields: Any) -> None:
+    def _add_line(self, kind: str, k: int, **fields: Any) -> None:
         line = (json.dumps({"k": k, "kind": kind, **fields}, allow_nan=False) + "\n").encode()
         self._waiting.append(line)
         self._size += len(line)
         # If the process is killed, a few seconds are lost at most.
         if self._size > 64 * 1024 or kind in ("state", "message"):
-            self._flush()
+            self._flush_file()
 
-    def _flush(self) -> None:
+    def _flush_file(self) -> None:
         lines = b"".join(self._waiting)
         self._waiting, self._size = [], 0
         self._file.append(lines)

@@ -88,7 +88,7 @@ class ParquetLog(Columnar):
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file: Any = None  # the open file, or None
-        with _open_or_refuse(self._path) as file:
+        with _open_parquet_or_refuse(self._path) as file:
             self.described = _columns_of_schema(file.schema_arrow)
             self.columns = tuple(file.schema_arrow.names)
             self._rows: int = file.metadata.num_rows
@@ -323,7 +323,7 @@ def read_table(
     columns: dict[str, list[Value]] = {}
     rows = 0
     for path in [paths] if isinstance(paths, Path) else paths:
-        with _open_or_refuse(path) as file:
+        with _open_parquet_or_refuse(path) as file:
             names_there = file.schema_arrow.names
             table = file.read([name for name in names_there if names is None or name in names], use_threads=False)
             length = file.metadata.num_rows
@@ -352,7 +352,7 @@ def read_numbers(path: Path) -> ByType:
 
     Raises InputError for what cannot be read, and for two columns of one name.
     """
-    with _open_or_refuse(path) as file:
+    with _open_parquet_or_refuse(path) as file:
         table = _map_arrow_errors(path, lambda: file.read(use_threads=False))
     return _sort_columns(path, table)
 
@@ -457,7 +457,7 @@ def _make_buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
 
 
 @contextmanager
-def _open_or_refuse(path: Path) -> Iterator[Any]:
+def _open_parquet_or_refuse(path: Path) -> Iterator[Any]:
     with _map_read_errors(path), _open_parquet(path) as file:
         yield file
 

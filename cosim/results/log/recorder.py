@@ -174,7 +174,7 @@ class BackgroundSink:
 
     def write(self, table: Array) -> None:
         """Queue a block.  Raises FlightError if an earlier one failed, or too many wait."""
-        self._raise_error()
+        self._raise_stored_error()
         try:
             self._blocks.put_nowait(table.copy())
         except Full:
@@ -185,9 +185,9 @@ class BackgroundSink:
         if self._thread.is_alive():
             self._blocks.put(None)
             self._thread.join()
-        self._raise_error()
+        self._raise_stored_error()
 
-    def _raise_error(self) -> None:
+    def _raise_stored_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error

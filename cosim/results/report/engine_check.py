@@ -97,8 +97,8 @@ def _make_trace(label: str, colour: str, x: list[float], y: list[float], mode: s
     return trace(label, colour, x, y, mode=mode, marker=marker, hovertemplate=says, showlegend=mode == "lines")
 
 
-def _make_layout(title: str, form: str) -> Figure:
+def _make_layout(title: str, hover_format: str) -> Figure:
     figure_layout = panels(360, title, ["thrust [N]"], log=False) | HOVER
-    figure_layout["xaxis"]["hoverformat"] = form
+    figure_layout["xaxis"]["hoverformat"] = hover_format
     figure_layout["yaxis"]["rangemode"] = "tozero"
     return figure_layout

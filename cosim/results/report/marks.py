@@ -33,7 +33,7 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
-    _refuse_unknown(Path(where), parts, parts_of(page, where))
+    _refuse_unknown_marks(Path(where), parts, parts_of(page, where))
 
     def replace_part(match: re.Match[str]) -> str:
         name = match.group(1)
@@ -56,7 +56,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
     Raises InputError where this is not so.
     """
     pages = _read_parts(path)
-    _refuse_unknown(path, names, _merge_parts(pages))
+    _refuse_unknown_marks(path, names, _merge_parts(pages))
     for page in pages:
         if not os.access(page, os.W_OK):
             raise InputError(f"{page}: cannot be written to")
@@ -69,7 +69,7 @@ def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     written.
     """
     pages = _read_parts(path)
-    _refuse_unknown(path, parts, _merge_parts(pages))
+    _refuse_unknown_marks(path, parts, _merge_parts(pages))
     for page, marked in pages.items():
         new = {name: text for name, text in parts.items() if name in marked}
         if new or page == path:
@@ -92,7 +92,7 @@ def _merge_parts(pages: Mapping[Path, Mapping[str, str]]) -> dict[str, str]:
     return {name: text for parts in pages.values() for name, text in parts.items()}
 
 
-def _refuse_unknown(path: Path, names: Iterable[str], marked: Mapping[str, str]) -> None:
+def _refuse_unknown_marks(path: Path, names: Iterable[str], marked: Mapping[str, str]) -> None:
     if missing := [name for name in names if name not in marked]:
         raise InputError(f"{path}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(marked) or 'none'}")
 

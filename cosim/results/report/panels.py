@@ -191,11 +191,11 @@ def make_rest_columns(log: Log, summary: Summary) -> dict[str, Callable[[], Arra
     for jet, curve in enumerate(thrust_curves(summary), 1):
         if curve and f"throttle_{jet}" in log.columns:
             throttle, thrust = np.array(curve, dtype=float).T
-            columns[AT_REST.format(jet)] = partial(_interpolate, log, f"throttle_{jet}", throttle, thrust)
+            columns[AT_REST.format(jet)] = partial(_interpolate_column, log, f"throttle_{jet}", throttle, thrust)
     return columns
 
 
-def _interpolate(log: Log, column: str, x: Array, y: Array) -> Array:
+def _interpolate_column(log: Log, column: str, x: Array, y: Array) -> Array:
     return np.interp(log[column], x, y)
 
 

@@ -70,8 +70,8 @@ def pack(values: Array) -> Packed | None:
     numbers = np.rint((values_filled - base) / step).astype(np.int64)
     middle = max(0, numbers.size // 2 - 10_000)
     tried = numbers[middle : middle + 20_000]
-    order = min(range(3), key=lambda order: _count_bits(_difference(tried, order)))
-    best = _difference(numbers, order)
+    order = min(range(3), key=lambda order: _count_bits(_difference_repeatedly(tried, order)))
+    best = _difference_repeatedly(numbers, order)
     zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
     bytes_used = max((n + 1 for n in range(4) if planes[n].any()), default=0)
@@ -107,7 +107,7 @@ def _fill_gaps(values: Array, finite: NDArray[np.bool_]) -> Array:
     return filled
 
 
-def _difference(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
+def _difference_repeatedly(numbers: NDArray[np.int64], order: int) -> NDArray[np.int64]:
     for _ in range(order):
         numbers = np.diff(numbers, prepend=np.int64(0))
     return numbers

@@ -136,9 +136,9 @@ class _Parser:
     def read(self) -> Formula:
         """Return the formula of the whole text."""
         start = self._token.start
-        formula = self._as_formula(self._parse_implication(), start)
+        formula = self._require_formula(self._parse_implication(), start)
         if self._token.kind != "end":
-            self._refuse("and, or, implies, a comparison or the end")
+            self._raise_here("and, or, implies, a comparison or the end")
         return formula
 
     def _read_token(self) -> _Token:
@@ -146,7 +146,7 @@ class _Parser:
         if match is None:
             start = len(self._text) - len(self._text[self._end :].lstrip())
             self._token = _Token("sign", self._text[start], start)
-            return self._refuse("a signal, a number, an event in double quotes or one of < <= > >= + - * ( ) ,")
+            return self._raise_here("a signal, a number, an event in double quotes or one of < <= > >= + - * ( ) ,")
         kind = match.lastgroup or "end"
         self._end = match.end()
         return _Token(kind, match[kind], match.start(kind))
@@ -159,15 +159,15 @@ class _Parser:
         self._token = self._read_token()
         return text
 
-    def _require(self, text: str, allowed: str | None = None) -> None:
+    def _require_token(self, text: str, allowed: str | None = None) -> None:
         if self._take(text) is None:
-            self._refuse(allowed or repr(text))
+            self._raise_here(allowed or repr(text))
 
-    def _refuse(self, allowed: str) -> NoReturn:
+    def _raise_here(self, allowed: str) -> NoReturn:
         found = repr(self._token.text) if self._token.kind != "end" else "the end"
         raise InputError(f"{found} at character {self._token.start + 1}: there must be {allowed}")
 
-    def _refuse_from(self, start: int, why: str) -> NoReturn:
+    def _raise_at(self, start: int, why: str) -> NoReturn:
         text = self._text[start : self._token.start].strip()
         raise InputError(f"{text[:40]!r} at character {start + 1}: {why}")
 
@@ -177,28 +177,28 @@ class _Parser:
         if self._take("implies") is None:
             return left
         begin = self._token.start
-        self._enter_level()
-        right = self._as_formula(self._parse_implication(), begin)
+        self._enter_nesting_level()
+        right = self._require_formula(self._parse_implication(), begin)
         self._depth -= 1
-        return AllOrAny((Not(self._as_formula(left, start)), right), either=True)
+        return AllOrAny((Not(self._require_formula(left, start)), right), either=True)
 
     def _parse_chain(self, word: str, read: Callable[[], Formula | Quantity], either: bool) -> Formula | Quantity:
         start = self._token.start
         first = read()
         if self._token.text != word or self._token.kind != "name":
             return first
-        parts = [self._as_formula(first, start)]
+        parts = [self._require_formula(first, start)]
         while self._take(word):
             start = self._token.start
-            parts.append(self._as_formula(read(), start))
+            parts.append(self._require_formula(read(), start))
         return AllOrAny(tuple(parts), either)
 
     def _parse_not(self) -> Formula | Quantity:
         if self._take("not") is None:
             return self._parse_comparison()
         start = self._token.start
-        self._enter_level()
-        of = self._as_formula(self._parse_not(), start)
+        self._enter_nesting_level()
+        of = self._require_formula(self._parse_not(), start)
         self._depth -= 1
         return Not(of)
 
@@ -207,9 +207,9 @@ class _Parser:
         left = self._parse_sum()
         comparisons: list[Formula] = []
         while sign := self._take(*_COMPARISONS):
-            lower = self._as_quantity(left, start)
+            lower = self._require_quantity(left, start)
             begin = self._token.start
-            upper = self._as_quantity(self._parse_sum(), begin)
+            upper = self._require_quantity(self._parse_sum(), begin)
             comparisons.append(self._make_comparison(lower, sign, upper, start))
             left, start = upper, begin
         if not comparisons:
@@ -219,7 +219,7 @@ class _Parser:
     def _make_comparison(self, left: Quantity, sign: str, right: Quantity, start: int) -> Comparison:
         text = self._text[start : self._token.start].strip()
         if not [*left.names, *right.names]:
-            self._refuse_from(start, "compares two numbers; one side must have a signal")
+            self._raise_at(start, "compares two numbers; one side must have a signal")
         unit = left.unit or right.unit or "1"
         try:
             left, right = _convert(left, unit), _convert(right, unit)
@@ -235,8 +235,8 @@ class _Parser:
         while sign := self._take("+", "-"):
             begin = self._token.start
             if not terms:
-                terms = [(1.0, self._as_quantity(first, start))]
-            terms.append((1.0 if sign == "+" else -1.0, self._as_quantity(self._parse_product(), begin)))
+                terms = [(1.0, self._require_quantity(first, start))]
+            terms.append((1.0 if sign == "+" else -1.0, self._require_quantity(self._parse_product(), begin)))
         return self._make_sum(terms, start) if terms else first
 
     def _make_sum(self, terms: list[tuple[float, Quantity]], start: int) -> Quantity:
@@ -244,14 +244,14 @@ class _Parser:
         try:
             scaled = [(factor, _convert(term, unit) if unit else term) for factor, term in terms]
         except InputError as error:
-            self._refuse_from(start, str(error))
+            self._raise_at(start, str(error))
         return Sum(tuple(scaled), unit)
 
     def _parse_product(self) -> Formula | Quantity:
         if self._take("-"):
             start = self._token.start
-            self._enter_level()
-            of = self._as_quantity(self._parse_product(), start)
+            self._enter_nesting_level()
+            of = self._require_quantity(self._parse_product(), start)
             self._depth -= 1
             return Number(-of.value, of.unit) if isinstance(of, Number) else Sum(((-1.0, of),), of.unit)
         start = self._token.start
@@ -259,9 +259,9 @@ class _Parser:
         if self._take("*") is None:
             return first
         if not isinstance(first, Number) or first.unit is not None:
-            self._refuse_from(start, "only a number without a unit multiplies, such as 2 * roll_deg")
+            self._raise_at(start, "only a number without a unit multiplies, such as 2 * roll_deg")
         begin = self._token.start
-        of = self._as_quantity(self._parse_product(), begin)
+        of = self._require_quantity(self._parse_product(), begin)
         return Sum(((first.value, of),), of.unit)
 
     def _parse_primary(self) -> Formula | Quantity:
@@ -271,12 +271,12 @@ class _Parser:
         if self._take("("):
             return self._parse_bracket()
         if token.kind == "event":
-            self._refuse('a formula or a quantity; an event stands first in after("EVENT", F) or second in until')
+            self._raise_here('a formula or a quantity; an event stands first in after("EVENT", F) or second in until')
         if token.kind != "name" or token.text in _CONNECTIVES:
-            self._refuse("a signal, a number, ( or one of " + ", ".join((*WORDS, "not")))
+            self._raise_here("a signal, a number, ( or one of " + ", ".join((*WORDS, "not")))
         self._token = self._read_token()
         if token.text in WORDS:
-            self._require("(")
+            self._require_token("(")
             return self._parse_call(token)
         if self._token.text == "(" and self._token.kind == "sign":
             raise InputError(
@@ -285,22 +285,22 @@ class _Parser:
         return Signal(token.text)
 
     def _parse_bracket(self) -> Formula | Quantity:
-        self._enter_level()
+        self._enter_nesting_level()
         of = self._parse_implication()
-        self._require(")", "and, or, implies, a comparison or ')'")
+        self._require_token(")", "and, or, implies, a comparison or ')'")
         self._depth -= 1
         return of
 
-    def _enter_level(self) -> None:
+    def _enter_nesting_level(self) -> None:
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            self._refuse(f"at most {MAX_DEPTH} parts inside each other")
+            self._raise_here(f"at most {MAX_DEPTH} parts inside each other")
 
     def _parse_number(self) -> Number:
         token = self._token
         value = float(token.text)
         if not isfinite(value):
-            self._refuse("a finite number")
+            self._raise_here("a finite number")
         match = _UNIT.match(self._text, self._end)
         if match is not None:
             self._end = match.end()
@@ -312,36 +312,36 @@ class _Parser:
         return Number(value, match["unit"] if match else None)
 
     def _parse_call(self, word: _Token) -> Formula | Quantity:
-        self._enter_level()
+        self._enter_nesting_level()
         if word.text == "abs":
             start = self._token.start
-            of: Formula | Quantity = Absolute(self._as_quantity(self._parse_sum(), start))
+            of: Formula | Quantity = Absolute(self._require_quantity(self._parse_sum(), start))
         elif word.text in ("always", "eventually"):
             of = Throughout(self._parse_operand(), once=word.text == "eventually")
         elif word.text in ("for", "within"):
             seconds = self._parse_seconds()
-            self._require(",")
+            self._require_token(",")
             of = Throughout(self._parse_operand(), word.text == "within", seconds)
         elif word.text == "after":
             of = self._parse_after()
         else:
             of = self._parse_until()
-        self._require(")", "')'")
+        self._require_token(")", "')'")
         self._depth -= 1
         return of
 
     def _parse_after(self) -> Formula:
         if self._token.kind != "event":
             seconds = self._parse_seconds('a time such as 2 s, or an event such as "gust ends"')
-            self._require(",")
+            self._require_token(",")
             return After(seconds, self._parse_operand())
         event = self._parse_event()
-        self._require(",")
+        self._require_token(",")
         return AfterEvent(event, self._parse_operand())
 
     def _parse_until(self) -> Formula:
         of = self._parse_operand()
-        self._require(",")
+        self._require_token(",")
         then = Happens(self._parse_event()) if self._token.kind == "event" else self._parse_operand()
         return Until(of, then, self._parse_seconds()) if self._take(",") else Until(of, then)
 
@@ -352,25 +352,25 @@ class _Parser:
 
     def _parse_seconds(self, allowed: str = "a time such as 2 s") -> float:
         if self._token.kind != "number":
-            self._refuse(allowed)
+            self._raise_here(allowed)
         start = self._token.start
         number = self._parse_number()
         if number.unit is None or UNITS[number.unit][0] != "s":
-            self._refuse_from(start, f"there must be {allowed}")
+            self._raise_at(start, f"there must be {allowed}")
         return number.value * UNITS[number.unit][1]
 
     def _parse_operand(self) -> Formula:
         start = self._token.start
-        return self._as_formula(self._parse_implication(), start)
+        return self._require_formula(self._parse_implication(), start)
 
-    def _as_formula(self, of: Formula | Quantity, start: int) -> Formula:
+    def _require_formula(self, of: Formula | Quantity, start: int) -> Formula:
         if isinstance(of, Quantity):
-            self._refuse_from(start, "is a quantity and not yet true or false; compare it, such as with < 30")
+            self._raise_at(start, "is a quantity and not yet true or false; compare it, such as with < 30")
         return of
 
-    def _as_quantity(self, of: Formula | Quantity, start: int) -> Quantity:
+    def _require_quantity(self, of: Formula | Quantity, start: int) -> Quantity:
         if isinstance(of, Formula):
-            self._refuse_from(start, "is true or false, and no quantity that could be compared or added")
+            self._raise_at(start, "is true or false, and no quantity that could be compared or added")
         return of
 
 

@@ -46,12 +46,12 @@ def note_first_row(scenario: Scenario) -> list[str]:
     return [
         f"require {each.name}: {each.formula} is judged in the first row alone; always({each.formula}) in all"
         for each in stated_requirements(scenario)
-        if _is_of_one_row(each.parsed.formula) and signals.intersection(map(in_si, each.names))
+        if _is_about_first_row_only(each.parsed.formula) and signals.intersection(map(in_si, each.names))
     ]
 
 
-def _is_of_one_row(formula: Formula) -> bool:
-    return isinstance(formula, (Comparison, Not, AllOrAny)) and all(map(_is_of_one_row, formula.parts))
+def _is_about_first_row_only(formula: Formula) -> bool:
+    return isinstance(formula, (Comparison, Not, AllOrAny)) and all(map(_is_about_first_row_only, formula.parts))
 
 
 def _check_formula(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:

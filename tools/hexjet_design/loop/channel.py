@@ -280,7 +280,7 @@ def _axis_channel(axis: str, scenario: Scenario, vehicle: Vehicle, engine: Engin
     thrusts, moment = is_turned_by_throttle(vehicle, index), axis_moment(vehicle, index, span)
     kick = bank_reaction(vehicle, index, moment, scenario.step_s)
     early = thrust_momentum_lead(vehicle, engine, index, scenario.step_s)
-    room = _throttle_room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
+    room = _throttle_headroom(vehicle, engine) if thrusts else _servo_headroom(vehicle.servo)
     return Channel(
         axis,
         "share" if thrusts else "rad",
@@ -314,7 +314,7 @@ def _by_effectiveness(
         others = (engines,)
         # A step of the command must not exceed what the hinge's servo can follow.
         follows = [
-            _servo_room(hinge) / abs(move)
+            _servo_headroom(hinge) / abs(move)
             for part in hinged
             for hinge, move in zip(part.servos, part.moves, strict=True)
             if move
@@ -376,12 +376,12 @@ def _sensor_parameters(sensors: Sensors) -> dict[str, float | int]:
     }
 
 
-def _throttle_room(vehicle: Vehicle, engine: EngineSpec) -> float:
+def _throttle_headroom(vehicle: Vehicle, engine: EngineSpec) -> float:
     limits, thrust_fraction = vehicle.control.allocation, hover_fraction(vehicle, engine)
     return min(thrust_fraction - limits.throttle_min, limits.throttle_max - thrust_fraction)
 
 
-def _servo_room(servo: Servo | Hinge | None) -> float:
+def _servo_headroom(servo: Servo | Hinge | None) -> float:
     """Return the largest step, rad, that neither range nor rate limit cuts: a lag sets out at step / lag."""
     if servo is None:
         return inf
@@ -405,7 +405,7 @@ def _altitude_channel(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, 
         0.0,
         scenario.step_s,
         scenario.substeps,
-        authority * _throttle_room(vehicle, engine),
+        authority * _throttle_headroom(vehicle, engine),
         rate_latency=gnss.latency_samples,
         rate_hold=gnss.period_samples,
         rate_noise=gnss.velocity_noise_m_s,

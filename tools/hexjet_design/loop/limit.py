@@ -39,7 +39,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
 from hexjet_design.loop.programme import MAX_PEAK_FACTOR, UNIFORM_DELAYS, Bounds, InvertedPlant, Programme, need_solver
 
-PRICE_STEP = 0.1  # fraction by which a bound is relaxed
+RELAXATION = 0.1  # fraction by which a bound is relaxed
 PRICE_WORDS = {  # words for relaxing each bound
     "peak_sensitivity": "more peak sensitivity",
     "noise": "more noise",
@@ -111,7 +111,7 @@ class AxisLimit:
         if not self.prices:
             return text
         parts = ", ".join(f"{PRICE_WORDS[name]} by {100.0 * price:.1f} %" for name, price in self.prices.items())
-        return f"{text}; that least falls with {100.0 * PRICE_STEP:.0f} % {parts}"
+        return f"{text}; that least falls with {100.0 * RELAXATION:.0f} % {parts}"
 
 
 def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> AxisLimit:
@@ -127,7 +127,7 @@ def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> A
 
 
 def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
-    """Return the relative drop of the smallest load error if one bound is relaxed by PRICE_STEP, by bound.
+    """Return the relative drop of the smallest load error if one bound is relaxed by RELAXATION, by bound.
 
     A bound that costs nothing was not in the way; a tolerance of the delay is relaxed where there is less of it.
     """
@@ -136,7 +136,7 @@ def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
     for name in PRICE_WORDS:
         value = getattr(bounds, name)
         if value:
-            relaxed = value * (1.0 - PRICE_STEP if name == "delay_error" else 1.0 + PRICE_STEP)
+            relaxed = value * (1.0 - RELAXATION if name == "delay_error" else 1.0 + RELAXATION)
             found = find_limit(channel, bounds._replace(**{name: relaxed}), limit.window_s)
             prices[name] = max(0.0, 1.0 - found.load_error / limit.load_error)
     return prices
@@ -153,14 +153,14 @@ def _delay_error(closed: ClosedLoop) -> float:
     theta, open_loop = closed.points.theta, closed.open_loop
     allowed, most = MAX_PEAK_FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
 
-    def peak_at(error: float) -> float:
+    def peak_at_delay_error(error: float) -> float:
         return float(np.abs(1.0 / (1.0 + open_loop * np.exp(-1j * theta * error))).max())
 
-    more = tolerated_error(peak_at, allowed, most)
-    return min(more, tolerated_error(lambda error: peak_at(-error), allowed, most))
+    more = tolerated_error(peak_at_delay_error, allowed, most)
+    return min(more, tolerated_error(lambda error: peak_at_delay_error(-error), allowed, most))
 
 
-def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, most: float) -> float:
+def tolerated_error(peak_at_delay_error: Callable[[float], float | None], allowed: float, most: float) -> float:
     """Return the largest error, in quarters and up to ``most``, up to which the peak is at most ``allowed``.
 
     ``peak_at`` gives the peak sensitivity with an error of the delay in samples; None where that is unstable.
@@ -168,7 +168,7 @@ def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, mo
     error = 0.0
     resolution = 0.25  # samples: resolution of the tolerance
     while error + resolution <= most:
-        peak = peak_at(error + resolution)
+        peak = peak_at_delay_error(error + resolution)
         if peak is None or peak > allowed:
             break
         error += resolution

@@ -90,7 +90,7 @@ def reduce_order(
         pairs = [(exp(natural) / delay, exp(damping)) for natural, damping in x.reshape(-1, 2)]
         return Target(lag_s, tuple(pairs), (0.0,) * (2 * len(pairs)))
 
-    def solve(target: Target, frequencies: int) -> LowOrder:
+    def solve_programme(target: Target, frequencies: int) -> LowOrder:
         basis, form = target.basis(step), ModelForm.of(model, target)
         inside = np.pad(basis, ((0, max(longest - len(basis), 0)), (0, 0)))[:longest]
         t, y = _LowOrderProgramme(plant, form, bounds, (inside, of_y), frequencies).solve()
@@ -103,7 +103,7 @@ def reduce_order(
 
     def cost(x: Array) -> float:
         try:
-            return solve(target_at(x), COARSE_POINTS).loop.load_error
+            return solve_programme(target_at(x), COARSE_POINTS).loop.load_error
         except InputError:
             # An infeasible choice of poles costs as much as a million delays of load error.
             return 1e6 * delay
@@ -113,4 +113,4 @@ def reduce_order(
     if rounds:
         simplex = np.vstack([x, x + size * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
-    return solve(target_at(x), frequencies)
+    return solve_programme(target_at(x), frequencies)

@@ -48,29 +48,29 @@ class Space:
         if space is None:
             raise InputError(f"controller {tuning.controller!r}: states no state space")
         self._predictor = space
-        self._allocate(
+        self._allocate_states(
             "sent", max(space.history_length, self._late + (1 if self._between else 0), 1)
         )  # newest command last
-        self._allocate("plant", len(self._plant.A))
+        self._allocate_states("plant", len(self._plant.A))
         if self._between:
-            self._allocate("loaded", 1)
+            self._allocate_states("loaded", 1)
         if channel.identified is None:
-            self._allocate("force", len(channel.rate_dynamics[0]) - 1)  # forces of previous steps
-            self._allocate("rate", 1)
-            self._allocate("gyro", max(1, channel.rate_latency + channel.rate_hold))
+            self._allocate_states("force", len(channel.rate_dynamics[0]) - 1)  # forces of previous steps
+            self._allocate_states("rate", 1)
+            self._allocate_states("gyro", max(1, channel.rate_latency + channel.rate_hold))
         else:
-            self._allocate("rate", 1)
-        self._allocate("angle", 1 + channel.angle_latency)
+            self._allocate_states("rate", 1)
+        self._allocate_states("angle", 1 + channel.angle_latency)
         if tuning.gains.i:
-            self._allocate("integral", 1)
-        self._allocate("slope", 1)
-        self._allocate("before", 1)
+            self._allocate_states("integral", 1)
+        self._allocate_states("slope", 1)
+        self._allocate_states("before", 1)
         lead = tuning.lead and lead_polynomials(tuning.lead, channel.step)
         self._lead = (np.array(lead[0]), np.array(lead[1])) if lead else None
         if self._lead:
-            self._allocate("lead", len(self._lead[1]) - 1)
+            self._allocate_states("lead", len(self._lead[1]) - 1)
         for name, size in space.states.items():
-            self._allocate(name, size)
+            self._allocate_states(name, size)
         rows = np.eye(self._size + 2)
         self._x = {name: rows[where] for name, where in self._slots.items()}
         self._r, self._w = rows[self._size + SETPOINT], rows[self._size + LOAD]
@@ -80,17 +80,17 @@ class Space:
         self.A, self.B = self._next[:, :n], self._next[:, n:]
         self.angle: Array = self._x["angle"][0][:n]
 
-    def _allocate(self, name: str, n: int) -> None:
+    def _allocate_states(self, name: str, n: int) -> None:
         self._slots[name] = slice(self._size, self._size + n)
         self._size += n
 
-    def _store(self, name: str, rows: Array) -> None:
+    def _store_next_states(self, name: str, rows: Array) -> None:
         self._next[self._slots[name]] = rows
 
     def _shift(self, name: str, newest: Array) -> None:
         """Put the newest value at the front of a delay line and drop the oldest."""
         line = self._x[name]
-        self._store(name, np.vstack([newest[None, :], line[:-1]]))
+        self._store_next_states(name, np.vstack([newest[None, :], line[:-1]]))
 
     def _earlier_command(self, command: Array, samples: int) -> Array:
         """Return the command of ``samples`` steps before."""
@@ -103,7 +103,7 @@ class Space:
         if channel.identified is None:
             line = x["gyro"][channel.rate_latency :]
             measured = line.sum(axis=0) / channel.rate_hold
-        predicted = self._predictor.predicted(measured, x, self._store)
+        predicted = self._predictor.predicted(measured, x, self._store_next_states)
         error = self.tuning.angle_gain * (self._r - x["angle"][channel.angle_latency]) - predicted
         weight = T / (gains.d_filter_s + T)
         slope = x["slope"][0] + weight * ((predicted - x["before"][0]) / T - x["slope"][0])
@@ -111,13 +111,13 @@ class Space:
         if gains.i:
             integral = x["integral"][0] + gains.i * T * error
             command = command + integral
-            self._store("integral", integral)
+            self._store_next_states("integral", integral)
         if self._lead:
             command = self._apply_lead(command)
-        self._store("slope", slope)
-        self._store("before", predicted)
+        self._store_next_states("slope", slope)
+        self._store_next_states("before", predicted)
         self._advance_plant(command)
-        self._predictor.apply_command(command, x, self._store)
+        self._predictor.apply_command(command, x, self._store_next_states)
         self._shift("sent", command)
         return np.asarray(command)
 
@@ -126,7 +126,7 @@ class Space:
         numerator, denominator = self._lead
         A, B, C = companion(numerator[1:] - numerator[0] * denominator[1:], denominator)
         state = self._x["lead"]
-        self._store("lead", A @ state + np.outer(B, command))
+        self._store_next_states("lead", A @ state + np.outer(B, command))
         return np.asarray(C @ state + numerator[0] * command)
 
     def _advance_plant(self, command: Array) -> None:
@@ -136,9 +136,9 @@ class Space:
         entering = acting[None, :]
         if self._between:
             entering = np.vstack([acting, self._earlier_command(command, self._late + 1) + x["loaded"][0]])
-            self._store("loaded", self._w)
+            self._store_next_states("loaded", self._w)
         state = plant.A @ x["plant"] + plant.B @ entering
-        self._store("plant", state)
+        self._store_next_states("plant", state)
         force, before = plant.C @ state, x["rate"][0]
         if channel.identified is None:
             (now, *late), pole = channel.rate_dynamics
@@ -151,7 +151,7 @@ class Space:
             self._shift("gyro", c * x["gyro"][0] + (1.0 - c) * rate)
         else:
             rate = force
-        self._store("rate", rate)
+        self._store_next_states("rate", rate)
         self._shift("angle", x["angle"][0] + 0.5 * T * (before + rate))
 
     def steps(self, samples: int) -> Steps:

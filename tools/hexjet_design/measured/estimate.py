@@ -74,9 +74,9 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
         return vars(loop_margins(*refine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
 
     estimates = compute_margins(sensitivity)
-    without = [compute_margins(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
+    values_without_part = [compute_margins(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
     bounded = {
-        name: _jackknife(value, [margins[name] for margins in without])
+        name: _bound_by_jackknife(value, [margins[name] for margins in values_without_part])
         for name, value in estimates.items()
         if value is not None
     }
@@ -93,13 +93,13 @@ def refine(loop: Complex, hertz: Array, tiny: float = 1e-12) -> tuple[Complex, A
     return np.exp(size + 1j * phase), np.exp(fine)
 
 
-def _jackknife(value: float, without: list[float | None]) -> Bounded:
+def _bound_by_jackknife(value: float, values_without_part: list[float | None]) -> Bounded:
     from scipy.special import stdtrit
 
-    if any(value is None for value in without):
+    if any(value is None for value in values_without_part):
         return Bounded(value, nan, nan)
-    count = len(without)
-    each = np.array(without, np.float64)
+    count = len(values_without_part)
+    each = np.array(values_without_part, np.float64)
     half = float(stdtrit(count - 1, 0.975)) * sqrt((count - 1) / count * float(np.sum((each - each.mean()) ** 2)))
     return Bounded(value, value - half, value + half)
 

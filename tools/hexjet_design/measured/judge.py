@@ -96,7 +96,7 @@ class LoopJudge:
         plants = self._load_plants()
         if isinstance(plants, str):
             return {}
-        scenario = self._with_controller(controller_of(values) or BASELINE.name)
+        scenario = self._replace_controller(controller_of(values) or BASELINE.name)
         family = plants.spec.family
         vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
         models = dict(plants.spec.models_in(vehicle.identified))
@@ -109,7 +109,7 @@ class LoopJudge:
         linear = [axis for axis in axes if PREDICTORS[tunings[axis].controller].response is not None]
         return {axis: self._judge_loop(plants, axis, tunings[axis]) for axis in linear}
 
-    def _with_controller(self, controller: str) -> Scenario:
+    def _replace_controller(self, controller: str) -> Scenario:
         return self._scenario.replace(controller=controller, controller_parameters={})
 
     def _load_plants(self) -> Plants | str:
@@ -117,7 +117,7 @@ class LoopJudge:
         from hexjet_design.measured.computed import make_plants
 
         if self._plants is None:
-            scenario = self._scenario if self._built_in else self._with_controller(BASELINE.name)
+            scenario = self._scenario if self._built_in else self._replace_controller(BASELINE.name)
             source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters
             unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
             spec = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, isolated=apart)

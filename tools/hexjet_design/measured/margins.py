@@ -211,7 +211,7 @@ class _MarginRequest:
             sine, size, response = self._measure_loop(period, NYQUIST_CYCLES / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
         half = fly_excitation(self.scenario, self.axis, sine, 0.5 * size, MIN_PERIODS, self.source)
-        other = self._estimate(half, sine)
+        other = self._estimate_response(half, sine)
         crossing = response.margins.get("crossover_hz")
         known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
         return AxisMargins(
@@ -231,9 +231,9 @@ class _MarginRequest:
         low = 2.0 / period_s if self.from_hz is None else self.from_hz
         sine = multisine(count * step, step, low, to_hz)
         size, record = self._fly_within_range(sine, size)
-        return sine, size, self._estimate(record, sine)
+        return sine, size, self._estimate_response(record, sine)
 
-    def _estimate(self, record: Record, sine: Multisine) -> Response:
+    def _estimate_response(self, record: Record, sine: Multisine) -> Response:
         return measured(record.sensitivity(), sine.hertz, sine.step, self.transport_s)
 
     def _fly_within_range(self, sine: Multisine, size: float) -> tuple[float, Record]:

@@ -275,14 +275,14 @@ def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
             return f"{axis} swings by {angle[half:].max():.1f} deg, {wider * BOUNDS.still_deg:g} at most"
         if name == GUST and angle.max() > wider * BOUNDS.gust_deg:
             return f"{axis} goes {angle.max():.0f} deg off, {wider * BOUNDS.gust_deg:g} at most"
-    if name.startswith(DOUBLET) and (fault := _doublet_fault(run, promised, wider)):
+    if name.startswith(DOUBLET) and (fault := _describe_doublet_fault(run, promised, wider)):
         return fault
     if height > wider * BOUNDS.height_m:
         return f"{height:.1f} m off its height, {wider * BOUNDS.height_m:g} at most"
     return ""
 
 
-def _doublet_fault(run: Run, promised: float, wider: float) -> str:
+def _describe_doublet_fault(run: Run, promised: float, wider: float) -> str:
     roll = run.metrics["roll"]
     overshoot, most = (roll.overshoot_percent or 0.0) / 100.0, wider * (promised + OVERSHOOT_ROOM)
     if overshoot > most:

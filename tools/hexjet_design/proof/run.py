@@ -73,7 +73,7 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
             )
             return replace(proof, reason=why)
         say("the engine past the crossover")
-        proof = _check_measured(design, dynamics)
+        proof = _check_loops_with_engine(design, dynamics)
         if proof.reason:
             return proof
     flights = fly_all(design, say)
@@ -95,7 +95,7 @@ def _oscillates_by_noise(flight: ProofFlight) -> bool:
     return flight.is_as_designed and flight.scenario == HOVER and "swings" in flight.fault
 
 
-def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
+def _check_loops_with_engine(design: Design, dynamics: Dynamics) -> Proof:
     step = design.scenario.step_s
     loops = {
         axis: (axis_design.channel, axis_design.after.tuning)

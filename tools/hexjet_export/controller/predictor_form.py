@@ -55,7 +55,7 @@ def _make_smith_form(predictor: SmithPredictor) -> Form:
     then = predictor.then
     line, late = (then.samples, None) if isinstance(then, DelayLine) else (then.line.samples, then.model)
     values, states = _list_model_coefficients(now=predictor.now, then=late)
-    return _assemble_form("early-late", "Smith's predictor", values, [*states, *_make_line_state(line)], line)
+    return _assemble_form("early-late", "Smith's predictor", values, [*states, *_make_delay_line_state(line)], line)
 
 
 def _make_filtered_smith_form(predictor: FilteredSmithPredictor) -> Form:
@@ -63,7 +63,7 @@ def _make_filtered_smith_form(predictor: FilteredSmithPredictor) -> Form:
     values, states = _list_model_coefficients(now=predictor.now, then=then.model, rest=predictor.rest)
     title, line = "Smith's predictor with a robustness filter", then.line.samples
     values |= {"through": predictor.through}
-    return _assemble_form("early-late-filtered", title, values, [*states, *before, *_make_line_state(line)], line)
+    return _assemble_form("early-late-filtered", title, values, [*states, *before, *_make_delay_line_state(line)], line)
 
 
 def _list_model_coefficients(**models: DiscreteModel | None) -> tuple[dict[str, Any], States]:
@@ -74,7 +74,7 @@ def _list_model_coefficients(**models: DiscreteModel | None) -> tuple[dict[str, 
     return values, [(name, len(model.a)) for name, model in there.items()]
 
 
-def _make_line_state(samples: int) -> States:
+def _make_delay_line_state(samples: int) -> States:
     return [("line", samples)] if samples else []
 
 

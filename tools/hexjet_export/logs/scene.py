@@ -97,7 +97,7 @@ class Scene:
             _set_pose(frame.translation, frame.rotation, at, turned)
 
         add_frame("world", "ned", (0.0, 0.0, 0.0), _NED_IN_WORLD)
-        add_frame("ned", "body", _position(block, row), q[row])
+        add_frame("ned", "body", _ned_point(block, row), q[row])
         if self._layout is not None:
             angles = [float(block[name][row]) for name in self._angles]
             axes, positions = self._layout.axes(angles), self._layout.positions(angles)
@@ -106,7 +106,7 @@ class Scene:
         return frames
 
     def _pose_message(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
-        pose = PoseInFrame(frame_id="ned", pose=_make_pose(_position(block, row), q[row]))
+        pose = PoseInFrame(frame_id="ned", pose=_make_pose(_ned_point(block, row), q[row]))
         pose.timestamp.FromNanoseconds(time)
         return pose
 
@@ -133,7 +133,7 @@ class Scene:
         entity.frame_locked = False
         entity.metadata.add(key="speed_m_s", value=repr(hypot(*wind)))
         # An arrow of 1 m stands for 5 m/s.
-        _add_arrow(entity, _position(block, row), direction_quaternion(*wind), 0.2 * hypot(*wind), 0.04 * size, _WIND)
+        _add_arrow(entity, _ned_point(block, row), direction_quaternion(*wind), 0.2 * hypot(*wind), 0.04 * size, _WIND)
         return update
 
 
@@ -194,7 +194,7 @@ def _rotate_thrust_to(axis: Vector3) -> Quaternion:
     return (w, 0.5 * y / w, -0.5 * x / w, 0.0)
 
 
-def _position(block: Block, row: int) -> tuple[float, ...]:
+def _ned_point(block: Block, row: int) -> tuple[float, ...]:
     return tuple(float(block[f"{axis}_m"][row]) for axis in ("north", "east", "down"))
 
 

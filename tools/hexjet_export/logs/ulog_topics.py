@@ -91,10 +91,10 @@ def _estimated_position() -> list[Field]:
     measured.
     """
 
-    def validity_field(name: str) -> Field:
+    def make_validity_field(name: str) -> Field:
         return Field("bool", name, 0, lambda block: np.nan_to_num(block[f"autopilot_{name}"]))
 
-    def estimate(name: str, column: str, factor: float = 1.0) -> Field:
+    def make_estimate_field(name: str, column: str, factor: float = 1.0) -> Field:
         def values(block: Block) -> Array:
             estimates = block[f"autopilot_{name}"]
             return np.where(np.isnan(estimates), factor * block[column], estimates)
@@ -103,12 +103,12 @@ def _estimated_position() -> list[Field]:
 
     return [
         _sample_time(),
-        *(validity_field(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        *(make_validity_field(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
         *(column("float", name, f"autopilot_{name}") for name in ("x", "y")),
-        estimate("z", "altitude_measured_m", -1.0),
+        make_estimate_field("z", "altitude_measured_m", -1.0),
         *(column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),
-        estimate("vz", "velocity_down_measured_m_s"),
-        estimate("heading", "yaw_measured_rad"),
+        make_estimate_field("vz", "velocity_down_measured_m_s"),
+        make_estimate_field("heading", "yaw_measured_rad"),
         *(column("float", name, f"autopilot_{name}") for name in ("eph", "epv", "evh", "evv")),
         Field("bool", "dead_reckoning", 0, lambda block: block["autopilot_xy_valid"] == 0.0),
     ]

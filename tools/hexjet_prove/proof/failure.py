@@ -56,12 +56,12 @@ def search_failures(
         within = LIKELY_REGION if name == LIKELY else DEFAULT_WORST_REGION
         plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
         place = folder / name
-        saved = run_worst(searched, plan, place, workers, True, _report_count(say, name))
+        saved = run_worst(searched, plan, place, workers, True, _make_count_reporter(say, name))
         parts[name] = _make_part(saved, f"{folder.name}/{name}")
     return parts
 
 
-def _report_count(say: Callable[[str], None], name: str) -> Progress:
+def _make_count_reporter(say: Callable[[str], None], name: str) -> Progress:
     return lambda tally, done, of: say(f"{name}: {done}")
 
 
@@ -107,7 +107,7 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
     """
     asked = study.changed(until=None, runs=flights)
     plan = Plan(Budget(MIN_PROBABILITY, flights))
-    saved = run_rare(asked, plan, folder, workers, True, _report_count(say, "rare"))
+    saved = run_rare(asked, plan, folder, workers, True, _make_count_reporter(say, "rare"))
     told = saved.to_json()
     cases = [
         {

@@ -124,7 +124,7 @@ class _States:
         return self.points, self.seeds, self.margins, self.shares, self.numbers
 
     @staticmethod
-    def join(parts: list[_States]) -> _States:
+    def join_states(parts: list[_States]) -> _States:
         return _States(*map(np.concatenate, zip(*(part._columns() for part in parts), strict=True)))
 
 

@@ -60,7 +60,7 @@ def resolve_search(
         raise InputError(
             "vary engine: an engine's [uncertainty] is drawn with seeds N, or by hexjet sweep; a search needs KEY=LO:HI"
         )
-    over_entries = _parse_over(over)
+    over_entries = _parse_second_key(over)
     keys = [entry.key for entry in (*varied, *over_entries)]
     repeated = first_repeated(keys)
     if repeated is not None:
@@ -101,7 +101,7 @@ def point_seeds(study: Study, first: int | None, count: int) -> tuple[int, ...]:
     return tuple(range(first, first + count))
 
 
-def _parse_over(text: str | None) -> list[Vary]:
+def _parse_second_key(text: str | None) -> list[Vary]:
     if text is None:
         return []
     second = parse_vary(text)

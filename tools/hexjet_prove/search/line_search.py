@@ -56,10 +56,10 @@ def scan_outward(positions: Sequence[float], between: Between, at_once: int | No
     """
     evaluated: dict[float, bool] = {}
     rest = list(positions)
-    while rest and (at_once is None or _first_change(evaluated) is None):
+    while rest and (at_once is None or _find_first_change(evaluated) is None):
         batch, rest = rest[:at_once], rest[at_once:] if at_once else []
         evaluated.update(zip(batch, (yield batch), strict=True))
-    change = _first_change(evaluated)
+    change = _find_first_change(evaluated)
     while change is not None and (middle := between(*change)) is not None:
         (evaluated[middle],) = yield [middle]
         change = (middle, change[1]) if evaluated[middle] == evaluated[positions[0]] else (change[0], middle)
@@ -67,7 +67,7 @@ def scan_outward(positions: Sequence[float], between: Between, at_once: int | No
     return Scan(ordered, tuple(evaluated[position] for position in ordered), change)
 
 
-def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None:
+def _find_first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None:
     ordered = sorted(evaluated)
     for near, far in pairwise(ordered):
         if evaluated[near] != evaluated[far]:

@@ -228,11 +228,11 @@ def _make_edge(plan: Plan, prober: Prober, line: _LineSearch, scan: Scan) -> Edg
     near, far = scan.change or (None, None)
     broken, holds = (0.0, far) if scan.start_breaks else (far, near)
 
-    def at(position: float | None) -> Value | None:
+    def value_at_position(position: float | None) -> Value | None:
         return None if position is None else span.value_at(side * position)
 
     flown = prober.result(line.point(plan, scan.positions[-1] if broken is None else broken))
-    value = at(broken)
+    value = value_at_position(broken)
     return Edge(
         controller=line.controller,
         key=span.key.path,
@@ -241,7 +241,7 @@ def _make_edge(plan: Plan, prober: Prober, line: _LineSearch, scan: Scan) -> Edg
         level=plan.over.levels[line.level] if plan.over else None,
         start=span.value_at(0.0),
         start_breaks=scan.start_breaks,
-        holds=at(holds),
+        holds=value_at_position(holds),
         breaks=value,
         end=span.end_value(side),
         deviation=None if value is None else span.deviation(float(value)),

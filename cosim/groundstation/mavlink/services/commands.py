@@ -63,11 +63,11 @@ def plan_command(command: MavCommand, context: Context) -> Plan:
         return Plan(result=CommandResult.UNSUPPORTED_FRAME)
 
 
-def _plan(*requests: rq.Request) -> Plan:
+def _to_plan(*requests: rq.Request) -> Plan:
     return Plan(requests)
 
 
-def _refuse(text: str, result: CommandResult = CommandResult.DENIED) -> Plan:
+def _refusal(text: str, result: CommandResult = CommandResult.DENIED) -> Plan:
     return Plan(result=result, text=text)
 
 
@@ -76,77 +76,77 @@ def _to_integer(value: float | None) -> int:
     return int(value) if value is not None and value == int(value) and abs(value) < 2**31 else -1
 
 
-def _arm(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
+def _plan_arming(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
     arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
-        return _plan(rq.Arm(force))
+        return _to_plan(rq.Arm(force))
     if arm == 0.0:
-        return _plan(rq.Disarm(force))
-    return _refuse("arm: parameter 1 must be 0 or 1")
+        return _to_plan(rq.Disarm(force))
+    return _refusal("arm: parameter 1 must be 0 or 1")
 
 
 def _take_off(command: MavCommand, context: Context) -> Plan:
     """Plan a take-off to parameter 7 [m] above sea (PX4), or above home (ArduPilot or relative frames)."""
     altitude = command.params[6]
     if altitude is None:
-        return _plan(rq.Takeoff())
+        return _to_plan(rq.Takeoff())
     if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
-        return _plan(rq.Takeoff(altitude))
+        return _to_plan(rq.Takeoff(altitude))
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
-        return _refuse("", CommandResult.UNSUPPORTED_FRAME)
+        return _refusal("", CommandResult.UNSUPPORTED_FRAME)
     state = context.state
     if altitude < state.altitude_above_sea + 1.0:
         here = f"the vehicle is at {state.altitude_above_sea:.0f} m"
-        return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _plan(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
+        return _refusal(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
+    return _to_plan(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
 
 
-def _land(command: MavCommand, context: Context) -> Plan:
+def _plan_landing(command: MavCommand, context: Context) -> Plan:
     if command.position is not None:
         north, east = _to_local(command.position, context)
         here = context.state.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
-            return _refuse("land refused: it lands where it is; fly to the place first")
-    return _plan(rq.Land())
+            return _refusal("land refused: it lands where it is; fly to the place first")
+    return _to_plan(rq.Land())
 
 
-def _set_mode(command: MavCommand, context: Context) -> Plan:
+def _plan_mode(command: MavCommand, context: Context) -> Plan:
     base, main, sub = (_to_integer(value) for value in command.params[:3])
     if base < 0 or not base & CUSTOM:
-        return _refuse("mode: only custom modes are known here", CommandResult.UNSUPPORTED)
+        return _refusal("mode: only custom modes are known here", CommandResult.UNSUPPORTED)
     if context.vehicle.personality == "ardupilot":
         return _plan_mode_change(from_custom(main, "ardupilot"), f"{main}")
     name = REFUSED_PX4.get((main, sub), "")
     return _plan_mode_change(from_main_sub(main, sub), f"{main}, {sub}{f', {name},' if name else ''}")
 
 
-def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
+def _plan_standard_mode(command: MavCommand, context: Context) -> Plan:
     number = _to_integer(command.params[0])
     return _plan_mode_change(FROM_STANDARD.get(number), f"{number}")
 
 
 def _plan_mode_change(mode: Mode | None, number: str) -> Plan:
     if mode is None:
-        return _refuse(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
-    return _plan(rq.SetMode(mode.value))
+        return _refusal(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
+    return _to_plan(rq.SetMode(mode.value))
 
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
     """Plan a flight to a position, height and yaw [rad]; if all are missing, a pause."""
     speed, yaw = command.params[0], command.params[3]
     if command.position is None and command.params[6] is None and yaw is None:
-        return _plan(rq.Hold())
+        return _to_plan(rq.Hold())
     heading = None if yaw is None else remainder(yaw, tau)
-    return _plan(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
+    return _to_plan(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
 
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
     """Plan DO_ORBIT: a negative radius turns left; parameter 4 is the angle to fly [rad], 0 endless."""
     radius, speed, yaw, angle = command.params[:4]
     if radius is None:
-        return _refuse("orbit: parameter 1, the radius, is missing")
+        return _refusal("orbit: parameter 1, the radius, is missing")
     target = _target(command, context)
-    return _plan(
+    return _to_plan(
         rq.Orbit(
             abs(radius),
             radius > 0.0,
@@ -165,52 +165,52 @@ def _turn(command: MavCommand, context: Context) -> Plan:
     """Plan CONDITION_YAW: turn to a heading [deg], relative in direction of parameter 3 if parameter 4 is 1."""
     angle = command.params[0]
     if angle is None:
-        return _refuse("yaw: parameter 1 is missing")
+        return _refusal("yaw: parameter 1 is missing")
     heading = radians(angle)
     if command.params[3] == 1.0:
         sense = -1.0 if command.params[2] is not None and command.params[2] < 0.0 else 1.0
         heading = context.state.euler[2] + sense * heading
-    return _plan(rq.Goto(yaw=remainder(heading, tau)))
+    return _to_plan(rq.Goto(yaw=remainder(heading, tau)))
 
 
-def _change_speed(command: MavCommand, context: Context) -> Plan:
+def _plan_speed_change(command: MavCommand, context: Context) -> Plan:
     kind, speed = command.params[0], command.params[1]
     if kind not in (None, 0.0, 1.0):
-        return _refuse("speed: only that over the ground can be set")
+        return _refusal("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
-        return _refuse("speed: parameter 2 must be m/s")
-    return _plan(rq.SetSpeed(speed))
+        return _refusal("speed: parameter 2 must be m/s")
+    return _to_plan(rq.SetSpeed(speed))
 
 
-def _set_home(command: MavCommand, context: Context) -> Plan:
+def _plan_home_change(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 1.0:
-        return _plan(rq.SetHome())
+        return _to_plan(rq.SetHome())
     if command.position is None:
-        return _refuse("home: latitude and longitude are missing")
-    return _plan(rq.SetHome(*_target(command, context)))
+        return _refusal("home: latitude and longitude are missing")
+    return _to_plan(rq.SetHome(*_target(command, context)))
 
 
-def _terminate_flight(command: MavCommand, context: Context) -> Plan:
+def _plan_flight_termination(command: MavCommand, context: Context) -> Plan:
     if command.params[0] is None or command.params[0] < 0.5:
-        return _refuse("terminate: parameter 1 must be 1; there is no way back")
-    return _plan(rq.Kill(True))
+        return _refusal("terminate: parameter 1 must be 1; there is no way back")
+    return _to_plan(rq.Kill(True))
 
 
 def _start_mission(command: MavCommand, context: Context) -> Plan:
     """Plan a mission start at the item of parameter 1, or at the present item if that is 0."""
     first = _to_integer(command.params[0])
-    return _plan(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _plan(rq.MissionStart())
+    return _to_plan(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _to_plan(rq.MissionStart())
 
 
-def _set_mission_item(command: MavCommand, context: Context) -> Plan:
+def _plan_mission_item_change(command: MavCommand, context: Context) -> Plan:
     item = _to_integer(command.params[0])
-    return _refuse("mission: parameter 1 must be an item") if item < 0 else _plan(rq.MissionSetCurrent(item))
+    return _refusal("mission: parameter 1 must be an item") if item < 0 else _to_plan(rq.MissionSetCurrent(item))
 
 
-def _pause_or_continue(command: MavCommand, context: Context) -> Plan:
+def _plan_pause_or_continuation(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 0.0:
-        return _plan(rq.Hold())
-    return _plan(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+        return _to_plan(rq.Hold())
+    return _to_plan(rq.MissionStart()) if command.params[0] == 1.0 else _refusal("pause: parameter 1 must be 0 or 1")
 
 
 def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
@@ -247,15 +247,15 @@ def _to_height(command: MavCommand, value: float, context: Context) -> float:
     return value - context.vehicle.geodesy.ground
 
 
-def _inject_failure(command: MavCommand, context: Context) -> Plan:
+def _plan_failure_injection(command: MavCommand, context: Context) -> Plan:
     unit, kind = _to_integer(command.params[0]), _to_integer(command.params[1])
     which = 0 if command.params[2] is None else _to_integer(command.params[2])
     if kind == _OK:
-        return _plan(rq.ClearFaults())  # MAVLink cannot name a single fault
+        return _to_plan(rq.ClearFaults())  # MAVLink cannot name a single fault
     faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
-            return _refuse(f"failure: engine {which}; there are 1 to {context.vehicle.jets}, and 0 for all")
+            return _refusal(f"failure: engine {which}; there are 1 to {context.vehicle.jets}, and 0 for all")
         if fault := _ENGINE_FAULTS.get(kind):
             jets = (which,) if which else tuple(range(1, context.vehicle.jets + 1))
             faults = (rq.InjectFault(fault[0], jets, amount=fault[1]),)
@@ -263,12 +263,12 @@ def _inject_failure(command: MavCommand, context: Context) -> Plan:
         servos = context.vehicle.servos
         if not 0 <= which <= len(servos):
             if servos == ("left", "right"):
-                return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
-            return _refuse(f"failure: servo {which}; there are 1 to {len(servos)}, and 0 for all")
+                return _refusal(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
+            return _refusal(f"failure: servo {which}; there are 1 to {len(servos)}, and 0 for all")
         faults = tuple(rq.InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
     elif unit in _SENSORS:
         faults = _make_sensor_faults(kind, _SENSORS[unit])
-    return Plan(faults) if faults else _refuse("failure: not one that can be made here", CommandResult.UNSUPPORTED)
+    return Plan(faults) if faults else _refusal("failure: not one that can be made here", CommandResult.UNSUPPORTED)
 
 
 def _make_sensor_faults(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
@@ -292,7 +292,7 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
         messages = BY_ID[number].make_messages(context.state)
         if not messages:
             # The value is not known yet; the client asks again after a temporary rejection.
-            return _refuse("", CommandResult.TEMPORARILY_REJECTED)
+            return _refusal("", CommandResult.TEMPORARILY_REJECTED)
     if messages is None:
         return Plan(result=CommandResult.UNSUPPORTED)
     return Plan(messages=tuple(messages))
@@ -303,7 +303,7 @@ def _report_modes(command: MavCommand, context: Context) -> Plan:
     if index == 0:
         return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(MODES) + 1)))
     if not 1 <= index <= len(MODES):
-        return _refuse(f"mode {index}: there are 1 to {len(MODES)}")
+        return _refusal(f"mode {index}: there are 1 to {len(MODES)}")
     return Plan(messages=(mode_line(context.vehicle, index),))
 
 
@@ -316,7 +316,7 @@ def _make_request_handler(name: str) -> Handler:
 def _get_interval(command: MavCommand, context: Context) -> Plan:
     number = _to_integer(command.params[0])
     if not 0 <= number <= 0xFFFF:
-        return _refuse("interval: parameter 1 must be a message", CommandResult.UNSUPPORTED)
+        return _refusal("interval: parameter 1 must be a message", CommandResult.UNSUPPORTED)
     if number not in BY_ID:
         return Plan(result=CommandResult.UNSUPPORTED, messages=(mav.MAVLink_message_interval_message(number, 0),))
     every = stream_interval(context.peer, number)
@@ -344,7 +344,7 @@ def _set_interval(command: MavCommand, context: Context) -> Plan:
     if number not in BY_ID:
         return Plan(result=CommandResult.UNSUPPORTED)
     if micro is None or (micro < 0.0 and micro != -1.0) or micro > 3600e6:
-        return _refuse("interval: parameter 2 must be microseconds, at most an hour")
+        return _refusal("interval: parameter 2 must be microseconds, at most an hour")
     if micro == 0.0:
         context.peer.intervals.pop(number, None)
     else:
@@ -355,7 +355,7 @@ def _set_interval(command: MavCommand, context: Context) -> Plan:
 def _report_prearm_checks(command: MavCommand, context: Context) -> Plan:
     status = context.state.status
     if status.armed:
-        return _refuse("pre-arm checks: already armed", CommandResult.TEMPORARILY_REJECTED)
+        return _refusal("pre-arm checks: already armed", CommandResult.TEMPORARILY_REJECTED)
     text = f"not ready: {'; '.join(status.refusals)}" if status.refusals else "ready to arm"
     return Plan(text=text)
 
@@ -366,31 +366,31 @@ def _reboot(command: MavCommand, context: Context) -> Plan:
     if not 1 <= number <= len(context.shutdown_requests):
         return Plan(result=CommandResult.UNSUPPORTED)
     if context.state.status.armed:
-        return _refuse("reboot refused: armed")
-    return _plan(context.shutdown_requests[number - 1])
+        return _refusal("reboot refused: armed")
+    return _to_plan(context.shutdown_requests[number - 1])
 
 
 _HANDLERS: dict[int, Handler] = {  # by MAV_CMD
-    17: lambda command, context: _plan(rq.Hold()),  # NAV_LOITER_UNLIM
-    20: lambda command, context: _plan(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
-    21: _land,  # NAV_LAND
+    17: lambda command, context: _to_plan(rq.Hold()),  # NAV_LOITER_UNLIM
+    20: lambda command, context: _to_plan(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
+    21: _plan_landing,  # NAV_LAND
     22: _take_off,  # NAV_TAKEOFF
     115: _turn,  # CONDITION_YAW
-    176: _set_mode,  # DO_SET_MODE
-    178: _change_speed,  # DO_CHANGE_SPEED
-    179: _set_home,  # DO_SET_HOME
-    185: _terminate_flight,  # DO_FLIGHTTERMINATION
+    176: _plan_mode,  # DO_SET_MODE
+    178: _plan_speed_change,  # DO_CHANGE_SPEED
+    179: _plan_home_change,  # DO_SET_HOME
+    185: _plan_flight_termination,  # DO_FLIGHTTERMINATION
     34: _orbit,  # DO_ORBIT
     192: _reposition,  # DO_REPOSITION
-    193: _pause_or_continue,  # DO_PAUSE_CONTINUE
-    224: _set_mission_item,  # DO_SET_MISSION_CURRENT
+    193: _plan_pause_or_continuation,  # DO_PAUSE_CONTINUE
+    224: _plan_mission_item_change,  # DO_SET_MISSION_CURRENT
     246: _reboot,  # PREFLIGHT_REBOOT_SHUTDOWN
-    262: _set_standard_mode,  # DO_SET_STANDARD_MODE
+    262: _plan_standard_mode,  # DO_SET_STANDARD_MODE
     300: _start_mission,  # MISSION_START
-    400: _arm,  # COMPONENT_ARM_DISARM
+    400: _plan_arming,  # COMPONENT_ARM_DISARM
     401: _report_prearm_checks,  # RUN_PREARM_CHECKS
     410: _make_request_handler("HOME_POSITION"),  # GET_HOME_POSITION
-    420: _inject_failure,  # INJECT_FAILURE
+    420: _plan_failure_injection,  # INJECT_FAILURE
     510: _get_interval,  # GET_MESSAGE_INTERVAL
     511: _set_interval,  # SET_MESSAGE_INTERVAL
     512: _request_message,  # REQUEST_MESSAGE

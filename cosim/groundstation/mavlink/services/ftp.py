@@ -101,7 +101,7 @@ class FileService(Service):
         request = _parse_request(message.payload)
         if request is None:
             return []
-        answer = self._execute(request, self._get_state(client))
+        answer = self._answer_request(request, self._get_state(client))
         return [] if answer is None else [_make_message(client, answer)]
 
     def poll(self, now: float) -> Outgoing:
@@ -133,22 +133,22 @@ class FileService(Service):
         self._clients.move_to_end(client)
         return self._clients[client]
 
-    def _execute(self, request: _Request, state: _ClientState) -> bytes | None:
+    def _answer_request(self, request: _Request, state: _ClientState) -> bytes | None:
         code = request.opcode
         if code == NONE:
-            return _ack(request)
+            return _make_ack(request)
         if code == TERMINATE:
             return self._close_file(request, state)
         if code == RESET:
             state.open.clear()
             state.burst = None
-            return _ack(request)
+            return _make_ack(request)
         if code in _WRITE_OPCODES:
-            return _nak(request, PROTECTED)
+            return _make_nak(request, PROTECTED)
         if code not in (LIST, OPEN, CRC, READ, BURST):
-            return _nak(request, UNKNOWN)
+            return _make_nak(request, UNKNOWN)
         if request.size > MAX_DATA_BYTES:
-            return _nak(request, BAD_SIZE)
+            return _make_nak(request, BAD_SIZE)
         return self._read_file(request, state) if code in (READ, BURST) else self._serve_path(request, state)
 
     def _serve_path(self, request: _Request, state: _ClientState) -> bytes:
@@ -158,48 +158,48 @@ class FileService(Service):
             return self._list_folder(request, path)
         file = None if path is None else self._files(path).get(path)
         if file is None:
-            return _nak(request, NOT_FOUND)
+            return _make_nak(request, NOT_FOUND)
         if file.size >= 1 << 32:  # size does not fit in 32 bits
-            return _nak(request, FAIL)
+            return _make_nak(request, FAIL)
         if code == CRC:
-            return _ack(request, struct.pack("<I", _checksum(file)))
+            return _make_ack(request, struct.pack("<I", _compute_crc32(file)))
         state.open.pop(request.session, None)
         if len(state.open) >= self.max_open:
             state.open.popitem(last=False)
         state.open[request.session] = file
-        return _ack(request, struct.pack("<I", file.size))
+        return _make_ack(request, struct.pack("<I", file.size))
 
     def _close_file(self, request: _Request, state: _ClientState) -> bytes:
         """Close a file; repeated closing succeeds, as the first answer may have been lost."""
         state.open.pop(request.session, None)
         if state.burst is not None and state.burst.request.session == request.session:
             state.burst = None
-        return _ack(request)
+        return _make_ack(request)
 
     def _read_file(self, request: _Request, state: _ClientState) -> bytes | None:
         file = state.open.get(request.session)
         if file is None:
-            return _nak(request, BAD_SESSION)
+            return _make_nak(request, BAD_SESSION)
         state.open.move_to_end(request.session)
         if request.offset >= file.size:
-            return _nak(request, END)
+            return _make_nak(request, END)
         if request.opcode == BURST:
             state.burst = _Burst(request, request.offset, self.burst_length, request.sequence)
             return None
-        return _ack(request, file.read(request.offset, request.size or MAX_DATA_BYTES), request.offset)
+        return _make_ack(request, file.read(request.offset, request.size or MAX_DATA_BYTES), request.offset)
 
     def _list_folder(self, request: _Request, path: str | None) -> bytes:
         entries = None if path is None else _format_entries(self._files(path), path)
         if entries is None:
-            return _nak(request, NOT_FOUND)
+            return _make_nak(request, NOT_FOUND)
         if request.offset >= len(entries):
-            return _nak(request, END)
+            return _make_nak(request, END)
         data = b""
         for entry in entries[request.offset :]:
             if len(data) + len(entry) > MAX_DATA_BYTES:
                 break
             data += entry
-        return _ack(request, data, request.offset)
+        return _make_ack(request, data, request.offset)
 
 
 def _next_burst_message(state: _ClientState) -> bytes:
@@ -210,7 +210,7 @@ def _next_burst_message(state: _ClientState) -> bytes:
     burst.sequence += 1
     if file is None:
         state.burst = None
-        return _nak(request, BAD_SESSION, burst.sequence)
+        return _make_nak(request, BAD_SESSION, burst.sequence)
     data = file.read(burst.offset, request.size or MAX_DATA_BYTES)
     offset = burst.offset
     burst.offset += len(data)
@@ -221,7 +221,7 @@ def _next_burst_message(state: _ClientState) -> bytes:
     return _pack_payload(request, ACK, data, offset, burst.sequence, last)
 
 
-def _checksum(file: File, part_bytes: int = 1 << 22) -> int:
+def _compute_crc32(file: File, part_bytes: int = 1 << 22) -> int:
     value = 0
     for offset in range(0, file.size, part_bytes):
         value = crc32(file.read(offset, part_bytes), value)
@@ -262,11 +262,11 @@ def _parse_request(payload: list[int]) -> _Request | None:
     return _Request(sequence, session, opcode, size, offset, data[_HEAD.size : _HEAD.size + min(size, MAX_DATA_BYTES)])
 
 
-def _ack(request: _Request, data: bytes = b"", offset: int = 0) -> bytes:
+def _make_ack(request: _Request, data: bytes = b"", offset: int = 0) -> bytes:
     return _pack_payload(request, ACK, data, offset, request.sequence + 1)
 
 
-def _nak(request: _Request, code: int, sequence: int | None = None) -> bytes:
+def _make_nak(request: _Request, code: int, sequence: int | None = None) -> bytes:
     return _pack_payload(request, NAK, bytes((code,)), 0, request.sequence + 1 if sequence is None else sequence)
 
 

@@ -321,7 +321,7 @@ def from_fence(zones: Sequence[rq.FenceZone], geodesy: Geodesy) -> list[Item]:
         circle = zone.kind in _CIRCLE_ZONES.values()
         first = zone.radius if circle else float(len(zone.points))
         for north, east in zone.points:
-            x, y = _local_to_e7(north, east, geodesy)
+            x, y = _local_to_degrees_e7(north, east, geodesy)
             items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _ZONE_COMMANDS[zone.kind], (first, 0.0, 0.0, 0.0), x, y, 0.0))
     return items
 
@@ -352,13 +352,13 @@ def from_rally(points: Sequence[rq.RallyPoint], geodesy: Geodesy) -> list[Item]:
     """Convert rally points to mission items, with heights above the sea."""
     items = []
     for point in points:
-        x, y = _local_to_e7(point.north, point.east, geodesy)
+        x, y = _local_to_degrees_e7(point.north, point.east, geodesy)
         z = geodesy.ground + point.altitude
         items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _RALLY_COMMAND, (0.0, 0.0, 0.0, 0.0), x, y, z))
     return items
 
 
-def _local_to_e7(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
+def _local_to_degrees_e7(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
     latitude, longitude, _ = geodesy.to_geodetic(north, east, 0.0)
     return round(1e7 * latitude), round(1e7 * longitude)
 

@@ -146,14 +146,14 @@ class LogStore:
             code = process.poll()
             if code is None and now - started < self.timeout_s:
                 return
-            self._end_conversion()
+            self._stop_conversion()
             log.file = MemoryFile(b"")
             with suppress(OSError):
-                log.file = DiskFile(self._converted_path(log)) if code == 0 else log.file
+                log.file = DiskFile(self._path_of_converted_log(log)) if code == 0 else log.file
             self._converted_count += 1
         if self._converted_count < len(self.logs):
             log = self.logs[self._converted_count]
-            command = python_command(_CONVERSION_CODE, str(log.run), str(self._converted_path(log)))
+            command = python_command(_CONVERSION_CODE, str(log.run), str(self._path_of_converted_log(log)))
             quiet = subprocess.DEVNULL
             try:
                 self._conversion = (Host(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
@@ -174,17 +174,17 @@ class LogStore:
     def close(self) -> None:
         """End search and conversion, and remove all converted logs."""
         self._converted_count = len(self.logs)
-        self._end_conversion()
+        self._stop_conversion()
         if self._search is not None:
             self._search.join()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _end_conversion(self) -> None:
+    def _stop_conversion(self) -> None:
         if self._conversion is not None:
             self._conversion[0].end()
             self._conversion = None
 
-    def _converted_path(self, log: LogEntry) -> Path:
+    def _path_of_converted_log(self, log: LogEntry) -> Path:
         return self._folder / f"{log.number}.ulg"
 
 

@@ -122,9 +122,9 @@ class MissionService(Service):
         self._now = now
         kind = message.get_type()
         if kind == "MISSION_SET_CURRENT":
-            return self._set_current(message.seq, client)
+            return self._request_current_item(message.seq, client)
         if kind in ("MISSION_WRITE_PARTIAL_LIST", "MISSION_REQUEST_PARTIAL_LIST"):
-            return [_ack(client, UNSUPPORTED, message.mission_type)]
+            return [_new_ack(client, UNSUPPORTED, message.mission_type)]
         if kind == "MISSION_ACK":
             self._cancel_upload(message, client)
             return []
@@ -132,7 +132,7 @@ class MissionService(Service):
         if kind == "MISSION_CLEAR_ALL" and mission_type == ALL:
             return self._request_clearing(client, ALL)
         if mission_type not in _MISSION_TYPES:
-            return [_ack(client, UNSUPPORTED, mission_type)]
+            return [_new_ack(client, UNSUPPORTED, mission_type)]
         if kind == "MISSION_REQUEST_LIST":
             count = len(self._list_items(mission_type))
             return [wire.MAVLink_mission_count_message(client.system, client.component, count, mission_type)]
@@ -152,7 +152,7 @@ class MissionService(Service):
         if upload is not None and not upload.waiting:
             if now - upload.last_progress > timeout_s:
                 self._upload = None
-                out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.mission_type)))
+                out.append((upload.client.peer, _new_ack(upload.client, CANCELLED, upload.mission_type)))
             elif now - upload.last_request > retry_s:
                 upload.last_request = now
                 out.append((upload.client.peer, self._request_next_item(upload)))
@@ -182,7 +182,7 @@ class MissionService(Service):
         """Return the message of an item; ``is_legacy``: MISSION_ITEM, with positions in 32-bit degrees (0.5 m)."""
         items = self._list_items(mission_type)
         if not 0 <= index < len(items):
-            return _ack(client, SEQUENCE, mission_type)
+            return _new_ack(client, SEQUENCE, mission_type)
         item, status = items[index], self._status()
         current = int(mission_type == MISSION and status is not None and status.mission_current == index)
         make, frame = wire.MAVLink_mission_item_int_message, item.frame
@@ -206,15 +206,15 @@ class MissionService(Service):
     def _begin_upload(self, count: int, client: Client, mission_type: int) -> list[Message]:
         upload = self._upload
         if upload is not None and upload.client != client:
-            return [_ack(client, ERROR, mission_type)]  # another upload is in progress
+            return [_new_ack(client, ERROR, mission_type)]  # another upload is in progress
         if upload is not None and upload.waiting:
             return []
         self._upload = None
         if count == 0:
             return self._request_clearing(client, mission_type)
         if count > rq.MAX_MISSION_ITEMS:
-            lines = _warning(f"{_NAMES[mission_type]} refused: {count} items, {rq.MAX_MISSION_ITEMS} are allowed")
-            return [_ack(client, NO_SPACE, mission_type), *lines]
+            lines = _warning_text(f"{_NAMES[mission_type]} refused: {count} items, {rq.MAX_MISSION_ITEMS} are allowed")
+            return [_new_ack(client, NO_SPACE, mission_type), *lines]
         self._upload = _Upload(client, count, self._now, self._now, mission_type)
         return [self._request_next_item(self._upload)]
 
@@ -224,8 +224,8 @@ class MissionService(Service):
         if upload is None or upload.client != client or upload.mission_type != mission_type:
             if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
                 # The station repeats its last item because the acknowledgement was lost.
-                return [_ack(client, self._last_upload[3], mission_type)]
-            return [_ack(client, ERROR, mission_type)]
+                return [_new_ack(client, self._last_upload[3], mission_type)]
+            return [_new_ack(client, ERROR, mission_type)]
         if upload.waiting or message.seq != len(upload.items):
             return []
         item = parse_item(message)
@@ -235,7 +235,7 @@ class MissionService(Service):
             else:
                 ITEM_CHECKS[mission_type](item)
         except ItemError as error:
-            return self._refuse(upload, error.code, f"{_NAMES[mission_type]} item {message.seq} refused: {error}")
+            return self._fail_upload(upload, error.code, f"{_NAMES[mission_type]} item {message.seq} refused: {error}")
         upload.items.append(item)
         upload.last_request = upload.last_progress = self._now
         if len(upload.items) < upload.count:
@@ -243,13 +243,13 @@ class MissionService(Service):
         try:
             request = self._make_upload_request(upload)
         except InputError as error:  # a jump to a missing item
-            return self._refuse(upload, PARAM1, f"mission refused: {error}")
+            return self._fail_upload(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
-            return self._refuse(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
+            return self._fail_upload(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
         upload.waiting = True
         finish = partial(self._finish_upload, upload, request)
         if not self._answers.request(request, upload.client, finish):
-            return self._refuse(upload, ERROR, f"{_NAMES[mission_type]} refused: too many requests")
+            return self._fail_upload(upload, ERROR, f"{_NAMES[mission_type]} refused: too many requests")
         return []
 
     def _make_upload_request(self, upload: _Upload) -> rq.MissionUpload | rq.FenceUpload | rq.RallyUpload:
@@ -264,21 +264,21 @@ class MissionService(Service):
         peer = upload.client.peer
         if not answer.accepted:
             code = ERROR if answer.result is rq.Result.FAILED else DENIED
-            return [(peer, message) for message in self._refuse(upload, code, answer.text)]
+            return [(peer, message) for message in self._fail_upload(upload, code, answer.text)]
         self._upload = None
-        out: Outgoing = [(peer, self._finish_with(upload, ACCEPTED))]
+        out: Outgoing = [(peer, self._finish_upload_with_code(upload, ACCEPTED))]
         if isinstance(request, rq.MissionUpload):
             self._mission, self._sent_items = request.items, upload.items
-            out += [(peer, message) for message in _warning(_describe_left_out(upload.items))]
+            out += [(peer, message) for message in _warning_text(_describe_left_out(upload.items))]
         return out
 
-    def _refuse(self, upload: _Upload, code: int, text: str) -> list[Message]:
+    def _fail_upload(self, upload: _Upload, code: int, text: str) -> list[Message]:
         self._upload = None
-        return [self._finish_with(upload, code), *_warning(text)]
+        return [self._finish_upload_with_code(upload, code), *_warning_text(text)]
 
-    def _finish_with(self, upload: _Upload, code: int) -> Message:
+    def _finish_upload_with_code(self, upload: _Upload, code: int) -> Message:
         self._last_upload = (upload.client, len(upload.items), upload.mission_type, code)
-        return _ack(upload.client, code, upload.mission_type)
+        return _new_ack(upload.client, code, upload.mission_type)
 
     def _request_next_item(self, upload: _Upload) -> Message:
         client, at = upload.client, len(upload.items)
@@ -301,27 +301,27 @@ class MissionService(Service):
             remaining -= 1
             if not answer.accepted:
                 refused.append(answer.text)
-            return [] if remaining else [(client.peer, _ack(client, DENIED if refused else ACCEPTED, mission_type))]
+            return [] if remaining else [(client.peer, _new_ack(client, DENIED if refused else ACCEPTED, mission_type))]
 
         for request in requests:
             if not self._answers.request(request, client, reply):
                 # Only this acknowledgement is sent, because ``remaining`` does not reach 0 then.
-                return [_ack(client, ERROR, mission_type)]
+                return [_new_ack(client, ERROR, mission_type)]
         return []
 
-    def _set_current(self, index: int, client: Client) -> list[Message]:
+    def _request_current_item(self, index: int, client: Client) -> list[Message]:
         def reply(answer: rq.Answer) -> Outgoing:
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
                     self._progress_sent = ()  # report it again to the sender
                 return []
-            return [(client.peer, message) for message in _warning(answer.text)]
+            return [(client.peer, message) for message in _warning_text(answer.text)]
 
         try:
             self._answers.request(rq.MissionSetCurrent(index), client, reply)
         except InputError:
-            return _warning(f"mission item {index}: there are {len(self._items())}")
+            return _warning_text(f"mission item {index}: there are {len(self._items())}")
         return []
 
     def _report_progress(self, now: float, repeats: int = 3) -> list[Message]:
@@ -348,11 +348,11 @@ class MissionService(Service):
         return status.home.altitude if status is not None and status.home is not None else 0.0
 
 
-def _ack(client: Client, code: int, mission_type: int = MISSION) -> Message:
+def _new_ack(client: Client, code: int, mission_type: int = MISSION) -> Message:
     return wire.MAVLink_mission_ack_message(client.system, client.component, code, mission_type)
 
 
-def _warning(text: str) -> list[Message]:
+def _warning_text(text: str) -> list[Message]:
     return make_service_text(text, wire.MAV_SEVERITY_WARNING) if text else []
 
 

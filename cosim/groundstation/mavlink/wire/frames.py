@@ -60,7 +60,7 @@ class Parser:
                 at = _find_next_start(buffer, at + 1)
                 continue
             raw = buffer[at : at + length]
-            reason, frame = self._decode(raw)
+            reason, frame = self._decode_frame(raw)
             if frame is not None:
                 frames.append(frame)
             if reason:
@@ -73,7 +73,7 @@ class Parser:
         self._buffer = buffer[at:]
         return frames
 
-    def _decode(self, raw: bytes) -> tuple[str, Frame | None]:
+    def _decode_frame(self, raw: bytes) -> tuple[str, Frame | None]:
         flags = raw[2] if raw[0] == MAGIC_2 else 0
         if flags & ~SIGNED_FLAG:
             return "flags", None

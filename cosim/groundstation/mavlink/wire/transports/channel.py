@@ -117,7 +117,7 @@ class ReadGate:
     """Flow control of a socket, read only while its station has credit, so that a flood stays in the kernel."""
 
     def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
-        self._link, self._item, self._on_ready = link, item, ready
+        self._link, self._item, self._handle_ready_socket = link, item, ready
         self._open = True
         link.watch(item, ready)
 
@@ -132,7 +132,7 @@ class ReadGate:
         """Resume reading once the station has enough credit."""
         if not self._open and peer.update_credit(now) > LIMITS.resume_frames:
             self._open = True
-            self._link.watch(self._item, self._on_ready)
+            self._link.watch(self._item, self._handle_ready_socket)
 
 
 class Connection:
@@ -153,7 +153,7 @@ class Connection:
         self.stalled = False  # closed because it accepted nothing
         self.why = ""
         self.peer = link.new_peer(name, self._transmit, is_datagram=False)
-        self._gate = ReadGate(link, item, self._on_ready)
+        self._gate = ReadGate(link, item, self._handle_ready_socket)
 
     def _transmit(self, data: bytes) -> int:
         if not self.open:
@@ -166,7 +166,7 @@ class Connection:
             self.close(f"it was lost: {error.strerror or error}")
             return 0
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         now = self._link.now()
         if self.peer.update_credit(now) < 1.0:
             self._gate.pause()

@@ -42,24 +42,24 @@ class TcpServer:
         self._socket.listen(LIMITS.max_stations)
         self.port = int(self._socket.getsockname()[1])
         self._streams: list[Connection] = []
-        link.watch(self._socket, self._on_ready)
+        link.watch(self._socket, self._handle_ready_socket)
 
     @property
     def peers(self) -> list[Peer]:
         return [stream.peer for stream in self._streams if stream.open]
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         try:
             connection, address = self._socket.accept()
         except OSError:
             return
-        if not self._make_room():
+        if not self._has_room_for_station():
             self._link.refused["too many stations"] += 1
             connection.close()
             return
         self._streams.append(_make_connection(self._link, name_station("tcpin", address), connection))
 
-    def _make_room(self) -> bool:
+    def _has_room_for_station(self) -> bool:
         """Return whether one more station can be accepted, closing a silent one if necessary."""
         streams = self._streams = [stream for stream in self._streams if stream.open]
         if len(streams) < LIMITS.max_stations:
@@ -104,7 +104,7 @@ class TcpClient:
     def peers(self) -> list[Peer]:
         return [self._stream.peer] if self._stream is not None and self._stream.open else []
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         attempt, self._attempt = self._attempt, None
         if attempt is None:
             return
@@ -135,7 +135,7 @@ class TcpClient:
             attempt.close()
             return
         self._attempt = attempt
-        self._link.watch(attempt, self._on_ready, selectors.EVENT_WRITE)
+        self._link.watch(attempt, self._handle_ready_socket, selectors.EVENT_WRITE)
 
     def close(self) -> None:
         if self._attempt is not None:

@@ -54,13 +54,13 @@ class UdpClient:
         self._target = (endpoint.host, endpoint.port)
         transmit = _nonblocking(lambda data: self._socket.sendto(data, self._target))
         self._peer = link.new_peer(endpoint.url, transmit, is_datagram=True)
-        link.watch(self._socket, self._on_ready)
+        link.watch(self._socket, self._handle_ready_socket)
 
     @property
     def peers(self) -> list[Peer]:
         return [self._peer]
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         for data, address in _read_datagrams(self._socket):
             if address[:2] != self._target:
                 self._link.refused["stranger"] += 1
@@ -103,9 +103,9 @@ class ConnectedStation:
         finally:
             server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
         self.peer = link.new_peer(name_station("udpin", address), _nonblocking(self._socket.send), is_datagram=True)
-        self._gate = ReadGate(link, self._socket, self._on_ready)
+        self._gate = ReadGate(link, self._socket, self._handle_ready_socket)
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         link = self._link
         for _ in range(LIMITS.reads):
             now = link.now()
@@ -159,13 +159,13 @@ class UdpServer:
         self.port = int(self._socket.getsockname()[1])
         self._stations: dict[Address, ConnectedStation | SharedSocketStation] = {}
         self._first_parser = link.new_parser(is_datagram=True)  # for addresses without a station yet
-        link.watch(self._socket, self._on_ready)
+        link.watch(self._socket, self._handle_ready_socket)
 
     @property
     def peers(self) -> list[Peer]:
         return [station.peer for station in self._stations.values()]
 
-    def _on_ready(self, mask: int) -> None:
+    def _handle_ready_socket(self, mask: int) -> None:
         for data, address in _read_datagrams(self._socket):
             self._receive_datagram(data, address)
 
@@ -177,7 +177,7 @@ class UdpServer:
             link.dispatch_frames(station.peer.feed(data, now), station.peer, now)
             return
         frames = self._first_parser.feed(data)
-        if not frames or not self._make_room(now):
+        if not frames or not self._make_room_for_station(now):
             return
         try:
             station = ConnectedStation(link, self._socket, address, self._receive_datagram)
@@ -187,7 +187,7 @@ class UdpServer:
         self._stations[address] = station
         link.dispatch_frames(frames, station.peer, now)
 
-    def _make_room(self, now: float) -> bool:
+    def _make_room_for_station(self, now: float) -> bool:
         if len(self._stations) < LIMITS.max_stations:
             return True
         oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent_seconds(now))
