@@ -283,6 +283,6 @@ class Port:
         return self._deadlines.pop(number, None) is not None
 
     def _queue_answer(self, number: int, answer: rq.Answer) -> None:
-        """Queue an answer and wake the event loop; called in the flight's thread or in this one."""
+        """Queue an answer and wake the event loop; called in the flight's thread or in that of the event loop."""
         self._answered.append((number, answer))
         self.wake()

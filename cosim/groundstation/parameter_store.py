@@ -16,7 +16,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
 
 FORCE_NAME = "HJ_FORCE"  # valid for one flight, never saved
-_FORMAT_VERSION = 1  # of the file
+_FORMAT_VERSION = 1  # version of the file's format
 _HEAD_LINE = "# What differs from the defaults; written by hexjet gcs.\n"  # first line of the file
 
 

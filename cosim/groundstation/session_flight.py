@@ -158,7 +158,7 @@ def estimate_hourly_mb(info: FlightInfo) -> float:
 
 
 class LogLimit:
-    """Observer that passes samples to a recording until its log has ``limit_mb`` (None: no limit).
+    """Observer that passes samples to a recording until its log has ``limit_mb`` MB (None: no limit).
 
     ``say`` gets a text message for the ground, at ``warn_at`` of the size and at the end.
     """

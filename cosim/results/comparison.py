@@ -46,7 +46,7 @@ class Signal(NamedTuple):
 
 
 class LogComparison(NamedTuple):
-    """The second against the first, over the time that both flew."""
+    """Comparison of a second log with a first one, over the time that both cover."""
 
     first: str
     second: str

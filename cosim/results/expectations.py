@@ -41,7 +41,7 @@ def allowed_metric_names(scenario: Scenario) -> list[str]:
 
 
 def _controllers_like(controller: str) -> list[str]:
-    """Return the built-in names, and this one if it has the form of a user's."""
+    """Return the names of built-in controllers, and ``controller`` if it has the form of a user's."""
     if controller in PREDICTORS or ":" in controller or split_file_name(controller):
         return [*PREDICTORS, controller]
     return [*PREDICTORS, *(name for name, _ in own_controllers())]

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 # prototype's span is 0.4 m: a height error of 2 m, which no shipped disturbance causes (a tenth of the weight taken up
 # at once included); a position error of 4 m, for a GNSS error of a metre and the first gust before the wind is
 # estimated; a drift of 10 m, which nobody would call a hover; 4 m/s.
-MAX_HEIGHT_SPANS = 5.0
-MAX_POSITION_SPANS = 10.0
-MAX_DRIFT_SPANS = 25.0
-MAX_FROUDE_SPEEDS = 2.0
-# Most of the time in the air a vehicle must get what its controllers command.
+MAX_HEIGHT_SPANS = 5.0  # height error
+MAX_POSITION_SPANS = 10.0  # error of a commanded position
+MAX_DRIFT_SPANS = 25.0  # distance from the start
+MAX_FROUDE_SPEEDS = 2.0  # horizontal speed
+# For most of the time in the air the allocation must realise what the controllers command.
 MAX_SATURATED_PERCENT = 50.0
 
 # Percent of the steps of any second on which a command may change direction. An oscillation at half the control rate

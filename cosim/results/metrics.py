@@ -28,7 +28,7 @@ from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
-R = TypeVar("R", bound="Record")
+R = TypeVar("R", bound="Record")  # kind of a record
 # Chosen by us: smaller offsets at the start are trim or noise and not a command.
 MIN_STEP_RAD = 1e-3
 SETTLING_BAND = 0.05  # fraction of the step's size
@@ -155,7 +155,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
 @lru_cache(16)
 def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
-    """Return the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
+    """Return the log columns of a vehicle that the metrics and limits of a flight are computed from.
 
     ``waypoints``: of a flight along some.
     """
@@ -272,7 +272,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
-    """Return the rows of :func:`saturation` in the air: those that the metric counts and reports mark."""
+    """Return the rows in the air with a saturated actuator, which the metric counts and reports mark."""
     return saturation(log, reach) & ~find_contact_rows(log)
 
 
@@ -448,7 +448,7 @@ def _describe_range(low: float | None, high: float | None) -> str:
 
 
 def _to_record(kind: type[R], **values: Any) -> R:
-    """Return a record; one of many flights has arrays, which are not checked."""
+    """Return a ``kind`` of ``values``; without validation if they are arrays, an entry per flight."""
     is_of_many = any(isinstance(value, np.ndarray) for value in values.values())
     return kind.model_construct(**values) if is_of_many else kind(**values)
 

@@ -71,11 +71,11 @@ class Upsets:
         return self.has_any_but_wind(first, end) or self.has_wind_change(first, end)
 
     def has_any_but_wind(self, first: int, end: int) -> bool:
-        """Return whether a new disturbance other than wind acts on these rows."""
+        """Return whether a new disturbance other than wind acts on rows ``first`` to ``end - 1``."""
         return bool(self._count[end] > self._count[first])
 
     def has_wind_change(self, first: int, end: int) -> bool:
-        """Return whether the wind changes on these rows."""
+        """Return whether the wind changes on rows ``first`` to ``end - 1``."""
         return any(np.ptp(wind[first:end]) > self._wind_m_s for wind in self._wind)
 
 

@@ -59,7 +59,7 @@ class DelayRow(Record):
 
 
 class StationEngine(Record):
-    """Engine of one station; ``curve`` as ``Setup.engine_curve``, empty if equal."""
+    """Engine of one station, with its static ``curve``, empty if equal to ``Setup.engine_curve``."""
 
     engine: str
     sha256: str  # SHA-256 of the archive

@@ -43,7 +43,7 @@ class Assessment:
     noise: float | None  # standard deviation of the command
     step_error: float | None  # |error| integral: rad s/rad (m s/m)
     load_error: float | None  # integrated |error| per unit of load
-    overshoot: float | None  # of a step
+    overshoot: float | None  # of a step response, as a fraction
     settling_s: float | None  # to 5 %; None: not within the window
     step_peak: float | None  # command per unit of the set-point
 

@@ -375,12 +375,12 @@ COLUMNS = (  # heads of the table of channels
 
 
 def rows(design: Design) -> list[list[str]]:
-    """Return each channel before and after, with changes by fuel, as :data:`COLUMNS`."""
+    """Return table rows of each channel before and after the design, and by fuel, under :data:`COLUMNS`."""
     return [*channel_rows(design), *level_rows(design)]
 
 
 def channel_rows(design: Design) -> list[list[str]]:
-    """Return before and after of every channel, as :data:`COLUMNS`."""
+    """Return table rows of every channel before and after the design, under the headings :data:`COLUMNS`."""
     return [
         [f"{axis}, {when}", *_make_cells(state, axis_design.channel)]
         for axis, axis_design in design.axes.items()
@@ -390,7 +390,7 @@ def channel_rows(design: Design) -> list[list[str]]:
 
 
 def level_rows(design: Design) -> list[list[str]]:
-    """Return the changes of channels by fuel, as :data:`COLUMNS`; equal rows are merged."""
+    """Return table rows of the channels by fuel level, under :data:`COLUMNS`; equal rows are merged."""
     full = {row[0].removesuffix(", designed"): row[1:] for row in channel_rows(design)}
     different: dict[tuple[str, ...], list[str]] = {}
     for axis, when, fuel, cells in _level_cells(design):
@@ -402,7 +402,7 @@ def level_rows(design: Design) -> list[list[str]]:
 
 
 def row_lines(design: Design) -> list[str]:
-    """Return notes on what :func:`rows` omits and why cells are empty."""
+    """Return notes on what the table of channels omits and why cells are empty."""
     states = [
         state for axis_design in design.axes.values() for state in (axis_design.before, axis_design.after) if state
     ]

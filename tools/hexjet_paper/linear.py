@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Response = Callable[[Complex], Complex]  # function of ``z``, upper unit circle
 Pair = tuple[Complex, Complex]
-PairResponse = Callable[[Complex], Pair]  # (``P_y``, ``P_u``) over ``z``
+PairResponse = Callable[[Complex], Pair]  # predictor: ``P_y``, ``P_u`` of ``z``
 Signal = Callable[[int], float]
 MAX_RATE = 1e6  # rad/s, above which a run ends
 

@@ -131,8 +131,8 @@ _PRINTED_NUMBERS: list[Printed] = [
 ]
 PRINTED: dict[str, Printed] = {row.key: row for row in _PRINTED_NUMBERS}  # by key
 
-# Discrete state matrices as printed. The poles are those of G_n(z), but the gain from command to first state is 1/3660
-# of it: a predictor with this pair hardly sees the commands in transport.
+# Discrete state matrices as printed. Their poles are those of G_n(z), but from command to first state they have 1/3660
+# of its gain: a predictor with these matrices hardly responds to the commands that are still in the delay.
 A_D = ((0.9991, 0.0023), (-0.6953, 0.8777))
 B_D = (0.0, 0.0234)
 

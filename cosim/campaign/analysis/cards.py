@@ -87,7 +87,7 @@ def _card(
     is_folded: bool = False,
     figure: str | Sequence[str] = "",
 ) -> Card:
-    """Return a card; of a grid study, whose points are no random sample, without intervals and tests."""
+    """Return a card of a page; for a grid study, which is no random sample, without intervals and tests."""
     kept = [n for n, column in enumerate(columns) if not (is_grid and column.startswith(("95 %", "p, ")))]
     return Card(title, [columns[n] for n in kept], [[row[n] for n in kept] for row in rows], text, figure,
                 is_folded=is_folded)  # fmt: skip

@@ -31,7 +31,7 @@ CASE_COLUMNS = ("controller", "flight", "draw", "why", "ended", "drawn", "scenar
 
 
 class Case(NamedTuple):
-    """One flight that deserves a closer look."""
+    """Row number of a flight that the page lists for a closer look, and the reason in words."""
 
     row: int
     why: str

@@ -39,7 +39,7 @@ class Normal(Model):
         return (bound - self.mean) / self.sd
 
     def values(self, scores: Array) -> Array:
-        """Return the values of standard normal numbers."""
+        """Return the values of this distribution for standard normal numbers."""
         return self.mean + self.sd * scores
 
 
@@ -56,7 +56,7 @@ class LogNormal(Model):
         return log(bound / self.median) / self.sigma if bound > 0.0 else -inf
 
     def values(self, scores: Array) -> Array:
-        """Return the values of standard normal numbers."""
+        """Return the values of this distribution for standard normal numbers."""
         return np.asarray(self.median * np.exp(self.sigma * scores))
 
 

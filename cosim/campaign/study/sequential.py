@@ -234,7 +234,7 @@ class ClaimTest:
 
     @property
     def decision(self) -> Decision:
-        """The decision: shown by the worst course, or refuted by the best."""
+        """Decision on the claim: shown if the worst course shows it, refuted if the best course refutes it."""
         return "shown" if self._worst.decision == "shown" else "refuted" if self._best.decision == "refuted" else "open"
 
     @property

@@ -124,7 +124,7 @@ class DaskWorkers:
                 raise InputError(f"cluster {self._where}: worker {name} has {', '.join(differences)}")
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        """See :class:`cosim.campaign.workers.protocol.Workers`."""
+        """Fly flights and yield their rows: see :class:`cosim.campaign.workers.protocol.Workers`."""
         limit = time_limit(study) if self._time_limit is None else self._time_limit
         tasks = _Tasks(self._client, study, self._pack_study(study), flights, limit)
         try:

@@ -72,7 +72,7 @@ class LocalWorkers:
         self._starts = 0  # failed starts in a row
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
-        """See :class:`cosim.campaign.workers.protocol.Workers`."""
+        """Fly flights and yield their rows: see :class:`cosim.campaign.workers.protocol.Workers`."""
         # Processes that are still busy fly what is no longer needed.
         self._end_busy_processes()
         limit = time_limit(study) if self._time_limit is None else self._time_limit

@@ -48,7 +48,7 @@ def time_limit(study: Study) -> float:
 
 
 def update_mean(mean: float | None, seconds: float) -> float:
-    """Return the running mean of flight durations [s] with one more; None: the first."""
+    """Return the running mean of flight durations [s] after one more flight; ``mean`` None: the first."""
     return seconds if mean is None else mean + 0.1 * (seconds - mean)
 
 

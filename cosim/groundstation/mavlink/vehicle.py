@@ -48,7 +48,7 @@ _PAGE_ID = (0, 0)  # of the local page as a station
 
 
 class MavlinkVehicle:
-    """Vehicle on MAVLink links.  ``services``: the first that handles a message gets it.
+    """Vehicle on MAVLink links, whose messages go to the first of ``services`` that handles them.
 
     ``on_request``: messages for REQUEST_MESSAGE beside the telemetry, made of simulation time in ms.
     ``shutdown_requests``: the requests for a reboot and for a shutdown; none: both are unsupported.

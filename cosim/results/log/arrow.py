@@ -269,7 +269,7 @@ def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.Rec
 
 
 def _regroup(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Yield the same rows in tables of ROWS_PER_GROUP rows."""
+    """Yield the rows of record batches in tables of ROWS_PER_GROUP rows."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []

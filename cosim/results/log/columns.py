@@ -36,7 +36,7 @@ _XYZ = ("x", "y", "z")  # body axes
 _NED = ("north", "east", "down")  # axes of NED
 EULER = "body to NED"  # frame of attitude angles
 _OUTPUT_UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}  # unit of each rate loop's output
-_ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # describes the unit of commands
+_ALLOCATED = "throttle on roll, rad of tilt on pitch and yaw"  # unit of commands to the allocation
 
 
 def _cols(

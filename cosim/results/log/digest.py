@@ -65,7 +65,7 @@ class DigestSink:
         self.begin(log_columns(logged._replace(servos=logged.servos or SERVOS)))
 
     def begin(self, columns: Sequence[Column]) -> None:
-        """See :class:`cosim.results.log.recorder.KeepingSink`."""
+        """Receive the log's columns before its first block, as every ``KeepingSink``."""
         names = [column.name for column in columns]
         chosen = names if self._whole else [require(name, names) for name in self._names]
         self._chosen = tuple(chosen)

@@ -24,7 +24,7 @@ from cosim.results.log.columns import COLUMNS, NAMES, require
 from cosim.results.log.row_program import Program, program
 from cosim.results.log.tables import Columnar
 
-# s after which rows of a slow flight are passed on.
+# Longest time for which recorded rows of a slow flight wait before they are passed to the sink.
 MAX_FLUSH_INTERVAL_S = 1.0
 
 

@@ -47,8 +47,8 @@ def _yaw(w: Array, x: Array, y: Array, z: Array) -> Array:
     return angle
 
 
-# Of a quaternion, as cosim.base.frames.to_euler, but of whole blocks with numpy, whose arctan2 differs from the C
-# library's.
+# Functions of a quaternion's elements w, x, y, z, as cosim.base.frames.to_euler, but for whole blocks with numpy, whose
+# arctan2 differs from the C library's.
 ANGLES: dict[str, Callable[[Array, Array, Array, Array], Array]] = {"roll": _roll, "pitch": _pitch, "yaw": _yaw}
 
 

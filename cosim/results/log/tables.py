@@ -76,7 +76,7 @@ class Columnar(NamedColumns[Array]):
         return nullcontext()
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
-        """Return these columns, in one reading."""
+        """Read the named columns all at once and return them."""
         blocks = list(self.blocks(tuple(names)))
         return {name: np.concatenate([np.empty(0), *[part[name] for part in blocks]]) for name in names}
 

@@ -19,7 +19,7 @@ _MARK = re.compile(r"^<!-- (?:measured: .*|end) -->$", re.MULTILINE)
 
 
 def parts_of(page: str, where: Path | str) -> dict[str, str]:
-    """Return the text between each pair of marks of a page, by name.  Raises InputError for an unpaired mark."""
+    """Return a page's texts from ``<!-- measured: NAME -->`` to ``<!-- end -->``, by name.  Raises InputError."""
     parts = dict(_PART.findall(page))
     if len(_MARK.findall(page)) != 2 * len(parts):
         raise InputError(
@@ -29,7 +29,7 @@ def parts_of(page: str, where: Path | str) -> dict[str, str]:
 
 
 def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
-    """Return the page with ``parts`` (whole lines) between the marks of their names; other marks are unchanged.
+    """Return the page with new ``parts`` (whole lines) between the marks of these names, otherwise unchanged.
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
@@ -43,7 +43,7 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
 
 def page_parts(path: Path) -> dict[str, str]:
-    """Return the parts of a page and of its data page, by name.
+    """Return the texts between the marks of a page and of its data page, by name.
 
     Raises InputError if one of them cannot be read, or its marks do not come in pairs or have a name twice.
     """
@@ -51,7 +51,7 @@ def page_parts(path: Path) -> dict[str, str]:
 
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
-    """Check that a page or its data page has these marks and can be written, before hours of measurements.
+    """Check that a page or its data page has the ``<!-- measured: NAME -->`` marks of ``names`` and can be written.
 
     Raises InputError where this is not so.
     """
@@ -63,7 +63,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
 
 
 def write_marks(path: Path, parts: Mapping[str, str]) -> None:
-    """Write ``parts`` between their marks, on the page or on its data page.
+    """Write ``parts`` between the marks of their names, on the page or on its data page.
 
     Raises InputError for marks that do not come in pairs, for a part that has no mark, and if a file cannot be
     written.
@@ -77,7 +77,7 @@ def write_marks(path: Path, parts: Mapping[str, str]) -> None:
 
 
 def _read_parts(path: Path) -> dict[Path, dict[str, str]]:
-    """Return the parts of the page, then those of its data page where there is one."""
+    """Return the texts between marks by page: those of the page, then those of its data page, if any."""
     data = path.parent / "tables" / path.name
     found: dict[Path, dict[str, str]] = {}
     for page in (path, data) if data.is_file() else (path,):

@@ -55,7 +55,7 @@ class Deciding(NamedTuple):
 
 
 class Quantity:
-    """One number per row in ``unit``; None: a bare number, in the unit that it is compared with."""
+    """Quantity with one number per log row in ``unit``; None: a bare number, in the unit it is compared with."""
 
     unit: str | None
     parts: tuple[Quantity, ...] = ()
@@ -78,7 +78,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Number(Quantity):
-    """The same number in every row."""
+    """Quantity that is the same number in every row of the log."""
 
     value: float
     unit: str | None

@@ -133,7 +133,7 @@ class FlightSignals:
         return values if np.all(finite) else np.where(finite, values, np.nan)
 
     def event_rows(self, name: str) -> Sequence[int]:
-        """Return the rows at which an event happens: the first that is not earlier."""
+        """Return the log rows at which an event happens: for each of its times the first that is not earlier."""
         if name in CONTACTS:
             changes = find_contact_changes(find_contact_rows(self._log), self.step_s) if self.rows else ()
             return [row for row, stands in changes if name == CONTACTS[stands]]

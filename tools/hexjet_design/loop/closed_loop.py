@@ -64,7 +64,7 @@ def window_s(channel: Channel) -> float:
 
 
 class ClosedLoop:
-    """A channel closed with a tuning, at the points."""
+    """Closed loop of a channel and a tuning, at the points of a frequency grid."""
 
     def __init__(self, points: FrequencyGrid, tuning: Tuning) -> None:
         self.points, self.tuning = points, tuning
@@ -153,7 +153,7 @@ class ClosedLoop:
 
     @cached_property
     def space(self) -> Space:
-        """The same loop in state space."""
+        """Closed loop in state space."""
         return Space(self.points.channel, self.tuning)
 
     @cached_property

@@ -135,7 +135,7 @@ def _sample_poles(poles: Sequence[complex], step: float) -> tuple[list[float], l
 
 
 def make_lag_dynamics(constants: Sequence[float], delay: float, step: float) -> Dynamics:
-    """Return lags, s, in series; each is at least a fifth of a step, of which 0.7 % remains after it."""
+    """Return lags [s] in series behind ``delay`` [samples]; lags below a fifth of a step are raised to that."""
     return Dynamics(tuple(complex(-1.0 / max(lag, 0.2 * step)) for lag in constants), (), delay, step)
 
 

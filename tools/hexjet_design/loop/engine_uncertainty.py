@@ -149,7 +149,7 @@ def engine_tolerances(
     need: Requirements, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, plants: Iterable[Channel],
     inertia: float = 0.15,
 ) -> EngineTolerances:  # fmt: skip
-    """Return the requirements with the tolerances that are not stated in them as the engine's uncertainty has them.
+    """Return the requirements with the tolerances that they do not state taken from the engine's uncertainty.
 
     They are :data:`~cosim.engine.fmu.uncertainty.MAX_SIGMA` deviations at the frequency of each channel's pace, the
     largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with

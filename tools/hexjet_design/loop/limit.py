@@ -39,7 +39,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import CIRCLE_TOLERANCE, polynomial, split_zeros
 from hexjet_design.loop.programme import MAX_PEAK_FACTOR, UNIFORM_DELAYS, Bounds, InvertedPlant, Programme, need_solver
 
-RELAXATION = 0.1  # fraction by which a bound is relaxed
+RELAXATION = 0.1  # share by which each bound is relaxed
 PRICE_WORDS = {  # words for relaxing each bound
     "peak_sensitivity": "more peak sensitivity",
     "noise": "more noise",
@@ -78,7 +78,7 @@ class AxisLimit:
 
     @property
     def times_tolerant(self) -> float | None:
-        """Ratio to the best loop with the same tolerance: at least this, because the condition is sufficient."""
+        """Least ratio of the load error to that of the best loop with the same delay tolerance, None if unknown."""
         return None if self.tolerant is None else self.load_error / self.tolerant.load_error
 
     def to_dict(self) -> dict[str, Any]:

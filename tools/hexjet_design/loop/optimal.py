@@ -153,19 +153,19 @@ class Target:
         return values | {f"weight_{k}": weight * sqrt(delay) for k, weight in enumerate(self.weights, 1)}
 
     def denominators(self, step: float) -> list[Array]:
-        """Return the polynomials in ``q`` of the poles of ``t``."""
+        """Return polynomials in ``q`` with the poles of the target response ``t``, one for each pair."""
         return [polynomial(pole_pair(natural, damping, step)) for natural, damping in self.pairs]
 
     def basis(self, step: float, lags: float = 28.0) -> Array:
-        """Return the functions of which ``t`` is a weighted sum, up to their end."""
+        """Return the orthonormal responses whose weighted sum is the target ``t``, until they have decayed."""
         return orthonormal_basis(self.denominators(step), ceil(lags / -log(self.slowest(step))))
 
     def slowest(self, step: float) -> float:
-        """Return the size of the slowest pole of ``t``."""
+        """Return the magnitude of the slowest pole of the target response ``t``, in z."""
         return max(abs(pole) for pair in self.pairs for pole in pole_pair(*pair, step))
 
     def lag(self, step: float) -> float:
-        """Return the pole of ``y``."""
+        """Return the pole of the target response ``y``, in z."""
         return exp(-step / self.lag_s)
 
 

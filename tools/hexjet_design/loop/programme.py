@@ -141,7 +141,7 @@ class Programme:
         )
 
     def solve(self, exact: float = 1e-6) -> tuple[Array, Array]:
-        """Return ``t`` and ``y`` of the optimum.  Raises InputError if infeasible or not solved.
+        """Return the optimal responses ``t`` and ``y``.  Raises InputError if infeasible or not solved.
 
         ``exact``: share of the least within which it is shown to be it; rounding allows 1e-7 for slow poles.
         """

@@ -155,7 +155,7 @@ class Space:
         self._shift("angle", x["angle"][0] + 0.5 * T * (before + rate))
 
     def steps(self, samples: int) -> Steps:
-        """Return the responses to a unit step of the set-point and of the load over so many samples.
+        """Return the responses to a unit step of the set-point and of the load over ``samples`` samples.
 
         ``C A^(i + j m) B`` by doubling: powers up to ``m`` on the left, those of ``A^m`` on the right.
         """

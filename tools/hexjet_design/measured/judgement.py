@@ -90,7 +90,7 @@ class JudgedMargin(NamedTuple):
         return f"{factor * value:.{digits}f} {unit}".strip()
 
     def cells(self) -> list[str]:
-        """Return a row of texts, as :data:`COLUMNS` head them."""
+        """Return the margin as a row of texts, under the headings :data:`COLUMNS`."""
         limit = "-" if self.limit is None else self.format(self.limit)
         limit += "" if self.known_limit is None else f" ({self.format(self.known_limit).partition(' ')[0]})"
         name = JUDGED[self.margin][0]

@@ -40,12 +40,12 @@ QUANTITIES = (  # quantity, its name, its format
 
 
 def columns(measured: AxisMargins) -> tuple[str, ...]:
-    """Return the heads of :func:`rows`: :data:`COLUMNS`, and the engine's range if known."""
+    """Return the headings of an axis's table: :data:`COLUMNS`, and the engine's range if known."""
     return COLUMNS if measured.over_engine is None else (*COLUMNS, RANGE_LABEL)
 
 
 def rows(measured: AxisMargins) -> list[list[str]]:
-    """Return a row of cells for each quantity, as :func:`columns` heads them."""
+    """Return the rows of an axis's table, a measured quantity each, under the headings of :func:`columns`."""
     lines = []
     for name, title, form in QUANTITIES:
         estimate = measured.response.margins.get(name)
@@ -64,7 +64,7 @@ def rows(measured: AxisMargins) -> list[list[str]]:
 
 
 def judged_rows(margins: MeasuredMargins) -> list[list[str]]:
-    """Return a row of cells for each margin beside its limit, as :data:`JUDGED_COLUMNS` head them."""
+    """Return a table row for each margin beside its limit, under the headings :data:`JUDGED_COLUMNS`."""
     return [row.cells() for row in margins.judged]
 
 
@@ -83,7 +83,7 @@ def _format_range(name: str, form: str, over: EngineRange) -> str:
 
 
 def engine_rows(ranges: Sequence[ParameterRange]) -> list[list[str]]:
-    """Return a row of cells for each uncertain parameter of an engine, as :data:`ENGINE_COLUMNS` head them."""
+    """Return a table row for each uncertain parameter of an engine, under the headings :data:`ENGINE_COLUMNS`."""
     return [
         [row.name, f"{row.nominal:.4g}", f"{row.low:.4g} to {row.high:.4g}", f"{row.spread:.3g}" if row.spread else ""]
         for row in ranges

@@ -147,7 +147,7 @@ def comparison_lines(pairs: Sequence[FlownPair]) -> list[str]:
 
 
 def comparison_columns(pairs: Sequence[FlownPair]) -> list[str]:
-    """Return the headings of :func:`comparison_rows`."""
+    """Return the headings of the table of flights compared with shipped gains."""
     return ["as flown", *(f"{pair.flight}, {which}" for pair in pairs for which in ("shipped", "designed"))]
 
 

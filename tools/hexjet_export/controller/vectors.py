@@ -42,9 +42,9 @@ INPUT_QUANTITIES = (  # inputs of the exported controller
     Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank"),
 )
 INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
-# Inputs of the loops alone: also what the allocation could not realise in the step before.
+# Inputs if the loops are exported without the allocation: also what it could not realise in the step before.
 LOOP_INPUTS = (*INPUTS, *(f"unallocated_{name}" for name in (*AXES, "collective")))
-LOOP_OUTPUTS = (  # outputs of the loops alone
+LOOP_OUTPUTS = (  # outputs without the allocation
     *(f"shown_torque_{axis}" for axis in AXES),
     "shown_collective",
     *(f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted") for axis in AXES),

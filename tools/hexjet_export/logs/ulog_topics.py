@@ -40,7 +40,7 @@ def column(kind: str, name: str, column: str, factor: float = 1.0) -> Field:
 
 
 def _optional(kind: str, name: str, *columns: str, length: int = 0) -> Field:
-    """Return a field of log columns, NaN for those that an older log lacks."""
+    """Return a field whose elements are columns of the log, NaN for those that an older log lacks."""
 
     def values(block: Block) -> Array:
         missing = np.full(len(block["time_s"]), np.nan)

@@ -169,7 +169,7 @@ def identification(reproduction: Reproduction) -> Figure:
             measured = reproduction.identified.responses.get(name)
             if measured:
                 points = np.array(getattr(measured, part))
-                if part == "phase":  # on the printed model's turn
+                if part == "phase":  # shift by turns to the printed branch
                     points += 360.0 * np.round((np.interp(measured.hertz[0], hertz, curve) - points[0]) / 360.0)
                 curves.append(Curve("ours, swept", measured.hertz, points, BLUE, mode="markers"))
             row.append(Panel(titles[name], "frequency [Hz]", label, curves, x_range=ends, x_log=True))

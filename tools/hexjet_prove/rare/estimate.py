@@ -144,7 +144,7 @@ def _has_no_next_level(repeats: Sequence[Repeat]) -> bool:
 
 
 def _missing(repeats: Sequence[Repeat]) -> int:
-    """Return how many repeats met no failure."""
+    """Return the number of repeats of a simulation in which no flight failed."""
     return sum(repeat.log_probability is None for repeat in repeats)
 
 

@@ -29,7 +29,7 @@ class Point:
 
     @classmethod
     def of(cls, controller: str, values: Mapping[str, Value]) -> Point:
-        """Return the point of these values, independent of their order."""
+        """Return the point with a controller and values by key, equal for any order of the keys."""
         return cls(controller, tuple(sorted(values.items())))
 
 

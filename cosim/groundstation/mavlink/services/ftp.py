@@ -82,7 +82,7 @@ class _ClientState:
 
 
 class FileService(Service):
-    """File transfer service.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is in ``log``.
+    """MAVLink FTP service that serves :data:`Files`; a path that begins with ``@MAV_LOG`` is in ``log``.
 
     ``max_open``: files of one client that are open at most.  ``burst_length``: messages of one burst (24 kB), after
     which the client asks for the next.

@@ -125,7 +125,7 @@ def decode_text(value: str | bytes) -> str:
 
 
 def crc32(data: bytes, start: int = 0) -> int:
-    """Return MAVLink's CRC32 (polynomial 0xEDB88320, no inversion); ``start``: that of the bytes before."""
+    """Return MAVLink's CRC32 (polynomial 0xEDB88320, no inversion); ``start``: CRC32 of the bytes before."""
     from zlib import crc32 as inverted
 
     return inverted(data, start ^ 0xFFFFFFFF) ^ 0xFFFFFFFF

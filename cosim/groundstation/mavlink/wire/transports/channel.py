@@ -54,7 +54,7 @@ class FrameHandler(Protocol):
     def receive(self, frame: Frame, peer: Peer, now: float) -> None: ...
 
     def poll(self, now: float) -> float:
-        """Send what is due; return the time of the next poll [s of the clock]."""
+        """Send due messages; return the time of the next call [s of the clock]."""
         ...
 
 
