@@ -36,11 +36,11 @@ MAX_OVERSHOOT = 10.0
 PRINTED_MATRICES = "holds for the state predictor run with the printed matrices, not with G_n(z) realised"
 WAITING = "holds if the wait itself is left out: the answer comes 20 samples later and is otherwise no worse"
 SEEN_BY_PREDICTOR = "holds where the disturbance enters before the predictor's tap, so that the predictor is told of it"
-FITTED_ORDER = (
+FITTED_ORDER_NOTE = (
     "the numbers of baseline, Smith and the printed matrices with 5 samples are eight of the nine to which attitude "
     "gain, length of the disturbance, observer and payload are fitted"
 )
-ATTITUDE_CLOSED = (
+ATTITUDE_CLOSED_NOTE = (
     "with the attitude loop closed round it, which the paper does not say of this rate experiment; see which delay "
     "breaks the rate loop alone"
 )
@@ -48,10 +48,10 @@ PAYLOAD_SIGN_NOTE = (
     "on the linear plant the payload raises the gain, as the state predictor's printed errors ask for; in six degrees "
     "of freedom the same mass lowers it: opposite signs"
 )
-HEXJET_GAINS = (
+HEXJET_GAINS_NOTE = (
     "the gains are not printed; those of vehicle.toml were chosen so that the baseline is lost in the doublet"
 )
-STICKS = (
+STICKS_NOTE = (
     "the pilot's sticks and the gains are not printed: ours are calm, there is no wind, and the printed errors are "
     "taken for what was expected"
 )
@@ -370,24 +370,24 @@ CLAIMS: list[Claim] = [  # claims of the paper, in its order
           numbers.DISTURBANCE, "disturbance with 5 samples",
           _all_hold(_is_below("rmse", "disturbance-5.smith", "disturbance-5.baseline"),
                     _is_below("rmse", "disturbance-5.{state}", "disturbance-5.baseline")), about_state=True,
-          basis="calibrated", rests_on=FITTED_ORDER),
+          basis="calibrated", rests_on=FITTED_ORDER_NOTE),
     Claim("disturbance-predictors-max", "with 5 samples both predictors have a smaller largest error than the baseline",
           numbers.DISTURBANCE, "disturbance with 5 samples",
           _all_hold(_is_below("max", "disturbance-5.smith", "disturbance-5.baseline"),
                     _is_below("max", "disturbance-5.{state}", "disturbance-5.baseline")), about_state=True,
-          basis="calibrated", rests_on=FITTED_ORDER),
+          basis="calibrated", rests_on=FITTED_ORDER_NOTE),
     Claim("disturbance-smith-5", "with 5 samples Smith rejects disturbances better than the state predictor",
           numbers.DISTURBANCE, "RMSE and largest error",
           _all_hold(_is_below("rmse", "disturbance-5.smith", "disturbance-5.{state}"),
                     _is_below("max", "disturbance-5.smith", "disturbance-5.{state}")), about_state=True,
-          basis="calibrated", rests_on=FITTED_ORDER),
+          basis="calibrated", rests_on=FITTED_ORDER_NOTE),
     Claim("disturbance-smith-10", "with 10 samples Smith rejects disturbances better than the state predictor",
           numbers.DISTURBANCE, "RMSE and largest error",
           _all_hold(_is_below("rmse", "disturbance-10.smith", "disturbance-10.{state}"),
                     _is_below("max", "disturbance-10.smith", "disturbance-10.{state}")), about_state=True),
     Claim("disturbance-baseline-10", "with 10 samples the disturbed baseline is unstable", numbers.DISTURBANCE,
           "disturbance with 10 samples", _is_stable("disturbance-10.baseline", False),
-          rests_on=ATTITUDE_CLOSED),
+          rests_on=ATTITUDE_CLOSED_NOTE),
     Claim("disturbance-smith-growth", "from 5 to 10 samples Smith's errors grow by only 2.9 % and 0.2 %",
           numbers.DISTURBANCE, f"growth below {MAX_SPREAD:g} %, disturbance unknown to the predictor", _UNKNOWN_GROWTH,
           condition=SEEN_BY_PREDICTOR, condition_test=_KNOWN_GROWTH),
@@ -420,10 +420,10 @@ CLAIMS: list[Claim] = [  # claims of the paper, in its order
           basis="calibrated", flight_basis="predicted", rests_on=PAYLOAD_SIGN_NOTE),
     Claim("hexjet-baseline", "the baseline cannot hold the Hex-Jet with 25 samples", numbers.FLIGHT,
           "roll doublet at the gains of vehicle.toml", _is_stable("hexjet-doublet.baseline", False),
-          basis="chosen by us", rests_on=HEXJET_GAINS),
+          basis="chosen by us", rests_on=HEXJET_GAINS_NOTE),
     Claim("hexjet-smith", "Smith's predictor holds the Hex-Jet with the same gains", numbers.FLIGHT,
           "roll doublet at the gains of vehicle.toml", _is_stable("hexjet-doublet.smith", True),
-          basis="follows from a choice", rests_on=HEXJET_GAINS),
+          basis="follows from a choice", rests_on=HEXJET_GAINS_NOTE),
     Claim("hexjet-overshoot", "on the Hex-Jet Smith has 42.6 % less overshoot", numbers.FLIGHT,
           "roll doublet at calibrated gains, within 10 points", _matches_printed_ratio("hexjet.less_overshoot"),
           basis="calibrated", rests_on=HEXJET_FIT),
@@ -432,10 +432,10 @@ CLAIMS: list[Claim] = [  # claims of the paper, in its order
           basis="calibrated", rests_on=HEXJET_FIT),
     Claim("manual-roll", "in manual flight roll angle and rate track well in spite of the delay", numbers.FLIGHT,
           "RMSE of angle and rate at most as printed", _tracks_as_printed("roll"),
-          basis="follows from a choice", rests_on=STICKS),
+          basis="follows from a choice", rests_on=STICKS_NOTE),
     Claim("manual-pitch-yaw", "in manual flight pitch and yaw track as expected, in angle and rate", numbers.FLIGHT,
           "RMSE of angle and rate at most as printed", _tracks_as_printed("pitch", "yaw"),
-          basis="follows from a choice", rests_on=STICKS),
+          basis="follows from a choice", rests_on=STICKS_NOTE),
 ]  # fmt: skip
 
 # Questions of ours, not the paper's: can printed numbers belong to one record?
@@ -448,7 +448,7 @@ CONSISTENCY: list[Claim] = [
           _is_stable("hexjet-doublet-calibrated.baseline", False),
           condition="holds for two different pairs of gains: those of vehicle.toml and the calibrated ones",
           condition_test=_is_stable("hexjet-doublet.baseline", False),
-          basis="follows from a choice", rests_on=HEXJET_GAINS),
+          basis="follows from a choice", rests_on=HEXJET_GAINS_NOTE),
 ]  # fmt: skip
 
 
