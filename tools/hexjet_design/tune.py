@@ -28,7 +28,7 @@ ROUNDING_POINTS = 1500  # frequencies to round numbers
 MIN_GAIN = 1e-6  # of the objective, for another digit
 MAX_PASSES = 1000  # rounds over all numbers
 # The search keeps requirements by this relative margin, for what lies between its frequencies.
-MARGIN = 0.004
+SEARCH_MARGIN = 0.004
 PREDICTOR = "predictor."  # prefix of a predictor's parameters
 
 
@@ -140,7 +140,7 @@ def tune(
             if closed.unstable_poles:
                 return UNSTABLE + float(np.sum(x))  # slope towards smaller gains
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
-            value, missed = objective(closed), excess(closed, need, MARGIN) + out
+            value, missed = objective(closed), excess(closed, need, SEARCH_MARGIN) + out
         except (InputError, ValueError, ArithmeticError):
             # A predictor with an unstable response is not feasible.
             return UNSTABLE + float(np.sum(x))
@@ -185,7 +185,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 
 def _cost(closed: ClosedLoop, need: Requirements) -> float:
     """Return a loop's objective with a penalty for missed requirements."""
-    return objective(closed) + PENALTY * excess(closed, need, MARGIN) if not closed.unstable_poles else UNSTABLE
+    return objective(closed) + PENALTY * excess(closed, need, SEARCH_MARGIN) if not closed.unstable_poles else UNSTABLE
 
 
 def tune_digits(

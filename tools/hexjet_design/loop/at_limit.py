@@ -38,7 +38,7 @@ from hexjet_design.loop.tuning import Tuning, round_gain
 Pairs = Sequence[tuple[float, float]]
 
 # The search keeps requirements by this relative margin, for what lies between its frequencies.
-MARGIN = 0.004
+SEARCH_MARGIN = 0.004
 # Factors on the START poles at which searches begin, because an engine may be slow.
 SLOWER_POLES = (1.0, 0.7, 0.5, 0.35)
 LONGER_LAGS = (1.0, 1.3, 1.7, 2.4, 3.5)  # factors on the shortest lag
@@ -87,7 +87,7 @@ class _Search:
         """
         if closed.unstable_poles:
             return {"tolerances": 1.0}
-        parts = excesses(closed, self.need, MARGIN)
+        parts = excesses(closed, self.need, SEARCH_MARGIN)
         spare = 0.1  # overshoot kept free for noise
         if flown:
             allowed = CORNER_FACTOR * (OVERSHOOT_ROOM + closed.overshoot) * (1.0 - spare)
@@ -113,7 +113,7 @@ class _Search:
     @property
     def _room(self) -> float:
         """Largest allowed command, less the margin."""
-        return self.channel.room * (1.0 - MARGIN)
+        return self.channel.room * (1.0 - SEARCH_MARGIN)
 
     def _first_command(self, lag: float) -> float:
         """Return the largest command after a unit step of the set-point for a lag: ``a / (b T)`` of the response.
@@ -134,7 +134,7 @@ class _Search:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
         free_step = 100.0  # s, so large that it bounds nothing
-        bounds = Bounds(need.max_sensitivity * (1.0 - MARGIN), noise * (1.0 - MARGIN), free_step)
+        bounds = Bounds(need.max_sensitivity * (1.0 - SEARCH_MARGIN), noise * (1.0 - SEARCH_MARGIN), free_step)
         wide = need.delay_samples(self.channel.transport_samples)
         first_error = 0.3  # fraction of the tolerance, tried first
         for _ in range(12):

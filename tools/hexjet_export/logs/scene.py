@@ -75,10 +75,10 @@ class Scene:
         """Yield the messages of a block whose first row is step ``first``, always including step ``last``."""
         q = quaternions(*(block[f"{axis}_rad"] for axis in AXES))
         made = {
-            "/tf": self._frame_message,
-            "/pose": self._pose_message,
-            "/location": self._fix_message,
-            "/scene/arrows": self._arrow_message,
+            "/tf": self._make_frame_message,
+            "/pose": self._make_pose_message,
+            "/location": self._make_fix_message,
+            "/scene/arrows": self._make_arrow_message,
         }
         for row, seconds in enumerate(block["time_s"].tolist()):
             k, time = first + row, round(1e9 * seconds)
@@ -88,7 +88,7 @@ class Scene:
                 if topic in self._channels and (k % self._every[topic] == 0 or k == last):
                     yield k, time, self._channels[topic], make(block, row, q, time).SerializeToString()
 
-    def _frame_message(self, block: Block, row: int, q: Array, time: int) -> FrameTransforms:
+    def _make_frame_message(self, block: Block, row: int, q: Array, time: int) -> FrameTransforms:
         frames = FrameTransforms()
 
         def add_frame(parent: str, child: str, at: Any, turned: Any) -> None:
@@ -105,19 +105,19 @@ class Scene:
                 add_frame("body", f"jet_{number}", position, _rotate_thrust_to(axes[group]))
         return frames
 
-    def _pose_message(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
+    def _make_pose_message(self, block: Block, row: int, q: Array, time: int) -> PoseInFrame:
         pose = PoseInFrame(frame_id="ned", pose=_make_pose(_ned_point(block, row), q[row]))
         pose.timestamp.FromNanoseconds(time)
         return pose
 
-    def _fix_message(self, block: Block, row: int, q: Array, time: int) -> LocationFix:
+    def _make_fix_message(self, block: Block, row: int, q: Array, time: int) -> LocationFix:
         north, east = float(block["north_m"][row]), float(block["east_m"][row])
         latitude, longitude, height = self._map.to_geodetic(north, east, float(block["altitude_m"][row]))
         fix = LocationFix(frame_id="body", latitude=latitude, longitude=longitude, altitude=height)
         fix.timestamp.FromNanoseconds(time)
         return fix
 
-    def _arrow_message(self, block: Block, row: int, q: Array, time: int) -> SceneUpdate:
+    def _make_arrow_message(self, block: Block, row: int, q: Array, time: int) -> SceneUpdate:
         assert self._vehicle is not None
         update = SceneUpdate()
         size = vehicle_reach(self._vehicle)

@@ -196,7 +196,7 @@ def subset_simulation(
                 scale = min(scale * exp((float(np.mean(accepted[judged])) - target_accepted) / sqrt(steps)), 10.0)
             parts.append(now)
             flights, left = flights + moving, left - moving
-        states = _States.join(parts)
+        states = _States.join_states(parts)
 
 
 def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]]:

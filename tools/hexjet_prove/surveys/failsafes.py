@@ -31,7 +31,7 @@ from hexjet_prove.surveys.tipping import tip_speed
 if TYPE_CHECKING:
     from cosim.control.autopilot.energy import Energy
 
-HEIGHTS_M = (3.0, 10.0, 30.0)
+HEIGHTS_M = (3.0, 10.0, 30.0)  # heights at the failure
 FUEL_HEIGHTS_M = (100.0, 300.0)  # where low fuel is waited for
 WINDS_M_S = (0.0, 5.0, 10.0)  # winds flown
 # Chosen by us: range of the time from take-off to the failure.
