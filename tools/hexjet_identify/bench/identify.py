@@ -53,7 +53,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
         held_back = predict_held_back(problem, best, total)
         estimates = (replace(best, delay_bounds=_bound_delay(fitted, records, total, notes)), *fitted.estimates[1:])
     verdict = judge(problem, best, total, held_back)
-    notes += [note for record in records for note in record.notes]
+    notes = [*(note for record in records for note in record.notes), *notes]
     found = Identification(
         tuple(records), problem, limits, known, estimates, total, verdict, held_back, tuple(dict.fromkeys(notes))
     )

@@ -67,12 +67,13 @@ class BenchIdentifyResult(FolderResult):
         """Return what ``hexjet engine from-bench --json`` prints."""
         return self.identification.to_dict()
 
-    def lines(self, most: int = 1) -> list[str]:
-        """Return the verdict, how the logs were taken, and the ``most`` weighty that they do not tell."""
+    def lines(self, most: int = 3) -> list[str]:
+        """Return the verdict and the ``most`` weighty notes, among them one on what is not told."""
         found, reason = self.identification, why_no_engine(self.identification)
-        said = [found.verdict.words, *([f"no engine: {reason}"] if reason else []), *note_lines(found.notes)]
-        said += [f"not told: {line}" for line in found.untold[:most]]
-        more = len(found.untold) - most
+        notes, untold = note_lines(found.notes), [f"not told: {line}" for line in found.untold]
+        shown = [*notes[: most - len(untold[:1])], *untold[:1]]
+        more = len(notes) + len(untold) - len(shown)
+        said = [found.verdict.words, *([f"no engine: {reason}"] if reason else []), *shown]
         return [*said, *([f"{more} more on the page"] if more > 0 else [])]
 
     def tables(self) -> list[Table]:
@@ -95,7 +96,7 @@ def page(found: Identification) -> Page:
         Card("Measured and modelled", figure="signals"),
         Card("Models", columns, rows(found, every=True), BOUNDS_TEXT),
         Card("What the log does not tell, and the next test", lines=found.untold or ("nothing that was asked",)),
-        *([Card("Movements, foretold", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
+        *([Card("Movements, predicted", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
         *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),
     ]
     figures = {"signals": draw_signals(_make_signals(found), units)}

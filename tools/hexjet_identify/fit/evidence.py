@@ -52,7 +52,7 @@ class Verdict(NamedTuple):
     """Residual and predicted times, which alone decide whether a form explains its logs.
 
     ``off``: what is left over of movements (rms), averaged over a quarter of delay and lags together, as a share of the
-    range; ``near`` of ``times`` that were foretold are within 10 %, but for a row and noise.
+    range; ``near`` of ``times`` that were predicted are within 10 %, but for a row and noise.
     """
 
     off: float
@@ -100,7 +100,7 @@ def predict_held_back(problem: Problem, estimate: Estimate, total: float) -> tup
     spans = [(number, span) for number, log in enumerate(problem.logs) for span in log.find_movements(2.0 * total)]
     if len(spans) < 4:
         return ()
-    foretold = []
+    predicted = []
     for parity in (0, 1):
         others = _exclude_movements(problem, spans[parity::2])
         part = problem.at(others)
@@ -109,8 +109,8 @@ def predict_held_back(problem: Problem, estimate: Estimate, total: float) -> tup
         answer = fitted.answer(problem)
         for number, span in spans[parity::2]:
             log, rows = problem.logs[number], problem.spans[number]
-            foretold.append(_compare_movement(number, log, answer[rows], span, 0.1 * total, 0.1 * problem.swing))
-    return tuple(sorted(foretold, key=lambda one: one[:2]))
+            predicted.append(_compare_movement(number, log, answer[rows], span, 0.1 * total, 0.1 * problem.swing))
+    return tuple(sorted(predicted, key=lambda one: one[:2]))
 
 
 def _exclude_movements(problem: Problem, spans: list[tuple[int, tuple[float, float]]], least: int = 20) -> Flags:

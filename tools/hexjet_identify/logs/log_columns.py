@@ -48,10 +48,7 @@ ESTIMATES_NOTE = "attitude, position and velocity are its estimates, and not the
 
 
 def read_flight_columns(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
-    """Return a log or a table under our column names, with remarks, for ``hexjet compare``.
-
-    Raises InputError.
-    """
+    """Return a log or a table under our column names, with remarks; raise InputError for a damaged one."""
     return read_log(path) if path.suffix.lower() in (".csv", ".parquet") else as_columns(read_flight_log(path))
 
 
