@@ -19,7 +19,7 @@ MAX_LINES = {
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 308,
-    "tools/hexjet_identify": 10_462,
+    "tools/hexjet_identify": 10_460,
     "tools/hexjet_laws": 586,
     "tools/hexjet_paper": 4_508,
     "tools/hexjet_prove": 6_472,
