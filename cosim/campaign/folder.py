@@ -55,7 +55,7 @@ class FrozenStudy:
     study: dict[str, Any]
     scenario: dict[str, Any]
     files: dict[str, bytes]
-    plan: dict[str, Any] = field(default_factory=dict)  # what a command adds to the study
+    plan: dict[str, Any] = field(default_factory=dict)  # settings of a search; empty for a sweep
 
     def write(self, folder: Path) -> None:
         """Write the files, the study last, so that a folder with a study is complete.  Raises OSError."""
@@ -161,8 +161,7 @@ def _compare_records(asked: Mapping[str, Any], current: Mapping[str, Any]) -> It
 def freeze(study: Study, plan: Mapping[str, Any] | None = None) -> FrozenStudy:
     """Return everything that a folder needs to fly ``study``.
 
-    Each controller is tried on the scenario as it stands, so that what cannot fly at all is found here.  Raises
-    InputError.
+    Each controller is tried on the scenario, so that what cannot fly at all is found here.  Raises InputError.
     """
     base = study.base()
     for controller in study.tried:

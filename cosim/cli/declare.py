@@ -99,8 +99,7 @@ class Command:
     given: Mapping[str, Any] = field(default_factory=dict)
     # Values of options that may be written without a value, by argument.
     bare: Mapping[str, str] = field(default_factory=dict)
-    # Returns the name of the new folder in ``runs/`` from all arguments, if ``out`` is not stated; None: no folder
-    # is written.
+    # Returns the name of the new folder in ``runs/`` from all arguments, if ``out`` is not stated; None: no folder.
     folder: Callable[[Mapping[str, Any]], str | None] | None = None
     # Whether the exit status of a result is 0; else it is 1.
     succeeded: Callable[[Any], bool] = lambda result: True

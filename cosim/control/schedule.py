@@ -85,7 +85,7 @@ def _nominal_factors(level: ScheduledGains, has_lead: bool) -> Factors:
 def _mix_levels(levels: Sequence[Factors], k: int, weight: float) -> Factors:
     low, high = levels[k - 1], levels[k]
 
-    def between(a: float, b: float) -> float:
+    def mix(a: float, b: float) -> float:
         return a + weight * (b - a)
 
     lead: EngineLead | None = None
@@ -93,13 +93,11 @@ def _mix_levels(levels: Sequence[Factors], k: int, weight: float) -> Factors:
     if low_lead is not None and high_lead is not None:
         damping: float | None = None
         if low_lead.damping is not None and high_lead.damping is not None:
-            damping = between(low_lead.damping, high_lead.damping)
+            damping = mix(low_lead.damping, high_lead.damping)
         # Between two valid leads validation is skipped: it takes as long as a step.
         lead = EngineLead.model_construct(
-            natural_rad_s=between(low_lead.natural_rad_s, high_lead.natural_rad_s),
+            natural_rad_s=mix(low_lead.natural_rad_s, high_lead.natural_rad_s),
             damping=damping,
-            pole_rad_s=between(low_lead.pole_rad_s, high_lead.pole_rad_s),
+            pole_rad_s=mix(low_lead.pole_rad_s, high_lead.pole_rad_s),
         )
-    return Factors(
-        between(low.angle, high.angle), between(low.p, high.p), between(low.i, high.i), between(low.d, high.d), lead
-    )
+    return Factors(mix(low.angle, high.angle), mix(low.p, high.p), mix(low.i, high.i), mix(low.d, high.d), lead)

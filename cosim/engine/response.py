@@ -19,7 +19,7 @@ MAX_SETTLING_S = 180.0
 # Fraction of the thrust, or of 1 N if that is more, within which it is constant; the second is for FMUs whose solver
 # has the usual tolerance.
 REST_TOLERANCE = 1e-10
-SOLVER_TOLERANCE = 1e-6
+SOLVER_TOLERANCE = 1e-6  # for FMUs with a solver's tolerance
 # Chosen by us: change of the mean between windows over the tolerance of rest, small enough to exclude a slow lag.
 MAX_DRIFT = 0.1
 

@@ -37,7 +37,7 @@ from cosim.spec.controller_name import label, split_file_name
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
 from cosim.spec.vehicle import is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import describe_profile
-from cosim.vehicle.airframe import AIR_METHOD, GROUND_METHOD, METHOD_NAMES, POSITION_METHODS
+from cosim.vehicle.airframe import AIR_METHOD, GROUND_METHOD, INTEGRATION_METHOD_NAMES, POSITION_METHODS
 
 
 def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
@@ -140,11 +140,11 @@ def describe_integration(scenario: Scenario) -> Integration:
     return Integration(
         runs=scenario.substeps,
         run_s=scenario.step_s / scenario.substeps,
-        rates=METHOD_NAMES[AIR_METHOD],
-        velocities=METHOD_NAMES[AIR_METHOD],
-        attitude=METHOD_NAMES[POSITION_METHODS["rotational"]],
-        position=METHOD_NAMES[POSITION_METHODS["translational"]],
-        on_ground=METHOD_NAMES[GROUND_METHOD],
+        rates=INTEGRATION_METHOD_NAMES[AIR_METHOD],
+        velocities=INTEGRATION_METHOD_NAMES[AIR_METHOD],
+        attitude=INTEGRATION_METHOD_NAMES[POSITION_METHODS["rotational"]],
+        position=INTEGRATION_METHOD_NAMES[POSITION_METHODS["translational"]],
+        on_ground=INTEGRATION_METHOD_NAMES[GROUND_METHOD],
     )
 
 

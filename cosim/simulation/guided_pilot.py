@@ -156,7 +156,8 @@ class GuidedPilot:
         self._climb: float | None = None
         self._to_yaw: float | None = None
         self._yaw = 0.0
-        self._last_point: tuple[Track, Pair | None] | None = None  # end of a track, start of the next
+        # Last point of the running track, and (height, rate) or None; the next command starts there.
+        self._last_point: tuple[Track, Pair | None] | None = None
         self._left = self._points
         self._point = 0  # index of the current waypoint
         self._reached: int | None = None  # step at which the waypoint was reached

@@ -157,8 +157,7 @@ def compare_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, sta
     """Compare the identified models of a vehicle with this engine, an axis each, with vehicle and engine.
 
     Models of another sample time than the scenario's step are left out: no flight takes them; and all of an engine
-    that does not answer a small step.  ``state``: what is to be said of the vehicle.  Raises EngineError if the engine
-    fails.
+    that does not answer a small step.  ``state``: what is to be said of the vehicle.  Raises EngineError.
     """
     models = {
         axis: model

@@ -267,7 +267,7 @@ class Simulation:
                 sample = self.step()
             except FlightError as error:
                 return self.make_failure(error)
-            except ArithmeticError as error:  # a diverged gain or speed
+            except ArithmeticError as error:  # a gain or a speed has diverged
                 return self.make_failure(FlightError(f"a number is out of range: {error}"))
             for look in observe:
                 look(sample)

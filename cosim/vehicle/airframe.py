@@ -42,10 +42,10 @@ from cosim.vehicle.model_trial import check_model_loads
 
 # JSBSim's numbers of integration methods.
 RECTANGULAR: Final = 1.0
-ADAMS_BASHFORTH_2: Final = 3.0
-ADAMS_BASHFORTH_3: Final = 4.0
+ADAMS_BASHFORTH_2: Final = 3.0  # of second order
+ADAMS_BASHFORTH_3: Final = 4.0  # of third order
 BUSS_2: Final = 7.0  # exact for a constant rate
-METHOD_NAMES: Final = {  # method names in summary and report
+INTEGRATION_METHOD_NAMES: Final = {  # in summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
     ADAMS_BASHFORTH_3: "Adams-Bashforth 3",
@@ -102,6 +102,7 @@ class _PropertyWriter:
         self._unit = unit
 
     def put(self, x: float, y: float, z: float) -> None:
+        """Write a vector in SI units to the three JSBSim properties."""
         unit = self._unit
         self._x(x / unit)
         self._y(y / unit)
@@ -433,7 +434,7 @@ class Airframe:
             self._is_extrapolated = True
 
     def _first_run_extra(self) -> float:
-        """Return the fraction of a change that the first run of a step has on top."""
+        """Return the fraction of a load's change that the first run of a step adds to it."""
         return self._extrapolation if self.substeps > 1 else 0.0
 
     def _end_extrapolation(self) -> None:

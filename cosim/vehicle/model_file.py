@@ -34,7 +34,7 @@ ACTING_PROPERTIES: Final = tuple(
 )  # fmt: skip
 # Largest size of one file; the largest of JSBSim's own aircraft has 0.4 MB.
 MAX_MB: Final = 64.0
-_EMPTY_MODEL: Final = b"<fdm_config/>"
+_EMPTY_MODEL: Final = b"<fdm_config/>"  # JSBSim model without content
 # Text of a file that may refer to other files, or has an encoding or definitions that hide this.
 _MAY_REFER: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)

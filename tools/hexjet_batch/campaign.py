@@ -77,7 +77,7 @@ class Chunk(Flight):
     flights: tuple[Flight, ...] = ()
 
     def fly(self, study: Study) -> dict[str, Any]:
-        """Fly them in this process."""
+        """Fly the chunk's flights together in this process."""
         begin = time.perf_counter()
         rows = fly_flights(study, self.flights)
         return {"flight": self.number, "rows": rows, "wall_s": time.perf_counter() - begin}
@@ -141,7 +141,7 @@ def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:
 
 
 def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenario]) -> dict[int, Row]:
-    """Return the rows of the flights that a batch judges, by their places."""
+    """Return the rows of the flights that the batch itself judges, by their index in ``flights``."""
     places, stated = list(scenarios), study.base().model_dump_json()
     blank = failed_row(study, flights[0], "")
     same = {"worker": worker_name(), "by": "batch", "log_sha256": None}
@@ -150,7 +150,7 @@ def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenar
         known = Known(64) if group.log.is_alike() else None
         for i, flat in _measure(group):
             place = places[cast(int, group.numbers[i])]
-            flight, setup = flights[place], _setup_of(stated, scenarios[place])
+            flight, setup = flights[place], _shared_setup(stated, scenarios[place])
             # The log of a flight that ended early is shorter, and so are its steps.
             shared = None if i in group.endings else known
             own = {"flight": flight.number, **{name: getattr(flight, name) for name in ("draw", "controller", "seed")}}
@@ -159,7 +159,7 @@ def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenar
 
 
 def _measure(group: Group, together: int = 16) -> Iterator[tuple[int, Metrics]]:
-    """Yield the metrics of the flights of a group that are judged, by their places in it.
+    """Yield index in the group and metrics of each flight that the batch itself judges.
 
     ``together``: flights that are measured at once, so that their columns stay in the cache.
     """
@@ -181,18 +181,18 @@ def _measure(group: Group, together: int = 16) -> Iterator[tuple[int, Metrics]]:
 
 
 def _reach(n: Numbers, own: Any) -> Reach:
-    """Return the ranges of throttles and tilts as metrics read them: numbers, or what some flights have of arrays."""
+    """Return the ranges of throttles and tilts for the metrics: numbers, or of arrays the elements of ``own``."""
 
-    def column(value: Any) -> Any:
+    def value_of_flights(value: Any) -> Any:
         return value[own] if isinstance(value, np.ndarray) else value
 
-    ends = zip(map(column, n.reach[0]), map(column, n.reach[1]), strict=True)
-    tilt = None if n.servo is None else column(n.servo.range_rad)
+    ends = zip(map(value_of_flights, n.reach[0]), map(value_of_flights, n.reach[1]), strict=True)
+    tilt = None if n.servo is None else value_of_flights(n.servo.range_rad)
     return Reach.model_construct(throttle=tuple(ends), tilt_rad=tilt)
 
 
 def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, known: Known | None) -> Row:
-    """Return what a row says of a flight with these metrics, by the functions that judge every flight."""
+    """Return the row of a flight with these metrics, judged by the functions that judge every flight."""
     scenario, flown, step = group.scenarios[i], group.flight(i), group.n.step
     assert flown.ending is not None
     steps, log = len(flown.log), cast(Any, flown.log)  # its columns are all that is read
@@ -214,12 +214,12 @@ def _judge(study: Study, setup: Setup, group: Group, i: int, flat: Metrics, know
     return outcome_row(study, cast(Any, SimpleNamespace(summary=summary, log=log, scenario=scenario)), "")
 
 
-def _setup_of(stated: str, scenario: Scenario) -> Setup:
-    """Return what is known of a flight beforehand, most of which those of one study share."""
+def _shared_setup(stated: str, scenario: Scenario) -> Setup:
+    """Return the setup of a flight, which flights of one controller, aircraft and engine share."""
     key = (stated, scenario.controller, scenario.aircraft, scenario.engine)
 
-    def make() -> Setup:
+    def build_setup() -> Setup:
         with build(scenario, with_ledger=False) as simulation:
             return make_setup(simulation, resolve(simulation)[0], notes=False)
 
-    return _setups.get(key, make)
+    return _setups.get(key, build_setup)

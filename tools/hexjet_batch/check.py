@@ -24,7 +24,7 @@ from cosim.spec.scenario import Scenario
 from hexjet_batch.fly import fly_batch
 from hexjet_batch.log import FlightLog
 
-PLACE = ("north_m", "east_m", "altitude_m")
+PLACE = ("north_m", "east_m", "altitude_m")  # columns of the position
 # Of every sample: the columns of a quantity, its unit and what the two may differ by.
 QUANTITIES = (
     (("roll_rad", "pitch_rad", "yaw_rad"), "deg", 2e-3),
@@ -45,18 +45,18 @@ class Difference(NamedTuple):
 
     @property
     def is_within(self) -> bool:
-        """Whether they may be called the same."""
+        """Whether the difference is no larger than allowed."""
         return self.apart <= self.allowed
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """What a table shows of it."""
+        """The difference as texts, a row of a table."""
         ends = ["" if value is None else f"{value:.6g}" for value in (self.batch, self.jsbsim)]
         return (self.label, self.unit, *ends, f"{self.apart:.2g}", f"{self.allowed:.2g}")
 
 
 class CheckResult(Result):
-    """A flight of a batch beside JSBSim's.
+    """A batch's flight of a scenario compared with JSBSim's.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class CheckResult(Result):
         }
 
     def lines(self) -> list[str]:
-        """Return whether they are the same, and what is not."""
+        """Return whether both flights are the same, and what differs."""
         outcome, other = self.endings
         if outcome != other:
             return [f"not the same flight: {outcome} by the batch, {other} by JSBSim"]

@@ -30,7 +30,7 @@ from hexjet_batch.stages.step import altitude_of, start, step
 
 
 class BatchFlight(NamedTuple):
-    """A flight of a batch: its number in what was asked for, how it ended and its log.
+    """A flight of a batch: its index among the scenarios, how it ended, and its log.
 
     ``ending`` is None where it is not to be judged here, for the ``reason``: it is to be flown by JSBSim.
     """
@@ -42,7 +42,7 @@ class BatchFlight(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Flights that flew together: their numbers in what was asked for (None: a copy), scenarios, numbers, rows, log.
+    """Flights that flew together: their indices among the scenarios (None: a copy), scenarios, numbers, rows, log.
 
     ``endings`` has those that did not fly to the end: rows, ending, values of one more row, and the reason.
     """
@@ -55,7 +55,7 @@ class Group(NamedTuple):
     endings: dict[int, tuple[int, Ending | None, Any, str]]
 
     def flight(self, i: int) -> BatchFlight:
-        """Return one of them."""
+        """Return flight ``i`` of the group."""
         completed = self.rows, Ending("completed", f"flew {self.rows} steps"), None, ""
         rows, ending, last, why = self.endings.get(i, completed)
         return BatchFlight(self.numbers[i] or 0, ending, FlightLog(self.log.tables, i, rows, last), why)

@@ -18,7 +18,7 @@ from hexjet_batch.stages.rotations import add, to_euler
 from hexjet_batch.stages.step import Inputs, Outputs
 
 SETPOINTS = ("altitude_setpoint_m", *(f"{axis}_setpoint_rad" for axis in AXES))
-STILL = ("fault_", "on_ground", "hull_contact")
+STILL = ("fault_", "on_ground", "hull_contact")  # column beginnings that stay 0 in a batch
 BEGINS = ("altitude_m", "velocity_north_m_s", "velocity_east_m_s", *(f"{axis}_rad" for axis in AXES))
 
 
@@ -36,7 +36,7 @@ class FlightLog:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names."""
+        """The names of the columns."""
         return tuple(self._tables)
 
     def __getitem__(self, name: str) -> Array:
@@ -86,9 +86,9 @@ class BatchLog:
         values = self._usual | self._values(command, inputs, outputs)
         self._rows.append([values.get(name, np.nan) for name in self.tables])
         if len(self._rows) == block:
-            self._turn()
+            self._transpose_block()
 
-    def _turn(self) -> None:
+    def _transpose_block(self) -> None:
         for name, values in zip(self.tables, zip(*self._rows, strict=True), strict=True):
             if len(self.tables[name]) < self._flights and any(np.ndim(value) for value in values):
                 self._widen(name)
@@ -109,7 +109,7 @@ class BatchLog:
     def finish(self) -> None:
         """Complete the tables after the last step."""
         if self._rows:
-            self._turn()
+            self._transpose_block()
         self.tables = {name: self.tables[self._first.get(name, name)] for name in self._columns}
 
     def is_alike(self) -> bool:
@@ -120,44 +120,44 @@ class BatchLog:
         return is_asked_alike and all(np.all(each == each[0]) for each in (*begins, *acts))
 
     def _values(self, command: Command, inputs: Inputs, o: Outputs) -> dict[str, Any]:
-        """Return what a step has in each column."""
+        """Return the values of one step by column."""
         jets, xyz = range(1, self._vehicle.jets + 1), "xyz"
         values = {
             **state_values(o.motion, o.altitude),
-            **_named("{}_setpoint_rad", AXES, () if command.rate is not None else command.attitude),
-            **_named("rate_{}_setpoint_rad_s", RATES, o.rate_setpoint),
-            **_named("{}", REFUSED, o.unallocated),
+            **_name_elements("{}_setpoint_rad", AXES, () if command.rate is not None else command.attitude),
+            **_name_elements("rate_{}_setpoint_rad_s", RATES, o.rate_setpoint),
+            **_name_elements("{}", REFUSED, o.unallocated),
             "altitude_setpoint_m": np.nan if command.collective is not None else command.altitude,
-            **_named("{}", WIND, inputs.wind),
-            **_named(THROTTLE, jets, [o.throttle[row] for row in self._jets.channels]),
+            **_name_elements("{}", WIND, inputs.wind),
+            **_name_elements(THROTTLE, jets, [o.throttle[row] for row in self._jets.channels]),
             "payload_kg": 0.0 if inputs.payload is None else inputs.payload[0],
             "fuel_kg": np.nan if o.fuel is None else o.fuel,
-            **_named("disturbance_force_{}_N", xyz, inputs.force),
-            **_named("disturbance_moment_{}_N_m", xyz, inputs.moment),
-            **_named("disturbance_torque_{}", AXES, add(inputs.torque_command, inputs.torque_output)),
-            **_named(TILT, self._vehicle.servos, o.tilt_command or (0.0, 0.0)),
+            **_name_elements("disturbance_force_{}_N", xyz, inputs.force),
+            **_name_elements("disturbance_moment_{}_N_m", xyz, inputs.moment),
+            **_name_elements("disturbance_torque_{}", AXES, add(inputs.torque_command, inputs.torque_output)),
+            **_name_elements(TILT, self._vehicle.servos, o.tilt_command or (0.0, 0.0)),
         }
         if np.ndim(o.report.fuel):
-            values |= _named(FLOW, jets, [o.report.fuel[row] for row in self._jets.engines])
+            values |= _name_elements(FLOW, jets, [o.report.fuel[row] for row in self._jets.engines])
         return values
 
 
 def state_values(motion: Any, altitude: Any) -> dict[str, Any]:
-    """Return what a state has in each column."""
+    """Return the columns of a state by name: attitude, rates, position, velocity and altitude."""
     ned = ("north", "east", "down")
     return {
-        **_named("{}_rad", AXES, to_euler(motion.attitude, np)),
-        **_named("rate_{}_rad_s", RATES, motion.rate),
-        **_named("{}_m", ned, motion.position),
-        **_named("velocity_{}_m_s", ned, motion.velocity),
+        **_name_elements("{}_rad", AXES, to_euler(motion.attitude, np)),
+        **_name_elements("rate_{}_rad_s", RATES, motion.rate),
+        **_name_elements("{}_m", ned, motion.position),
+        **_name_elements("velocity_{}_m_s", ned, motion.velocity),
         "altitude_m": altitude,
     }
 
 
-def _named(name: str, parts: Sequence[Any], values: Any) -> dict[str, Any]:
-    return dict(zip(_format(name, parts), values, strict=False))
+def _name_elements(name: str, parts: Sequence[Any], values: Any) -> dict[str, Any]:
+    return dict(zip(_format_names(name, parts), values, strict=False))
 
 
 @cache
-def _format(name: str, parts: Sequence[Any]) -> list[str]:
+def _format_names(name: str, parts: Sequence[Any]) -> list[str]:
     return [name.format(part) for part in parts]

@@ -51,7 +51,7 @@ def _is_shipped(model: Path) -> bool:
     return model.read_bytes() in [(folder / f"{name}.xml").read_bytes() for name, folder in folders.items()]
 
 
-_GUIDED = ("place", "velocity", "waypoints", "track")
+_GUIDED = ("place", "velocity", "waypoints", "track")  # kinds of guided commands
 # What a batch does not fly, and how it is seen in a scenario and its vehicle.
 REFUSED: dict[str, Callable[[Scenario, Vehicle], Any]] = {
     "an autopilot (`requests`)": lambda s, v: s.requests is not None,
@@ -138,7 +138,7 @@ def _read_laws(scenario: Scenario, vehicle: Vehicle) -> tuple[list[EngineSpec], 
     if not (control.allocation.throttle_min < hover < control.allocation.throttle_max and lift > weight):
         raise InputError(f"{where}: engine {engine.name} does not hold {vehicle.name} up")
     gains = name_values(control.model_dump(include={"attitude", "rate", "altitude", "allocation"}))
-    leads = [_lead(getattr(control.lead, name, None), step) for name in (*AXES, "altitude")]
+    leads = [_lead_constants(getattr(control.lead, name, None), step) for name in (*AXES, "altitude")]
     rates = [getattr(gains.rate, axis) for axis in AXES]
     if servo is not None:
         banks = TiltAllocator(vehicle.jets, control.allocation, servo.range_rad, hover, thrust_map.idle)
@@ -180,7 +180,7 @@ def _read_laws(scenario: Scenario, vehicle: Vehicle) -> tuple[list[EngineSpec], 
 
 
 def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
-    """Return the rigid body that flies, where it flies."""
+    """Return the numbers of the rigid body as flown, with density and gravity at the place of the flight."""
     place, fuel = scenario.environment, flown.fuel
     latitude, turn = radians(place.latitude_deg), 7.292115e-5  # rad/s, of WGS 84
     height = place.ground_m + start_height(flown, scenario.initial)
@@ -207,11 +207,11 @@ def _sensors(sensors: Numbers, scenario: Scenario) -> Numbers:
         return sensors
     drawn = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=(6,))).standard_normal(6).tolist()
 
-    def bias(stated: Sequence[float], sigma: float, draws: Sequence[float]) -> tuple[float, ...]:
+    def biased(stated: Sequence[float], sigma: float, draws: Sequence[float]) -> tuple[float, ...]:
         return tuple(value + sigma * draw for value, draw in zip(stated, draws, strict=True))
 
-    turned = gyro.replace(bias_rad_s=bias(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3]))
-    pushed = accelerometer.replace(bias_m_s2=bias(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:]))
+    turned = gyro.replace(bias_rad_s=biased(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3]))
+    pushed = accelerometer.replace(bias_m_s2=biased(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:]))
     return sensors.replace(gyro=turned, accelerometer=pushed)
 
 
@@ -226,13 +226,13 @@ def _schedule(vehicle: Vehicle, step: float, rows: int = 1001) -> ScheduleNumber
     for share in np.linspace(low, high, rows):
         at = schedule.at(float(share))
         roll, height = at.roll, at.altitude
-        leads = [_lead(lead, step) or (0.0,) * 5 for lead in (roll.lead, height.lead)]
+        leads = [_lead_constants(lead, step) or (0.0,) * 5 for lead in (roll.lead, height.lead)]
         table.append((roll.angle, roll.p, roll.i, roll.d, height.angle, height.p, height.i, *leads[0], *leads[1]))
     gain = 1.0 - exp(-step / control.schedule.filter_s)
     return ScheduleNumbers(low, high, gain, SCHEDULE_RESOLUTION * (high - low), np.array(table))
 
 
-def _lead(settings: Any, step: float) -> tuple[float, ...] | None:
+def _lead_constants(settings: Any, step: float) -> tuple[float, ...] | None:
     return Lead(settings, step).constants if settings else None
 
 

@@ -36,12 +36,12 @@ class Off(NamedTuple):
 
     @property
     def is_another(self) -> bool:
-        """Whether these cannot be the same flights."""
+        """Whether the metric differs by more than the same flights can."""
         return self.half > HALF_WITHIN or self.most > MOST_WITHIN
 
     @property
     def cells(self) -> list[str]:
-        """What a table shows of it."""
+        """The difference as texts, a row of a table."""
         of, shares = metric(self.name), [f"{100.0 * share:.2g}" for share in (self.half, self.most)]
         another = "another flight" if self.is_another else ""
         return [of.label, f"{of.factor * self.largest:.3g}", of.unit, str(self.flight), *shares, another]
@@ -55,7 +55,7 @@ def judge(folder: Path, workers: Workers, nearest: int = 10, share: float = 0.01
     campaign = open_campaign(folder)
     if campaign.referee.get("flights") == len(campaign):
         return
-    if campaign.referee:  # of fewer flights
+    if campaign.referee:  # judged when fewer had been flown
         (folder / REFEREE).unlink()
         campaign = open_campaign(folder)
     chosen, random = choose(campaign, nearest, share)
@@ -99,10 +99,10 @@ def compare(campaign: Campaign, rows: Mapping[int, Row], again: Mapping[int, Row
     return {
         "flights": len(campaign),
         "confirmed": not otherwise and not others,
-        "says": list(_say(campaign, rows, random, otherwise, others)),
+        "says": list(_summarise_comparison(campaign, rows, random, otherwise, others)),
         "metrics": [found.cells for found in sorted(off, key=lambda found: -found.half)],
         "verdicts": [
-            [str(number), short_name(str(rows[number]["controller"])), _ending(rows[number]), _ending(again[number]),
+            [str(number), short_name(str(rows[number]["controller"])), _verdict(rows[number]), _verdict(again[number]),
              f"{rows[number]['margin']:.3g}", f"{again[number]['margin']:.3g}"]
             for number in otherwise
         ],
@@ -139,7 +139,7 @@ def rates(numbers: Sequence[int], rows: Mapping[int, Row], again: Mapping[int, R
     return ends
 
 
-def _say(
+def _summarise_comparison(
     campaign: Campaign, rows: Mapping[int, Row], random: set[int], otherwise: Sequence[int], others: Sequence[Off]
 ) -> list[str]:
     flown = (
@@ -163,5 +163,5 @@ def _say(
     return [*lines, f"{flown}{alone}"]
 
 
-def _ending(row: Row) -> str:
+def _verdict(row: Row) -> str:
     return f"{'success' if row['success'] else 'no success'}, {row['reason']}"

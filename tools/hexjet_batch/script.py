@@ -42,7 +42,7 @@ class Script:
         self._setpoint: tuple[Any, Quaternion] = (None, (1.0, 0.0, 0.0, 0.0))
 
     def at(self, k: int) -> tuple[Command, Inputs]:
-        """Return what is asked for in step ``k``, which must be the next, and all that acts in it."""
+        """Return the command of step ``k`` and all that acts in it; ``k`` must follow the last step asked for."""
         if self._last is None or self._changes is None or k in self._changes:
             command = stack([script.at(k) for script in self._commands])
             acting = stack([script.at(k)._replace(gust=None) for script in self._disturbances])
@@ -68,7 +68,7 @@ class Script:
             t = (k - gust.begin + 0.5) * self._step
             up = np.clip(t / gust.rise_s, 0.0, 1.0)
             down = np.clip((t - gust.rise_s - gust.hold_s) / gust.fall_s, 0.0, 1.0)
-            # Another one that begins ends it.
+            # A gust ends at once (``gust.end``) when a later one begins.
             share = 0.25 * (1.0 - np.cos(pi * up)) * (1.0 + np.cos(pi * down)) * (k < gust.end)
             if np.any(share):
                 steady = add(steady, gust.velocity_ned_m_s, share)
@@ -98,21 +98,21 @@ def find_mode(scenario: Scenario) -> tuple[Any, ...]:
 
 
 def find_signals(scenario: Scenario) -> list[str]:
-    """Return what a scenario's commands are of; a table's file says it."""
+    """Return the signals that a scenario commands; of a table those of its file."""
     if any(entry.kind in ("table", "sticks") for entry in scenario.command):
         return CommandScript(scenario, 0.0).signals
     return sorted({entry.signal for entry in scenario.command if hasattr(entry, "signal")})
 
 
 def _asked(scenario: Scenario) -> tuple[Any, ...]:
-    """Return what a script is made from."""
+    """Return the part of a scenario that a script is made from."""
     wind, centre = scenario.environment.wind_ned_m_s, scenario.mismatch.centre_m
     payload = centre if scenario.disturbance else None
     return scenario.command, scenario.disturbance, scenario.initial, wind, payload, scenario.duration_s
 
 
 def _find_changes(scenario: Scenario) -> set[int]:
-    """Return the steps at which a script may say something new: all, of what moves from step to step."""
+    """Return the steps at which a script's commands may change: every step, of what moves from step to step."""
     times = [0.0]
     for entry in (*scenario.command, *scenario.disturbance):
         if entry.kind in ("ramp", "sweep", "table", "sticks") or getattr(entry, "shape", "") == "sweep":

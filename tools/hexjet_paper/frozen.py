@@ -22,7 +22,7 @@ class Calibration(BaseModel):
     d: float  # command per rad/s^2
     attitude_gain_1_s: float
     disturbance_each_s: float  # s, either half of the doublet
-    observer_rad_s: float  # both poles of its double integrator
+    observer_rad_s: float  # state predictor: both observer poles
     payload_gain: float  # gain factor with 230 g of payload
     # These are fitted for the Hex-Jet; the rate integral stays in proportion to vehicle.toml.
     hexjet_p: float
@@ -32,7 +32,7 @@ class Calibration(BaseModel):
     corrected_attitude_gain_1_s: float
     # These are chosen, not fitted.
     predictor_sees_disturbance: bool = True  # claims.py judges both cases
-    extra_delay_samples: float = 0.0  # no printed number needs more
+    extra_delay_samples: float = 0.0  # 0: printed numbers are met without any
     d_filter_s: float = 0.0053  # PX4's default of 30 Hz
     gyro_noise_rad_s: float = 0.02  # small MEMS gyro at 400 Hz
     filter_s: float = 0.05  # of the filtered Smith predictor

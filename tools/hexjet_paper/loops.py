@@ -57,13 +57,13 @@ def open_loop(axis: Axis, answer: PairResponse | None = None) -> Response:
     """Return ``C G*`` of the rate loop, as in the paper's Bode diagrams; ``answer``: the predictor's, if known."""
     of_predictor = answer or predictor_response(axis.controller, axis.model, axis.tuning)
 
-    def response(z: Complex) -> Complex:
+    def rate_loop_response(z: Complex) -> Complex:
         of_rate, of_command = of_predictor(z)
         error, slope = controllers_response(axis, z)
         augmented = of_command + of_rate * plant_response(axis.plant, z, axis.delay_samples)
         return np.asarray((error + slope) * augmented)
 
-    return response
+    return rate_loop_response
 
 
 class Margins(Record):

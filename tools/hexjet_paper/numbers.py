@@ -134,7 +134,7 @@ PRINTED: dict[str, Printed] = {row.key: row for row in _PRINTED_NUMBERS}  # by k
 # Discrete state matrices as printed. Their poles are those of G_n(z), but from command to first state they have 1/3660
 # of its gain: a predictor with these matrices hardly responds to the commands that are still in the delay.
 A_D = ((0.9991, 0.0023), (-0.6953, 0.8777))
-B_D = (0.0, 0.0234)
+B_D = (0.0, 0.0234)  # discrete input matrix as printed
 
 
 def value(key: str) -> float:

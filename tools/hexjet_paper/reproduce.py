@@ -238,7 +238,7 @@ def identify() -> Identified:
     for engine in ("turbojet", "edf"):
         identified = identify_engine(engine)
         model = identified.model
-        responses[engine] = _response(identified.response, constants.g)
+        responses[engine] = _normalised_response(identified.response, constants.g)
         values[f"{engine}.gain"] = model.gain / constants.g
         values[f"{engine}.pole"] = model.poles[0]
         values[f"{engine}.time_constant"] = -model.sample_time_s / float(np.log(model.poles[0]))
@@ -251,13 +251,13 @@ def identify() -> Identified:
     values["roll.pole_slow"], values["roll.pole_fast"] = max(roll.model.poles), min(roll.model.poles)
     lag = -step / float(np.log(numbers.value("roll.pole_fast")))
     values["hexjet.delay"] = fit(roll.response, 1, "the paper's lag", {"lag_s": lag}).model.delay_samples
-    responses["roll"] = _response(roll.response, 1.0)
+    responses["roll"] = _normalised_response(roll.response, 1.0)
     deviation = roll.reference_deviation()
     assert deviation is not None  # as G(z) is printed for this axis
     return Identified(values, responses, deviation, (roll.sweep.from_hz, roll.sweep.to_hz))
 
 
-def _response(measured: FrequencyResponse, unit: float) -> Response:
+def _normalised_response(measured: FrequencyResponse, unit: float) -> Response:
     gain = measured.magnitude_db - 20.0 * np.log10(unit)
     return Response(measured.hertz.tolist(), gain.tolist(), measured.phase_deg.tolist())
 

@@ -23,7 +23,7 @@ from cosim.base.runtime.host import Host
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 from cosim.spec.vehicle import Vehicle
 
-LOCAL = "127.0.0.1"
+LOCAL = "127.0.0.1"  # address of this machine
 _TIMEVAL = Struct("@ll")  # C's struct: seconds, microseconds
 # Seconds between two checks of an autopilot's process, so that its end is noticed soon.
 CHECK_S = 0.25

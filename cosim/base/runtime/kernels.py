@@ -20,7 +20,7 @@ from typing import Any
 from cosim.base.errors import notify
 
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"  # OpenBLAS's choice of kernel, and ours
-_NEEDED_FEATURES = {b"avx2", b"fma"}  # of x86 processors since 2013
+_NEEDED_FEATURES = {b"avx2", b"fma"}  # that x86 processors have since 2013
 _MEMORY_MAPS = "/proc/self/maps"  # lists the process's libraries
 _warnings: list[str] = []  # warnings given so far by this process
 _QUERIES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")  # of OpenBLAS
@@ -49,7 +49,7 @@ def load_with_reference() -> None:
     The environment is left as it is, but while they are loaded; a variable that is set there already stands.
     """
     if VARIABLE not in os.environ and can_use_reference():
-        sys.meta_path.insert(0, _ReferenceFinder())
+        sys.meta_path.insert(0, _ReferenceKernelFinder())
 
 
 def set_for_command() -> None:
@@ -105,8 +105,8 @@ def _query_libraries(with_scipy: bool) -> tuple[tuple[str, str], ...]:
     return tuple(sorted(kernels))
 
 
-class _ReferenceFinder:
-    """Import finder that loads numpy and scipy's packages with the kernel variable set."""
+class _ReferenceKernelFinder:
+    """Import finder that sets OPENBLAS_CORETYPE to the reference kernels while numpy and scipy's packages load."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         parts = fullname.split(".")
@@ -119,7 +119,7 @@ class _ReferenceFinder:
         load = loader.exec_module
 
         def load_reference(module: ModuleType) -> None:
-            with _with_reference_variable():
+            with _set_variable_temporarily():
                 load(module)
 
         loader.exec_module = load_reference  # type: ignore[method-assign]
@@ -127,7 +127,7 @@ class _ReferenceFinder:
 
 
 @contextmanager
-def _with_reference_variable() -> Iterator[None]:
+def _set_variable_temporarily() -> Iterator[None]:
     before = os.environ.get(VARIABLE)
     os.environ[VARIABLE] = before or REFERENCE
     try:

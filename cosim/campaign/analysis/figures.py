@@ -62,7 +62,7 @@ def outcomes(table: FlightTable) -> Figure:
     layout = _layout_with_legend(_figure_height(table)) | {"barmode": "stack"}
     layout["legend"]["traceorder"] = "normal"
     layout["xaxis"] = {"title": {"text": "of the flights [%]"}, "range": [0.0, 100.0]}
-    layout["yaxis"] = _name_axis()
+    layout["yaxis"] = _names_axis()
     return {"data": data, "layout": layout}
 
 
@@ -92,7 +92,7 @@ def probability(table: FlightTable, proportions: Sequence[Proportion]) -> Figure
     layout = _layout_with_legend(_figure_height(table)) | {"showlegend": False}
     layout["xaxis"] = {"title": {"text": "success [%]"}, "range": _percent_range(table, proportions)}
     # A figure without flights has no points from which Plotly could make the axis.
-    layout["yaxis"] = _name_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
+    layout["yaxis"] = _names_axis() | {"categoryorder": "array", "categoryarray": table.controllers, "type": "category"}
     return {"data": data, "layout": layout}
 
 
@@ -306,7 +306,7 @@ def _make_error_bars(above: Sequence[float], below: Sequence[float], width: int)
     return {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "thickness": 1, "width": width}
 
 
-def _name_axis() -> Figure:
+def _names_axis() -> Figure:
     return {"automargin": True, "autorange": "reversed", "ticksuffix": " "}
 
 

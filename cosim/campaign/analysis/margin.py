@@ -82,5 +82,6 @@ def _margin_of_failed_flight(row: Row, study: Study) -> float:
 
 
 def _to_finite_margin(value: object) -> float:
+    """Return a margin as a float; a non-finite one counts as lost (-LOST)."""
     assert isinstance(value, (int, float))
     return float(value) if isfinite(value) else -LOST

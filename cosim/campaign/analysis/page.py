@@ -120,14 +120,14 @@ def make_page(campaign: Campaign) -> Page:
         Card("Success over each key", text=f"All other keys as they come. {'' if table.grid else CLASSES_NOTE}",
              figure=[name for name in figures if name.startswith("key-")], lines=[Markup(" ").join(named)]),
         metrics_card(table, named),
-        _reasons_card(campaign, table, named),
+        _failure_reasons_card(campaign, table, named),
         Card("Worst cases", CASE_COLUMNS, case_rows(campaign, table, named), CASES_NOTE,
              code=f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight NUMBER"),
     ]  # fmt: skip
     return Page(
         "campaign",
         study.title or study.name,
-        [*pages, _keys_card(study, table), *_data_cards(campaign)],
+        [*pages, _varied_keys_card(study, table), *_stored_data_cards(campaign)],
         figures,
         verdict=count if confirmed else f"{judged[0]}; {count}",
         badge="completed" if finished and confirmed else "failed",
@@ -160,14 +160,15 @@ def _success_sentence(name: Markup, found: Proportion, is_grid: bool, stops: boo
     return Markup("{}: {} succeed, {}{}.").format(name, share, counted, bounds)
 
 
-def _reasons_card(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> Card:
+def _failure_reasons_card(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> Card:
+    """Return the card of why flights were no success, with a column for each controller."""
     rows, title = reason_rows(campaign, table), "Why flights were no success"
     if not rows:
         return Card(title, lines=["Every flight was one."])
     return Card(title, ("reason", *named), rows, "Reasons that differ in their numbers only (…) are one.")
 
 
-def _keys_card(study: Study, table: FlightTable) -> Card:
+def _varied_keys_card(study: Study, table: FlightTable) -> Card:
     rows = [(code(r["path"]), r["drawn"], r["nominal"], r["observed"], r["unit"]) for r in key_rows(study, table)]
     asked = "; ".join(describe_correlation(correlation) for correlation in study.correlate)
     lines = [f"Requested rank correlations: {asked}."] if asked else []
@@ -176,7 +177,7 @@ def _keys_card(study: Study, table: FlightTable) -> Card:
     return Card("What varies", ("key", "drawn from", "nominal", "flown", "unit"), rows, lines=lines)
 
 
-def _data_cards(campaign: Campaign) -> Iterator[Card]:
+def _stored_data_cards(campaign: Campaign) -> Iterator[Card]:
     stored = Markup("{} Parquet files in {}, the study in {}.").format(
         "One row a flight: what was drawn, what came of it, every metric in SI units, a hash of its log.",
         link("flights/", "flights/"),
@@ -362,6 +363,7 @@ def strongest_pair(
 
 
 def _joint_effect(rows: Any, first: Array, second: Array, values: Array) -> float:
+    """Return the fraction of the variance of ``values`` that two keys explain together in these rows."""
     some = int(np.sum(rows)) > 1 and np.ptp(values[rows]) > 0.0
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
 

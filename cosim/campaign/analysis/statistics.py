@@ -28,8 +28,9 @@ class Proportion(NamedTuple):
 
     hits: int
     of: int
-    wilson: Interval  # Wilson's 95 % interval (mean coverage)
-    exact: Interval  # Clopper-Pearson interval, at least 95 %
+    # Wilson's interval: covers 95 % on average over the probability, not at least.
+    wilson: Interval
+    exact: Interval  # Clopper-Pearson's: covers at least 95 %
 
     @property
     def value(self) -> float | None:

@@ -149,10 +149,8 @@ def _existing_case(folder: Path, name: str) -> str:
 def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
     """Write a scenario as it flies below ``folder``, and return its relative path.
 
-    Where files go along with it it has a folder of its own.  Raises InputError or FlightError if it cannot be built or
-    written.
+    With files it has a folder of its own.  Raises InputError or FlightError if it cannot be built or written.
     """
-
     with build(scenario) as simulation:
         resolved, files = resolve(simulation)
     link = Path(CASES) / name / SCENARIO if files else Path(CASES) / f"{name}.toml"

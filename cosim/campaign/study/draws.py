@@ -180,7 +180,7 @@ class Sobol:
 
 
 class LatinHypercube:
-    """All points at once: 8 bytes for each key of each draw."""
+    """Latin hypercube sampling, all points at once: 8 bytes of memory for each key of each draw."""
 
     def __init__(self, study: Study, sides: int) -> None:
         self._study, self._sides = study, sides
@@ -232,12 +232,12 @@ def _correlated_keys(matrix: Array) -> list[int]:
 
 
 def _make_copula(study: Study) -> Callable[[Array], Array]:
-    """Return a function that gives independent points the requested correlations."""
+    """Return a function that imposes the study's correlations on independent uniform points (Gaussian copula)."""
     matrix = study.correlations()
     sides = _correlated_keys(matrix)
     lower = np.linalg.cholesky(matrix[np.ix_(sides, sides)])
 
-    def correlate_points(points: Array) -> Array:
+    def impose_correlations(points: Array) -> Array:
         if not sides:
             return points
         from scipy.special import ndtr, ndtri
@@ -250,7 +250,7 @@ def _make_copula(study: Study) -> Callable[[Array], Array]:
             points[:, side] = np.clip(ndtr(together), MIN_QUANTILE, 1.0 - MIN_QUANTILE * 2.0)
         return points
 
-    return correlate_points
+    return impose_correlations
 
 
 def reorder_points(points: Array, matrix: Array) -> Array:

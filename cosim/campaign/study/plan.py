@@ -53,7 +53,7 @@ def flight_key(fingerprint: str, flight: Flight) -> str:
 
 
 class _Flights(LazySequence[Flight]):
-    """The flights of a study."""
+    """Every draw with every controller, as a sequence whose flights are made when asked for."""
 
     def __init__(self, draws: Sequence[Draw], controllers: Sequence[str]) -> None:
         self._draws = draws
@@ -70,7 +70,6 @@ class _Flights(LazySequence[Flight]):
 
 def flights(study: Study) -> Sequence[Flight]:
     """Return every flight of ``study``, in the order in which they are flown."""
-
     return _Flights(Draws(study), controllers(study))
 
 

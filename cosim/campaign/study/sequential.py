@@ -135,7 +135,7 @@ class SequentialTest:
         return self.decision
 
     def close(self) -> None:
-        """Decide by all of the error, now that the study has no more flights."""
+        """Decide with all of the allowed error, as the study has no more flights."""
         if self.decision == "open" and self.flights:
             if self._upper_failure_bound(self.claim.error) <= self._failing:
                 self.decision = "shown"
@@ -256,7 +256,7 @@ class ClaimTest:
                 course.add(success)
 
     def close(self) -> None:
-        """Decide by all of the error, now that the study has no more flights."""
+        """Decide with all of the allowed error, as the study has no more flights."""
         for course in (self._worst, self._best):
             course.close()
 

@@ -22,7 +22,7 @@ class KeysResult(Result):
         return {"keys": self.keys}
 
     def lines(self) -> list[str]:
-        """Return the number of keys, and the scenario whose values are shown."""
+        """Return the line to print: how many keys there are, and the scenario that their values are from."""
         return [f"{len(self.keys)} keys, with their values in scenario {self.scenario}"]
 
     def tables(self) -> list[Table]:

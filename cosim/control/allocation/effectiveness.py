@@ -30,11 +30,11 @@ from cosim.control.allocation._effectiveness import Solver
 
 # Rows of the force and moment demand.
 ROW_ROLL: Final = 0
-ROW_PITCH: Final = 1
-ROW_LIFT: Final = 2
-ROW_YAW: Final = 3
-ROW_FORWARD: Final = 4
-ROW_RIGHT: Final = 5
+ROW_PITCH: Final = 1  # row of the pitching moment
+ROW_LIFT: Final = 2  # row of the lift
+ROW_YAW: Final = 3  # row of the yawing moment
+ROW_FORWARD: Final = 4  # row of the force forward
+ROW_RIGHT: Final = 5  # row of the force to the right
 PRIORITIES: Final = ((ROW_ROLL, ROW_PITCH), (ROW_LIFT,), (ROW_YAW,))  # rows, highest priority first
 HORIZONTAL: Final = ((ROW_FORWARD, ROW_RIGHT),)  # optional rows of lowest priority
 AHEAD: Final = ((ROW_FORWARD,),)  # row added in forward flight
@@ -45,7 +45,7 @@ MAX_SWING_RAD: Final = 0.6
 TINY: Final = 1e-10
 # Limits of Newton iterations in a step (two are usual), and in the first one, without a previous solution.
 MAX_ITERATIONS: Final = 6
-MAX_FIRST: Final = 60
+MAX_FIRST: Final = 60  # iterations without a previous solution
 
 
 class Effector(NamedTuple):
@@ -320,10 +320,10 @@ class EffectivenessAllocator:
         for low, _ in self._thrust_limits:
             least += low
         asked = lift
-        # Jets do not push against the lift of surfaces.
+        # Subtract the lift of the surfaces at their last positions; what is left is the jets' share.
         for number in range(self._hinges, len(self._effectors)):
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
-        # Lift is at least 5 % of the forward force, because surfaces lift too.
+        # The jets' share of the lift, which surfaces reduce, is raised to at least 5 % of the forward force.
         asked = lift + max(0.0, 0.05 * max(force, least) - asked)
         without = force
         if asked < least:  # even idle thrust points forward

@@ -144,17 +144,17 @@ class HingedRecovery(EffectivenessAllocator):
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().allocate_forward(force, lift, pitch, torque, tilts)
 
-    def _balance_lift(self, lift: float, trimmed: float = 0.7) -> tuple[list[float], list[float]]:
-        """Return thrusts [N] and servo angles that give a lift [N] in balance, and the residual.
+    def _balance_lift(self, lift: float, balancing_share: float = 0.7) -> tuple[list[float], list[float]]:
+        """Return [thrusts in N, then servo angles] that give a lift [N] in balance, and the wrench that is missing.
 
-        The lift that reported thrusts lack is added to the demand, which halves the engines' lag.  ``trimmed``: the
-        fraction of the hinges' ranges to balance thrusts with; the rest turns the vehicle.
+        The lift that reported thrusts lack is added to the demand, which halves the engines' lag.  ``balancing_share``:
+        the fraction of the hinges' ranges to balance thrusts with; the rest turns the vehicle.
         """
         pushed = lift
         for thrust in self._reported:
             pushed -= thrust
         pushed += lift
-        part = 0.0 if self._turning_on else trimmed
+        part = 0.0 if self._turning_on else balancing_share
         reach = [
             (effector.rest + part * (low - effector.rest), effector.rest + part * (high - effector.rest))
             for effector, (low, high) in zip(self._effectors, self._servo_limits, strict=True)

@@ -49,7 +49,7 @@ class FailsafeMonitor:
         self.energy.reset()
         self._tank.reset()
         self._excess: float | None = None  # m outside when the fence last acted
-        self._fence_has_acted = False  # the fence's action is being flown
+        self._is_fence_action_flown = False  # until a pilot takes over or it is inside
         self._waited_s = 0.0  # s outside since the pilot took over
         self._lost_engines: tuple[int, ...] = ()
         self._failed_sensors: tuple[str, ...] = ()
@@ -137,14 +137,14 @@ class FailsafeMonitor:
         """
         excess, why = self._measure_excess(*position, altitude, home)
         if not why:
-            self._excess, self._fence_has_acted = None, False
+            self._excess, self._is_fence_action_flown = None, False
             return
         if self._excess is not None and acting:
-            self._fence_has_acted = True
+            self._is_fence_action_flown = True
             return
-        if self._fence_has_acted:
+        if self._is_fence_action_flown:
             # A pilot took over in this step.
-            self._fence_has_acted, self._excess, self._waited_s = False, excess, 0.0
+            self._is_fence_action_flown, self._excess, self._waited_s = False, excess, 0.0
         self._waited_s += self._step
         if self._excess is None or excess > self._excess + self.further_m or self._waited_s > self.patience_s:
             self._excess, self._waited_s = excess, 0.0

@@ -12,7 +12,7 @@ class Mode(Enum):
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
     ALTCTL = "ALTCTL"  # stick: lean and climb rate
-    POSCTL = "POSCTL"  # stick: velocity and climb; else holds
+    POSCTL = "POSCTL"  # sticks: velocity and climb, else hold
     HOLD = "HOLD"
     TAKEOFF = "TAKEOFF"
     LAND = "LAND"

@@ -67,7 +67,7 @@ class Axis:
 
     @property
     def _faster_poles(self) -> list[complex]:
-        return _find_faster_poles(self.model)
+        return _poles_but_slowest(self.model)
 
 
 def low_frequency_delay(model: RateModel) -> float:
@@ -76,14 +76,14 @@ def low_frequency_delay(model: RateModel) -> float:
     Of zeros as much less: ``arg(z - p)`` on the unit circle grows with ``1 / (1 - p)`` at its beginning.
     """
     samples: complex = model.delay_samples + 0.5
-    for pole in _find_faster_poles(model):
+    for pole in _poles_but_slowest(model):
         samples += 1.0 / (1.0 - pole)
     for zero in model.all_zeros:
         samples -= 1.0 / (1.0 - zero)
     return samples.real * model.sample_time_s
 
 
-def _find_faster_poles(model: RateModel) -> list[complex]:
+def _poles_but_slowest(model: RateModel) -> list[complex]:
     poles = list(model.all_poles)
     poles.remove(max(model.poles))
     return poles

@@ -143,7 +143,7 @@ class FlightLaw:
         """Abort the manoeuvre, because the engines idle or are off."""
 
     def leave(self) -> None:
-        """Hand over to another law, which flies from this step on."""
+        """Do nothing in this base; called on the law that flew until now when another law flies from this step on."""
 
     def applies(self, demand: Demand) -> bool:
         """Return whether the law is to fly this step; the first law that applies flies."""

@@ -226,7 +226,7 @@ def _specify_observer_predictor(
 ) -> PredictorSpec:
     """Return the specification of a state predictor with an observer of the identified model."""
 
-    def make(model: RateModel, own: OwnParameters) -> Predictor:
+    def make_predictor(model: RateModel, own: OwnParameters) -> Predictor:
         from cosim.control.predictors.state import ModalPredictor, ModelObserver, StateModel, StatePredictor
 
         if len(model.poles) != 2 or model.pole_pairs or model.zero_pairs:
@@ -234,20 +234,20 @@ def _specify_observer_predictor(
         state = StateModel(model)
         return StatePredictor(model, ModelObserver(state, own[parameter], disturbance), state)
 
-    def response(model: RateModel, own: OwnParameters) -> PairResponse:
+    def make_response(model: RateModel, own: OwnParameters) -> PairResponse:
         from cosim.control.predictors.linear import observer_response
 
         return observer_response(model, own[parameter], disturbance)
 
-    def space(model: RateModel, own: OwnParameters) -> PredictorSpace:
+    def make_state_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
         from cosim.control.predictors.linear import ObserverSpace
 
         return ObserverSpace(model, own[parameter], disturbance)
 
     tuned = _specify_observer_parameter(parameter, mavlink)
     return PredictorSpec(
-        name, title, make, number, parameters=(tuned,), response=response, space=space, automatic=True, with_lead=True,
-        compared=compared,
+        name, title, make_predictor, number, parameters=(tuned,), response=make_response, space=make_state_space,
+        automatic=True, with_lead=True, compared=compared,
     )  # fmt: skip
 
 
@@ -262,7 +262,7 @@ def _baseline_response(model: RateModel, own: OwnParameters) -> PairResponse:
     return no_response
 
 
-def _baseline_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
+def _baseline_state_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
     from cosim.control.predictors.linear import NoSpace
 
     return NoSpace()
@@ -274,7 +274,8 @@ def _smith_response(model: RateModel, own: OwnParameters) -> PairResponse:
     return smith_response(model, own.get("filter_s"))
 
 
-def _smith_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
+def _smith_state_space(model: RateModel, own: OwnParameters) -> PredictorSpace:
+    """Return the Smith predictor in state space, with its filter time from the predictor's own parameters."""
     from cosim.control.predictors.linear import SmithSpace
 
     return SmithSpace(model, own.get("filter_s"))
@@ -287,7 +288,7 @@ BASELINE = PredictorSpec(  # no predictor
     0,
     needs_model=False,
     response=_baseline_response,
-    space=_baseline_space,
+    space=_baseline_state_space,
     automatic=True,
     with_lead=True,
     compared=True,
@@ -298,7 +299,7 @@ SMITH = PredictorSpec(  # Smith predictor
     lambda model, own: SmithPredictor(model),
     1,
     response=_smith_response,
-    space=_smith_space,
+    space=_smith_state_space,
     automatic=True,
     compared=True,
 )
@@ -313,7 +314,7 @@ FILTERED_SMITH = PredictorSpec(  # filtered Smith predictor
         ),
     ),
     response=_smith_response,
-    space=_smith_space,
+    space=_smith_state_space,
     automatic=True,
     compared=True,
 )

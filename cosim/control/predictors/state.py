@@ -97,8 +97,7 @@ class DoubleIntegratorObserver:
 class ModelObserver:
     """Luenberger observer of the identified model, optionally with a constant input disturbance.
 
-    ``x^ = A x + B (u + d)``, corrected by ``L (y - x^[0])`` at the same instant; all observer poles at
-    ``exp(-bandwidth T)``.
+    ``x^ = A x + B (u + d)``, corrected by ``L (y - x^[0])`` at the same instant; all poles at ``exp(-bandwidth T)``.
     """
 
     def __init__(self, model: StateModel, bandwidth: float, disturbance: bool) -> None:

@@ -78,7 +78,7 @@ def unpack(archive: Archive) -> UnpackedArchive:
         raise
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
-    except OSError as error:  # could not write there
+    except OSError as error:  # a file could not be written
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE_ERRORS as error:

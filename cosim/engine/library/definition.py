@@ -29,7 +29,8 @@ PORTS = {
 }
 REQUIRED_PORTS = {"throttle", "thrust"}  # ports that every engine must have
 FLAME_OUT_KEYS = ("thrust_left", "run_down_s", "exponent", "relight_s")  # keys of the table [flame_out]
-LEDGER_KEYS = {"pole", "delay"}  # keys of the table [ledger]
+# Keys of [ledger], which names the engine's parameters for pole and delay that the delay ledger reads.
+LEDGER_KEYS = {"pole", "delay"}
 
 
 class BuildError(ValueError):

@@ -128,6 +128,7 @@ def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterato
 
 
 def _select(archive: Archive, causality: str) -> Sequence[Variable]:
+    """Return variables of an FMU by causality: inputs, outputs, or else parameters."""
     return {"input": archive.inputs, "output": archive.outputs}.get(causality, archive.parameters)
 
 

@@ -45,7 +45,7 @@ class PageLimits(NamedTuple):
 
     frames_1_s: int = 20  # frames per second, smooth to the eye
     max_message_bytes: int = 4096  # the page's messages have 200 bytes
-    messages_1_s: float = 80.0  # most of one page; its sticks send 20
+    messages_1_s: float = 80.0  # messages/s of one page; sticks send 20
     burst_messages: float = 160.0
     max_pages: int = 8
     # Buffers for a page that reads slowly, here (it then misses frames of 2 kB) and in the kernel, whose default

@@ -115,8 +115,7 @@ def identify_axis(
     requested, subject = Sweep(low, high, size, seconds), f"{base.aircraft_name} {axis}"
     flight, response, notes = _fly_until_coherent(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
-    # Pitch and yaw turn the jets instead of throttling them, and an axis shared by hinges and engines has no single
-    # delay.
+    # Pitch and yaw turn the jets and do not throttle them; an axis shared by hinges and engines has no single delay.
     own_delay = flight.engine.transport_delay if axis == "roll" and not accelerates else None
     fits = _fit_forms(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
     return Identification(

@@ -130,12 +130,12 @@ def _fit_group(offset: Array, injected: Complex, command: Complex, output: Compl
     value = complex(solution[0])
     if value == 0.0:
         return value, 0.0, float("inf")
-    coherence = min(_common_power(output, instruments), _common_power(command, instruments))
+    coherence = min(_explained_fraction(output, instruments), _explained_fraction(command, instruments))
     return value, coherence, float(np.sqrt(variance)) / abs(value)
 
 
-def _common_power(signal: Complex, instruments: Complex) -> float:
-    """Return the fraction of a signal's power that is the injected signal times a parabola in frequency."""
+def _explained_fraction(signal: Complex, instruments: Complex) -> float:
+    """Return the fraction of power that the injected signal explains, by a response quadratic in frequency."""
     power = float(np.mean(np.abs(signal) ** 2))
     if power == 0.0:
         return 0.0

@@ -113,7 +113,7 @@ class _Blocks:
             memory = np.asarray(rows)[:, :count]
             table = memory[: self._columns]
             for angle in self._angles:
-                table[angle.column] = angle.law(*memory[angle.of : angle.of + 4])
+                table[angle.column] = angle.law(*memory[angle.first : angle.first + 4])
             self._sink.write(table)
             self.row_count += count
         rows.clear()

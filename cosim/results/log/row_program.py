@@ -56,7 +56,7 @@ class Angle(NamedTuple):
     """A column with an angle that is computed from the four elements of a quaternion, by blocks."""
 
     column: int
-    of: int  # index of the first element
+    first: int  # of the quaternion's elements in the row
     law: Callable[[Array, Array, Array, Array], Array]
 
 

@@ -26,7 +26,7 @@ from cosim.results.summary import Summary
 from cosim.results.verdict import NOTHING_EXPECTED
 from cosim.results.wording import DIGITS, NONE, display_unit, metric
 
-STRIPS = (
+STRIPS = (  # plots in order: name, title, caption
     ("first", "", ""),
     ("attitude", "", ""),
     (

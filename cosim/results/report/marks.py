@@ -65,8 +65,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
 def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     """Write ``parts`` between the marks of their names, on the page or on its data page.
 
-    Raises InputError for marks that do not come in pairs, for a part that has no mark, and if a file cannot be
-    written.
+    Raises InputError for marks that do not come in pairs, for a part without mark, and if a file cannot be written.
     """
     pages = _read_parts(path)
     _refuse_unknown_marks(path, parts, _merge_parts(pages))

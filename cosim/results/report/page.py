@@ -27,11 +27,11 @@ ASSETS = Path(__file__).resolve().parent / "assets"
 # Cache of compiled Jinja templates: compiling the flight's takes 0.15 s, more than the rest of its page.
 TEMPLATE_CACHE = Path(__file__).resolve().parent / "__pycache__"
 STYLES = ("vendor/uPlot.min.css", "strips.css")
-SCENE = "scene.js"
+SCENE = "scene.js"  # script of the 3D scene
 SCRIPTS = ("vendor/uPlot.iife.min.js", "signals.js", "strips.js", "strip_files.js", "workbench.js", SCENE, "replay.js")
-THREE = "vendor/three.iife.min.js"
-FIGURES = ("figure_axes.js", "figure_marks.js", "figures.js")
-FIGURE_STYLE = "figures.css"
+THREE = "vendor/three.iife.min.js"  # three.js, which draws the 3D scene
+FIGURES = ("figure_axes.js", "figure_marks.js", "figures.js")  # scripts that draw figures
+FIGURE_STYLE = "figures.css"  # style sheet of figures
 # Licences of third-party scripts, by the file that a page embeds: each must go with every copy of it.
 NOTICES = {"vendor/uPlot.iife.min.js": ("uPlot",), THREE: ("three",)}
 SHARED_PREFIX = "assets-"  # of the folder that pages share

@@ -18,7 +18,7 @@ from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, r
 from cosim.results.summary import Summary
 
 DEG = degrees(1.0)
-AT_REST = "thrust_{}_at_rest_N"
+AT_REST = "thrust_{}_at_rest_N"  # column: thrust that a jet settles at
 HEXJET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right
 
 
@@ -41,7 +41,7 @@ class Panel(NamedTuple):
     unit: str
     traces: Sequence[Trace]
     scale: float = 1.0
-    least_span: float = 0.0  # keeps noise from filling the panel
+    least_span: float = 0.0  # smallest span, so noise fills no panel
 
 
 def _setpoint_trace(column: str) -> Trace:

@@ -184,8 +184,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     original, _ = load_vehicle(aircraft, folder=folder)
     control = file.vehicle.get("control", {})
     if "schedule" not in control and original.control.schedule:
-        # In a file from before schedules the gains hold for every thrust, so the aircraft's schedule must not change
-        # them.
+        # In a file from before schedules the gains hold for every thrust: the aircraft's schedule must not apply.
         without = merge(file.vehicle, {"control": {"schedule": False}})
         file = file.model_copy(update={"vehicle": without})
     if _predates_bank_reaction(file, original):

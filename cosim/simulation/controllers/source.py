@@ -196,7 +196,7 @@ def make_object_source(value: Any) -> Source:
     files = {} if path is None else {path.name: path}
     make = None if isinstance(value, type) else partial(copy.deepcopy, value)
     check_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
-    if check_repeatable and (isinstance(value, type) or _is_default(value, cls)):
+    if check_repeatable and (isinstance(value, type) or _equals_fresh_instance(value, cls)):
         return _make_source("controller", f"{path}:{cls.__name__}", value, make, files)
     source = _make_source("controller", f"{IN_MEMORY_PREFIX}{label}", value, make, files, copied=False)
     return source if files else replace(source, text=_source_text(cls))
@@ -206,7 +206,8 @@ def _make_constant_function(value: Any) -> Callable[[], Any]:
     return lambda: value
 
 
-def _is_default(value: Any, cls: type) -> bool:
+def _equals_fresh_instance(value: Any, cls: type) -> bool:
+    """Return whether an object's attributes are those of ``cls()``; False if they cannot be compared."""
     try:
         return pickle.dumps(vars(cls())) == pickle.dumps(vars(value))
     except Exception:  # not comparable: treated as changed
@@ -425,13 +426,14 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
 
 
 def _make_factory(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
-    def make_or_refuse() -> Any:
+    def make_block_checked() -> Any:
+        """Make the block.  Raises InputError if it cannot be made without arguments."""
         try:
             return make_block()
         except Exception as error:
             raise InputError(f"{where}: cannot be made without arguments: {describe_error(error)}") from error
 
-    return make_or_refuse
+    return make_block_checked
 
 
 def check_method(block: Any, method: str, arguments: Sequence[str], where: str) -> None:

@@ -18,7 +18,8 @@ from cosim.base.storage.toml import Model, read_toml, validate
 from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
 SUBSTEPS = 4  # default: JSBSim runs per control step
-CAMPAIGN = "campaign"  # accepted in place of "0.01 deg"
+# Value of ``substeps`` in place of an error such as "0.01 deg": the accuracy that campaigns need.
+CAMPAIGN_ACCURACY = "campaign"
 _PATTERN = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")  # "0.01 deg"
 _Positive = Annotated[float, Field(gt=0.0)]  # a positive number
 
@@ -91,8 +92,10 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
     """
     form = _PATTERN.fullmatch(error)
     said = f"{where}: substeps = {error!r}"
-    if error != CAMPAIGN and (form is None or not float(form["size"]) > 0.0):
-        raise InputError(f"{said}: a whole number, {CAMPAIGN!r}, or the error to keep to, such as '0.01 deg' or '1 mm'")
+    if error != CAMPAIGN_ACCURACY and (form is None or not float(form["size"]) > 0.0):
+        raise InputError(
+            f"{said}: a whole number, {CAMPAIGN_ACCURACY!r}, or the error to keep to, such as '0.01 deg' or '1 mm'"
+        )
     measured = measured_errors(aircraft)
     if measured is None:
         if not is_aircraft_path(aircraft):

@@ -35,7 +35,7 @@ class RateControl(Model):
 class EngineLead(Model):
     """Poles of an engine and those to which a lead moves them; see :mod:`cosim.control.lead`."""
 
-    natural_rad_s: Positive  # of two poles; without damping of one
+    natural_rad_s: Positive  # of a pole pair; without damping of a lag
     damping: Positive | None = None  # None: a single lag
     pole_rad_s: Positive  # each of the poles becomes minus this
 
@@ -213,7 +213,7 @@ class Control(Model):
 
     @model_validator(mode="after")
     def _check_leads(self) -> Self:
-        """Require each lead's parameters at all levels, in one form; parameters of absent leads are ignored."""
+        """Require each lead's parameters at every level of the schedule, with damping where the lead has it."""
         for number, level in enumerate(self.schedule.level if self.schedule else ()):
             for name, stated in (("roll", level.roll), ("altitude", level.altitude)):
                 lead = getattr(self.lead, name, None)

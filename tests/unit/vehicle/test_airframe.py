@@ -20,7 +20,7 @@ from cosim.results.setup import describe_integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle._properties import Properties
-from cosim.vehicle.airframe import METHOD_NAMES, Airframe, standing_height
+from cosim.vehicle.airframe import INTEGRATION_METHOD_NAMES, Airframe, standing_height
 from cosim.vehicle.jsbsim_model import render
 from cosim.vehicle.jsbsim_units import POUND_FORCE
 
@@ -336,8 +336,8 @@ def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
     with airframe(substeps=7) as (frame, _):
 
         def methods_now() -> list[str]:
-            names = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
-            return [METHOD_NAMES[frame._fdm.get_property_value(f"simulation/integrator/{name}")] for name in names]
+            keys = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
+            return [INTEGRATION_METHOD_NAMES[frame._fdm.get_property_value(f"simulation/integrator/{n}")] for n in keys]
 
         frame.reset(Initial(), OFF, ZERO3)
         before = frame._fdm.get_sim_time()

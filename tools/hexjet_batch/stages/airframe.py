@@ -111,14 +111,14 @@ def move(n: Numbers, mass: Mass, s: Motion, load: tuple[Vector, Vector], spin: V
     (force, moment), dt, half = load, n.step, 0.5 * n.step
     lx, ly, lz = n.flown.damping_n_m_s
 
-    def turning(rate: Vector) -> Vector:
+    def angular_acceleration(rate: Vector) -> Vector:
         momentum = _apply(mass.tensor, rate, -1.0)
         x, y, z = cross(rate, momentum if spin is None else add(momentum, spin))
         p, q, r = rate
         return _apply(mass.inverse, (moment[0] - lx * p - x, moment[1] - ly * q - y, moment[2] - lz * r - z), 1.0)
 
-    first = turning(s.rate)
-    second = turning(add(s.rate, first, half))
+    first = angular_acceleration(s.rate)
+    second = angular_acceleration(add(s.rate, first, half))
     rate = add(s.rate, second, dt)
     # Half the turn: the mean of the rates, less what they bend in between.
     turn = tuple(0.25 * dt * both for both in add(s.rate, rate))

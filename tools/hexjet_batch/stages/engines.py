@@ -74,24 +74,24 @@ class Fitted:
     """The engine of a bench log: delay, static curve, two lags of which the first may change, limits of the rate."""
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
-        thrust = self._curve(n, limit(throttle, 0.0, 1.0, n.xp))
+        thrust = self._static_thrust(n, limit(throttle, 0.0, 1.0, n.xp))
         return (make_ring(n.delay, throttle, n.xp), thrust, thrust), Report(thrust)
 
-    def _curve(self, n: Numbers, u: Any) -> Any:
+    def _static_thrust(self, n: Numbers, u: Any) -> Any:
         shape = u if isinstance(n.exponent, float) and n.exponent == 1.0 else u**n.exponent
         return n.xp.maximum(n.offset + n.gain * shape, 0.0)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         (ring, x, y), xp = s, n.xp
         ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, xp), xp)
-        f, lag = self._curve(n, u), n.lag
+        f, lag = self._static_thrust(n, u), n.lag
         if not is_absent(n.lag_full):
             level = limit((y - n.offset) / n.gain, 0.0, 1.0, xp)
             lag = xp.where(xp.asarray(n.lag_full) == 0.0, lag, lag + (n.lag_full - lag) * level)
-        e = self._fade(n, lag)
+        e = self._decay_factor(n, lag)
         new = f + e * (y - f)
         if not is_absent(n.lag_2):
-            e2, apart = self._fade(n, n.lag_2), n.lag_2 - lag
+            e2, apart = self._decay_factor(n, n.lag_2), n.lag_2 - lag
             equal = xp.abs(apart) < 1e-9 * lag
             through = xp.where(equal, n.step / lag * e, n.lag_2 / xp.where(equal, 1.0, apart) * (e2 - e))
             new = new + through * (x - f)
@@ -102,7 +102,7 @@ class Fitted:
             new = xp.maximum(new, y - n.step * n.gain * or_infinite(n.fall, xp))
         return (ring, x, new), Report(new)
 
-    def _fade(self, n: Numbers, lag: Any) -> Any:
+    def _decay_factor(self, n: Numbers, lag: Any) -> Any:
         lag = n.xp.asarray(lag)
         return n.xp.where(lag > 0.0, n.xp.exp(-n.step / n.xp.where(lag > 0.0, lag, 1.0)), 0.0)
 
@@ -110,41 +110,41 @@ class Fitted:
 class P220:
     """Thrust by an identified equation of second order, ``T'' = F(T, T', v)``, that of 2020."""
 
-    IDLE_THRUST, FULL_THRUST = 9.0, 220.0  # N, with the next three of the data sheet
+    IDLE_THRUST, FULL_THRUST = 9.0, 220.0  # N; these four lines: data sheet
     IDLE_RPM, FULL_RPM = 35000.0, 117000.0
     IDLE_FUEL, FULL_FUEL = 0.104 / 60.0, 0.58 / 60.0  # kg/s
     EXPONENT = 3.205
     K_T, K_TT, K_D, K_DD, K_TD = 0.237755, -0.012799, -0.860374, 0.023606, 0.008599
     B_U, B_T, B_D, B_UU, CONSTANT = 1.139026, 0.019914, -0.050257, 0.000302, -0.692913
 
-    def _acceleration(self, thrust: Any, rate: Any, v: Any) -> Any:
+    def _thrust_acceleration(self, thrust: Any, rate: Any, v: Any) -> Any:
         own = self.K_T * thrust + self.K_TT * thrust * thrust + self.K_D * rate + self.K_DD * rate * rate
         by_drive = (self.B_U + self.B_T * thrust + self.B_D * rate) * v
         return own + self.K_TD * thrust * rate + by_drive + self.CONSTANT
 
-    def _at_rest(self, v: Any, xp: Any) -> Any:
+    def _thrust_at_rest(self, v: Any, xp: Any) -> Any:
         b = self.K_T + self.B_T * v
         return (-b - xp.sqrt(b * b - 4.0 * self.K_TT * (self.B_U * v + self.CONSTANT))) / (2.0 * self.K_TT)
 
-    def _input(self, n: Numbers, throttle: Any) -> Any:
+    def _drive_input(self, n: Numbers, throttle: Any) -> Any:
         percent = n.idle_percent + (100.0 - n.idle_percent) * throttle
         return percent + self.B_UU * percent * percent
 
-    def _report(self, thrust: Any, xp: Any) -> Report:
+    def _make_report(self, thrust: Any, xp: Any) -> Report:
         load = (xp.maximum(thrust, self.IDLE_THRUST) - self.IDLE_THRUST) / (self.FULL_THRUST - self.IDLE_THRUST)
         idle = (self.IDLE_RPM / self.FULL_RPM) ** self.EXPONENT
         speed = RPM * self.FULL_RPM * (idle + (1.0 - idle) * load) ** (1.0 / self.EXPONENT)
         return Report(thrust, speed, self.IDLE_FUEL + (self.FULL_FUEL - self.IDLE_FUEL) * load)
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
-        thrust = self._at_rest(self._input(n, throttle), n.xp)
-        return (make_ring(n.delay, throttle, n.xp), thrust, 0.0 * thrust), self._report(thrust, n.xp)
+        thrust = self._thrust_at_rest(self._drive_input(n, throttle), n.xp)
+        return (make_ring(n.delay, throttle, n.xp), thrust, 0.0 * thrust), self._make_report(thrust, n.xp)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         ring, thrust, rate = s
         ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, n.xp), n.xp)
-        v = self._input(n, u)
+        v = self._drive_input(n, u)
         thrust, rate = runge_kutta(
-            lambda at, slope: (slope, self._acceleration(at, slope, v)), thrust, rate, n.step / n.time_factor
+            lambda at, slope: (slope, self._thrust_acceleration(at, slope, v)), thrust, rate, n.step / n.time_factor
         )
-        return (ring, thrust, rate), self._report(thrust, n.xp)
+        return (ring, thrust, rate), self._make_report(thrust, n.xp)

@@ -154,7 +154,7 @@ Allocated = tuple[Any, Any, tuple[Any, ...]]
 
 
 def allocate_banks(n: Numbers, collective: Any, torque: Vector, xp: Any) -> Allocated:
-    """Return what two banks give: roll before collective, pitch before yaw."""
+    """Allocate to two banks of jets: roll before collective, pitch before yaw."""
     roll, pitch, yaw = torque
     half = 0.5 * (n.throttle_max - n.throttle_min)
     r = limit(roll, -half, half, xp)
@@ -172,7 +172,7 @@ def allocate_banks(n: Numbers, collective: Any, torque: Vector, xp: Any) -> Allo
 
 
 def allocate_rotors(n: Numbers, collective: Any, torque: Vector, xp: Any) -> Allocated:
-    """Return what a multirotor gives: roll and pitch before yaw, yaw before collective."""
+    """Allocate to a multirotor's engines: roll and pitch before yaw, yaw before collective."""
     roll, pitch, yaw = torque
     low, high = n.throttle_min, n.throttle_max
     room = 0.5 * (high - low)

@@ -100,17 +100,17 @@ class ObserverNumbers(NamedTuple):
         ring = put(ring, k % rows, applied)
         first, second = ring[(k + 1) % rows], ring[(k + 2) % rows]
         ahead = [
-            _sum((*row, before, now), (*x, first, second))
+            _sum_of_products((*row, before, now), (*x, first, second))
             for row, before, now in zip(self.transition, self.before, self.now, strict=True)
         ]
-        error = measured - _sum(self.output, ahead)
+        error = measured - _sum_of_products(self.output, ahead)
         x = tuple(value + gain * error for value, gain in zip(ahead, self.gain, strict=True))
         # The weights in the order of the ring, from two turns of them: what NumPy takes without a copy.
         begin = (-k - 1) % rows
         own = weights[begin : begin + rows] if isinstance(k, int) else xp.roll(weights, -begin, axis=0)[:rows]
         # By no library of linear algebra, whose sums differ with the number of flights.
         in_transport = xp.einsum("i...,i...->...", own, ring)
-        return (x, ring, weights), _sum(self.of_state, x) + in_transport
+        return (x, ring, weights), _sum_of_products(self.of_state, x) + in_transport
 
 
 class Mixed(NamedTuple):
@@ -140,7 +140,7 @@ def mix(predictors: Sequence[tuple[Any, ...]], counts: Sequence[int]) -> tuple[A
     return tuple(Mixed(list(zip(axis, own, strict=True))) for axis in zip(*predictors, strict=True))
 
 
-def _sum(factors: Any, values: Any) -> Any:
+def _sum_of_products(factors: Any, values: Any) -> Any:
     """Return the sum of products, without those that are 0 in every flight."""
     terms = [factor * value for factor, value in zip(factors, values, strict=True) if not is_absent(factor)]
     return sum(terms[1:], terms[0]) if terms else 0.0
@@ -151,25 +151,25 @@ def read_predictor(predictor: object, where: str) -> SmithNumbers | ObserverNumb
     if isinstance(predictor, NoPredictor):
         return None
     if isinstance(predictor, (SmithPredictor, FilteredSmithPredictor)):
-        model, then = _difference(predictor.now), predictor.then
-        late = _difference(then.model) if isinstance(then, DelayedModel) else None
+        model, then = _make_difference_equation(predictor.now), predictor.then
+        late = _make_difference_equation(then.model) if isinstance(then, DelayedModel) else None
         delay = then.line.samples if isinstance(then, DelayedModel) else then.samples
         if isinstance(predictor, SmithPredictor):
             return SmithNumbers(model, late, delay)
-        rest = None if predictor.rest is None else _difference(predictor.rest)
+        rest = None if predictor.rest is None else _make_difference_equation(predictor.rest)
         return SmithNumbers(model, late, delay, predictor.through, rest)
     if isinstance(predictor, StatePredictor):
-        return _state_numbers(predictor)
+        return _state_predictor_numbers(predictor)
     if isinstance(predictor, ModalPredictor) and not any(isinstance(pole, complex) for pole in predictor.poles):
-        return _modal_numbers(predictor)
+        return _modal_predictor_numbers(predictor)
     raise InputError(f"{where}: {type(predictor).__name__} is not flown in a batch; fly it without batch")
 
 
-def _difference(model: DiscreteModel) -> Difference:
+def _make_difference_equation(model: DiscreteModel) -> Difference:
     return Difference(tuple(model.b), tuple(model.a))
 
 
-def _state_numbers(predictor: StatePredictor) -> ObserverNumbers:
+def _state_predictor_numbers(predictor: StatePredictor) -> ObserverNumbers:
     observer, f = predictor.observer, predictor.f
     of_state, weights = tuple(predictor.of_state), tuple(predictor.weights)
     if isinstance(observer, DoubleIntegratorObserver):
@@ -187,11 +187,11 @@ def _state_numbers(predictor: StatePredictor) -> ObserverNumbers:
     return ObserverNumbers(transition, before, now, output, tuple(observer.gain), of_state + of_disturbance, weights)
 
 
-def _modal_numbers(predictor: ModalPredictor) -> ObserverNumbers:
-    def real(values: Any) -> Row:
+def _modal_predictor_numbers(predictor: ModalPredictor) -> ObserverNumbers:
+    def real_parts(values: Any) -> Row:
         return tuple(float(complex(value).real) for value in values)
 
-    poles, shares, estimates = real(predictor.poles), real(predictor.shares), predictor.with_disturbance
+    poles, shares, estimates = real_parts(predictor.poles), real_parts(predictor.shares), predictor.with_disturbance
     order, rest = len(poles), (0.0,) if estimates else ()
     rows = np.diag([*poles, *(1.0 for _ in rest)])
     rows[:order, order:] = 1.0
@@ -199,8 +199,8 @@ def _modal_numbers(predictor: ModalPredictor) -> ObserverNumbers:
         tuple(map(tuple, rows.tolist())),
         tuple(1.0 - share for share in shares) + rest,
         shares + rest,
-        real(predictor.residues) + rest,
-        real(predictor.gain)[: order + estimates],
-        real(predictor.state_weights) + ((predictor.command_weight,) if estimates else ()),
+        real_parts(predictor.residues) + rest,
+        real_parts(predictor.gain)[: order + estimates],
+        real_parts(predictor.state_weights) + ((predictor.command_weight,) if estimates else ()),
         tuple(predictor.weights),
     )

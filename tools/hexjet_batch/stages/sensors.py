@@ -15,7 +15,7 @@ from hexjet_batch.stages.rotations import Quaternion, Vector, add, multiply, rot
 
 
 class Measured(NamedTuple):
-    """What the controller is told: body rates, attitude, velocity [NED] and height above the ground."""
+    """Values measured for the controller: body rates, attitude, velocity [NED] and height above the ground."""
 
     rate: Vector
     attitude: Quaternion
@@ -24,7 +24,7 @@ class Measured(NamedTuple):
 
 
 class SensorState(NamedTuple):
-    """The filtered rate, the last fix, the error of the lean and what is on its way."""
+    """State of the sensors: filtered rate, last fix, error of the lean, and values that are delayed."""
 
     rate: Vector
     fix: Vector
@@ -69,7 +69,7 @@ def fade(step: float, lag: Any, xp: Any) -> Any:
 
 
 def start_sensors(n: Numbers, s: Motion, altitude: Any) -> tuple[SensorState, Measured]:
-    """Return sensors that have seen this state for ever, and what they say."""
+    """Return sensors settled at this state, and the values that they measure."""
     zero = 0.0 * altitude
     told = Measured(s.rate, s.attitude, s.velocity, altitude)
     values = (s.rate, s.attitude, s.velocity, (altitude,))
@@ -83,7 +83,7 @@ def _latencies(n: Numbers) -> list[Any]:
 
 
 def sample(n: Numbers, s: SensorState, k: Any, true: Motion, altitude: Any, draws: Any) -> tuple[SensorState, Measured]:
-    """Return the sensors after step ``k`` and what they say of the state at its end; ``draws`` None: no noise."""
+    """Return the sensors after step ``k`` and the values measured at its end; ``draws`` None: no noise."""
     xp, sensors, noisy = n.xp, n.sensors, draws is not None
     gyro, ahrs = sensors.gyro, sensors.attitude
     seen, attitude, lean = true.rate, true.attitude, s.lean
@@ -97,7 +97,7 @@ def sample(n: Numbers, s: SensorState, k: Any, true: Motion, altitude: Any, draw
     fix = true.velocity
     if noisy:
         turn = add(tuple(0.5 * part for part in ahrs.bias_rad), draws[3:6], 0.5 * ahrs.noise_rad)
-        attitude = _unit(multiply(attitude, (1.0, *turn)), xp)
+        attitude = _to_unit_quaternion(multiply(attitude, (1.0, *turn)), xp)
         altitude = altitude + sensors.barometer.noise_m * draws[12] + sensors.barometer.bias_m
         fix = add(fix, draws[9:12], sensors.gnss.velocity_noise_m_s)
     is_new = (k + 1) % sensors.gnss.period_samples == 0
@@ -128,7 +128,7 @@ def _lean_error(n: Numbers, error: Quaternion, true: Motion, gyro: Vector, draws
     if not is_absent(accelerometer.resolution_m_s2):
         force = _quantise(force, accelerometer.resolution_m_s2, xp)
     turn = tuple(0.5 * n.step * part for part in gyro)
-    error = _unit(multiply(error, (1.0, *rotate(true.attitude, turn))), xp)
+    error = _to_unit_quaternion(multiply(error, (1.0, *rotate(true.attitude, turn))), xp)
     x, y, z = force
     size = xp.sqrt(x * x + y * y + z * z)
     size = xp.where(size > 0.0, size, 1.0)
@@ -138,10 +138,10 @@ def _lean_error(n: Numbers, error: Quaternion, true: Motion, gyro: Vector, draws
     sine = xp.sin(half) / xp.where(across > 0.0, across, 1.0)
     w, x, y, z = multiply((xp.cos(half), east * sine, -north * sine, 0.0), error)
     # Without its rotation about down.
-    return _unit((w * w + z * z, w * x + z * y, w * y - z * x, 0.0 * w), xp)
+    return _to_unit_quaternion((w * w + z * z, w * x + z * y, w * y - z * x, 0.0 * w), xp)
 
 
-def _unit(q: Quaternion, xp: Any) -> Quaternion:
+def _to_unit_quaternion(q: Quaternion, xp: Any) -> Quaternion:
     w, x, y, z = q
     scale = 1.0 / xp.sqrt(w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)

@@ -69,7 +69,7 @@ class State(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What was on the wires of a step, as :class:`cosim.base.signals.Sample` has it of one flight.
+    """Signals of a step of all flights, as :class:`cosim.base.signals.Sample` has them of one flight.
 
     ``throttle`` has a row for each of ``jets.channels``, ``fuel`` [kg] is None without a tank.
     """
@@ -97,7 +97,7 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
         gains = (level, level, n.schedule.at(level, xp))
     sensors, told = start_sensors(n, motion, height + zero)
     tilt = None if n.servo is None else (zero, zero)
-    mass, rate = _mass(n, burnt, None), tuple(start_rate(own, zero, xp) for own in n.predictors)
+    mass, rate = _mass_with_fuel_burnt(n, burnt, None), tuple(start_rate(own, zero, xp) for own in n.predictors)
     added, begin = make_ring(n.added_delay, zero, xp), (motion.position[2], height + zero)
     s = State(
         motion, mass, told, sensors, rate, (zero,) * 4, (zero, None), added, None, tilt, (zero, zero), None, burnt,
@@ -114,7 +114,7 @@ def hold_up(n: Numbers, burnt: Any) -> tuple[Any, Any]:
 
 
 def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
-    """Return the state a control step later, and what was on the wires in between."""
+    """Return the state a control step later, and the signals of the step."""
     xp, fuel = n.xp, n.flown.fuel
     rates, torque, collective, given, s = _control(n, s, u)
     share, tilt_command, unallocated = given
@@ -133,7 +133,7 @@ def step(n: Numbers, s: State, u: Inputs) -> tuple[State, Outputs]:
 
     mass, motion = s.mass, s.motion
     if fuel is not None or u.payload is not s.payload:
-        mass = _mass(n, burnt, u.payload)
+        mass = _mass_with_fuel_burnt(n, burnt, u.payload)
         motion = change_mass(motion, s.mass, mass)
     force, moment = add(force, u.force), add(moment, u.moment)
     if not is_absent(*n.flown.centre_m, *mass.centre):
@@ -228,13 +228,13 @@ def _air(n: Numbers, s: State, wind: Vector) -> Air:
     axes = [(x, 0.0, z) for x, z in _axes(s.tilt, n.xp)]
     turning = [cross(axis, s.motion.rate) for axis in axes]
     speeds = [
-        _dot(body, axes[bank]) + _dot(place, turning[bank])
+        _scalar_product(body, axes[bank]) + _scalar_product(place, turning[bank])
         for place, bank in zip(n.jets.places, n.jets.banks, strict=True)
     ]
     return Air(*air_at(n.flown.ground_m + altitude_of(s)), n.xp.stack(speeds))
 
 
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+def _scalar_product(a: Sequence[Any], b: Sequence[Any]) -> Any:
     terms = [x * y for x, y in zip(a, b, strict=True) if not (is_absent(x) or is_absent(y))]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
@@ -247,8 +247,8 @@ def _wrench(n: Numbers, s: State, report: Report, tilt: Vector | None, wind: Vec
         jets = [jet for jet, own in enumerate(n.jets.banks) if own == bank]
         thrusts = [n.factors[jet] * report.thrust[n.jets.engines[jet]] for jet in jets]
         places = [n.jets.places[jet] for jet in jets]
-        push, twist = sum(thrusts[1:], thrusts[0]), _dot([n.jets.reactions[jet] for jet in jets], thrusts)
-        a, b, c = (_dot(lever, thrusts) for lever in zip(*places, strict=True))
+        push, twist = sum(thrusts[1:], thrusts[0]), _scalar_product([n.jets.reactions[jet] for jet in jets], thrusts)
+        a, b, c = (_scalar_product(lever, thrusts) for lever in zip(*places, strict=True))
         force = add((x * push, 0.0, z * push), force)
         moment = add((b * z, c * x - a * z, -b * x), moment)
         if not is_absent(twist):
@@ -278,7 +278,7 @@ def _intakes(
 
 def _across(v: Vector, axis: Vector) -> Vector:
     """Return the part of a vector across a unit vector."""
-    return add(v, axis, -_dot(v, axis))
+    return add(v, axis, -_scalar_product(v, axis))
 
 
 def _spin(n: Numbers, report: Report, tilt: Vector | None) -> Vector | None:
@@ -303,6 +303,6 @@ def _bank_reaction(n: Numbers, s: State, tilt: Vector | None) -> tuple[Vector, V
     return rates, (r * h, n.servo.bank_inertia_kg_m2 * turning, -p * h)
 
 
-def _mass(n: Numbers, burnt: Any, payload: tuple[Any, Vector] | None) -> Mass:
+def _mass_with_fuel_burnt(n: Numbers, burnt: Any, payload: tuple[Any, Vector] | None) -> Mass:
     points = [] if payload is None else [payload]
     return mass_with(n.flown, points if n.flown.fuel is None else [(-burnt, n.flown.fuel.position_m), *points])

@@ -34,7 +34,7 @@ class Turbine:
     An engine whose mixture gets too lean to burn is marked ``out``: what follows is not flown in a batch.
     """
 
-    def _inlet(self, n: Numbers, air: Air) -> Inlet:
+    def _inlet_state(self, n: Numbers, air: Air) -> Inlet:
         xp = n.xp
         temperature = limit(air.temperature, 150.0, 400.0, xp)
         pressure, v = limit(air.pressure, 1e3, 2e5, xp), limit(air.speed, 0.0, 300.0, xp)
@@ -44,16 +44,16 @@ class Turbine:
         root = xp.sqrt(t2 / T_STD)
         return Inlet(pressure, v, t2, p2, n.full_speed * RPM * root, n.air_flow * (p2 / P_STD) / root)
 
-    def _flow(self, n: Numbers, speed: Any) -> Any:
+    def _relative_flow(self, n: Numbers, speed: Any) -> Any:
         return speed * (1.0 - n.flow_droop * (1.0 - speed))
 
     def _air_flow(self, n: Numbers, a: Inlet, w: Any) -> Any:
-        return a.unit_flow * self._flow(n, w / a.unit_speed)
+        return a.unit_flow * self._relative_flow(n, w / a.unit_speed)
 
     def _gas_path(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> tuple[Any, Any, Any]:
         """Return torque, thrust and the temperature behind the turbine of engines that burn."""
         xp, speed = n.xp, w / a.unit_speed
-        flow = self._flow(n, speed)
+        flow = self._relative_flow(n, speed)
         m = a.unit_flow * flow
         gas = m + fuel
         rise = n.full_rise * speed * speed
@@ -75,11 +75,11 @@ class Turbine:
         power = gas * CP_GAS * (t4 - t5) - m * CP_AIR * (t3 - a.t2)
         return power / w, gas * jet - m * a.speed, t5
 
-    def _acceleration(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> Any:
+    def _rotor_acceleration(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> Any:
         full = n.full_speed * RPM
         return (self._gas_path(n, a, w, fuel)[0] - n.windage_power * w / (full * full)) / n.rotor_inertia
 
-    def _demanded(self, n: Numbers, throttle: Any) -> Any:
+    def _demanded_speed(self, n: Numbers, throttle: Any) -> Any:
         idle = (n.idle_speed / n.full_speed) ** n.thrust_exponent
         return n.full_speed * RPM * (idle + (1.0 - idle) * throttle) ** (1.0 / n.thrust_exponent)
 
@@ -98,7 +98,7 @@ class Turbine:
         return n.xp.where(hot, cool, richest)
 
     def _fuel_command(self, n: Numbers, a: Inlet, s: Any) -> tuple[Any, Any, Any]:
-        """Return the fuel asked for, the integral and the error: by one integral or the other."""
+        """Return the ECU's fuel command, integral and last error, by the one of two control laws that it has."""
         xp = n.xp
         _, w, _, reference, integral, asked, last = s
         error = (reference - w) / (n.full_speed * RPM)
@@ -117,25 +117,25 @@ class Turbine:
 
     def start(self, n: Numbers, throttle: Any, air: Air) -> tuple[Any, Report]:
         """Return engines in equilibrium at their throttle: the speed demanded, or the nearest that mixtures allow."""
-        xp, a = n.xp, self._inlet(n, air)
-        demand = self._demanded(n, throttle) + 0.0 * throttle
+        xp, a = n.xp, self._inlet_state(n, air)
+        demand = self._demanded_speed(n, throttle) + 0.0 * throttle
 
         def speeds_up(w: Any, fuel: Any) -> Any:
-            return self._acceleration(n, a, w, fuel) > 0.0
+            return self._rotor_acceleration(n, a, w, fuel) > 0.0
 
-        def lean(w: Any) -> Any:
+        def leanest_fuel(w: Any) -> Any:
             return n.leanest_command * self._air_flow(n, a, w)
 
-        def rich(w: Any) -> Any:
+        def richest_fuel(w: Any) -> Any:
             return self._most_fuel(n, a, w, inf + 0.0 * w)
 
         slowest, fastest = n.light_speed * RPM + 0.0 * demand, 2.0 * demand
-        slower = bisect(lambda w: speeds_up(w, rich(w)), slowest, demand, xp)
-        faster = bisect(lambda w: speeds_up(w, lean(w)), demand, fastest, xp)
-        w = xp.where(self._acceleration(n, a, demand, rich(demand)) < 0.0, slower, demand)
-        w = xp.where(speeds_up(demand, lean(demand)), faster, w)
+        slower = bisect(lambda w: speeds_up(w, richest_fuel(w)), slowest, demand, xp)
+        faster = bisect(lambda w: speeds_up(w, leanest_fuel(w)), demand, fastest, xp)
+        w = xp.where(self._rotor_acceleration(n, a, demand, richest_fuel(demand)) < 0.0, slower, demand)
+        w = xp.where(speeds_up(demand, leanest_fuel(demand)), faster, w)
         richest = n.richest_command * self._air_flow(n, a, w)
-        fuel = bisect(lambda f: self._acceleration(n, a, w, f) < 0.0, lean(w), richest, xp)
+        fuel = bisect(lambda f: self._rotor_acceleration(n, a, w, f) < 0.0, leanest_fuel(w), richest, xp)
         state = (
             make_ring(n.delay, throttle, xp),
             w,
@@ -145,24 +145,24 @@ class Turbine:
             fuel,
             0.0 * fuel,
         )
-        return state, self._report(n, a, w, fuel)
+        return state, self._make_report(n, a, w, fuel)
 
     def step(self, n: Numbers, s: Any, k: Any, throttle: Any, air: Air) -> tuple[Any, Report]:
         ring, w, fuel, reference, *governor = s
-        xp, a, h = n.xp, self._inlet(n, air), n.step
+        xp, a, h = n.xp, self._inlet_state(n, air), n.step
         ring, u = push(ring, k, n.delay, limit(throttle, 0.0, 1.0, xp), xp)
         fall, rise = h * n.deceleration * reference, h * n.acceleration * reference
         if not is_absent(n.reference_fall):
             fall = xp.minimum(fall, h * RPM * or_infinite(n.reference_fall, xp))
         if not is_absent(n.reference_rise):
             rise = xp.minimum(rise, h * RPM * or_infinite(n.reference_rise, xp))
-        reference = reference + limit(self._demanded(n, u) - reference, -fall, rise, xp)
+        reference = reference + limit(self._demanded_speed(n, u) - reference, -fall, rise, xp)
         asked, integral, last = self._fuel_command(n, a, (ring, w, fuel, reference, *governor))
         w, fuel = runge_kutta(
-            lambda w, f: (self._acceleration(n, a, w, f), (asked - f) / n.pump_time_constant), w, fuel, h
+            lambda w, f: (self._rotor_acceleration(n, a, w, f), (asked - f) / n.pump_time_constant), w, fuel, h
         )
-        return (ring, w, fuel, reference, integral, asked, last), self._report(n, a, w, fuel)
+        return (ring, w, fuel, reference, integral, asked, last), self._make_report(n, a, w, fuel)
 
-    def _report(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> Report:
+    def _make_report(self, n: Numbers, a: Inlet, w: Any, fuel: Any) -> Report:
         out = fuel < n.lean_limit * self._air_flow(n, a, w)
         return Report(self._gas_path(n, a, w, fuel)[1], w, fuel, out)

@@ -431,8 +431,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
         return None
     slowest, *others = poles
     w = abs(slowest)
-    # A slow lag beside an oscillatory pair stands alone. A lead takes a second pole with it up to this times the
-    # slowest one.
+    # A slow lag beside an oscillatory pair stands alone. A lead takes a second pole up to this times the slowest.
     second_within = 5.0
     if others and (slowest.imag or (not others[0].imag and abs(others[0]) < second_within * w)):
         natural, damping = combine_poles(slowest, others[0])

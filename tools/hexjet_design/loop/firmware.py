@@ -58,7 +58,7 @@ def lowpass_gain(hertz: float, period: float) -> float:
 
 
 def _make_betaflight_loop(levels: bool, yaw: bool) -> Loop:
-    def loop(
+    def step_loop(
         s: list[float], r: float, y: float, period: float, hertz: float
     ) -> tuple[list[float], float, float, float]:
         g1, g2, a, b, c, integral, slope, p = s
@@ -75,10 +75,10 @@ def _make_betaflight_loop(levels: bool, yaw: bool) -> Loop:
         slope += lowpass_gain(hertz, period) * ((before - g2) / period - slope)
         return [g1, g2, a, b, c, integral, slope, p], p, integral, slope
 
-    return loop
+    return step_loop
 
 
-def _px4_loop(
+def _step_px4_loop(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
     # The rate set-point is that of the attitude loop one step before.
@@ -88,7 +88,7 @@ def _px4_loop(
     return [r, y, slope, integral + period * error], error, integral, slope  # the next step integrates this error
 
 
-def _ardupilot_loop(
+def _step_ardupilot_loop(
     s: list[float], r: float, y: float, period: float, hertz: float
 ) -> tuple[list[float], float, float, float]:
     # A loop runs the rate controller first, the attitude controller after it.
@@ -107,7 +107,7 @@ def find_law(name: str, axis: str) -> Loop:
     if name == "betaflight":
         # Betaflight has no attitude loop in yaw: the pilot, or a program, holds the heading by the stick.
         return _make_betaflight_loop(axis != "yaw", axis == "yaw")
-    return _px4_loop if name == "px4" else _ardupilot_loop
+    return _step_px4_loop if name == "px4" else _step_ardupilot_loop
 
 
 Units = tuple[float, float, float, float]

@@ -53,7 +53,8 @@ class Limit:
     """Smallest error after a load, and the closed loop that achieves it, computed exactly."""
 
     bounds: Bounds
-    load_error: float  # rad s per unit of the command
+    # Integrated absolute angle error after a unit step of load, rad s per unit of the command.
+    load_error: float
     step_error: float
     noise: float
     peak_sensitivity: float

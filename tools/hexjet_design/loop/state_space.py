@@ -6,8 +6,7 @@ and what is to be remembered makes the transition
 
     x_k+1 = A x_k + B (set-point, load),  angle_k = C x_k,  command_k = (C_u, D_u)(x_k, set-point, load)
 
-The blocks are those of :mod:`hexjet_design.loop.closed_loop`, which has the same loop by its response on the unit
-circle.
+The blocks are those of :mod:`hexjet_design.loop.closed_loop`, which has the same loop by its frequency response.
 """
 
 from __future__ import annotations

@@ -202,6 +202,7 @@ class _MarginRequest:
     say: Say
 
     def measure(self, computed: Computed | None) -> AxisMargins:
+        """Fly the excitation, again with longer periods, more band and half amplitude; return the axis's margins."""
         period, to_hz = self.period_s or PERIOD_S, self.to_hz or 0.1 / self.scenario.step_s
         sine, size, response = self._measure_loop(period, to_hz, self.amplitude or self.tap.usual)
         if self.period_s is None and _is_slow(response):

@@ -18,7 +18,7 @@ from cosim.files import data_folder, temporary
 from hexjet_export.controller.adapters import PROGRAM_LICENCES, render_adapter
 from hexjet_export.controller.files import NO_LICENCE, Labels, render, render_sources
 from hexjet_export.controller.form import make_form
-from hexjet_export.controller.measure import Measurements, measure
+from hexjet_export.controller.measure import Measurements, measure_compiled
 from hexjet_export.controller.predictor_form import Form
 from hexjet_export.controller.quantity import Quantity, define_variables
 from hexjet_export.controller.vectors import INPUT_QUANTITIES, RecordedFlight, list_outputs, record_vectors
@@ -159,7 +159,7 @@ def export_controller(
         for file, text in (sources | adapters).items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text, encoding="utf-8")
-        measurements = measure(folder, name)
+        measurements = measure_compiled(folder, name)
         archives, reason = _build_fmus(form, vectors, labels, sources, folder) if fmus else ([], "left out, as asked")
         readme = _render_readme(form, vectors, labels, measurements, archives, [*inside])
         (folder / "README.md").write_text(readme, encoding="utf-8")

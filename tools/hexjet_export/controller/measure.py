@@ -43,7 +43,7 @@ def find_compiler() -> str | None:
     return shutil.which((os.environ.get("CC") or "cc").split()[0])
 
 
-def measure(folder: Path, name: str) -> Measurements | None:
+def measure_compiled(folder: Path, name: str) -> Measurements | None:
     """Compile an exported controller and measure it on its test vectors; None without a compiler.
 
     Raises InputError, with what the compiler complained of first, if it refuses.

@@ -19,7 +19,7 @@ WRITTEN_FILES = ("replay.json", "replay.csv", "report.html")
 
 
 class ReplayResult(FolderResult):
-    """What a recorded flight says of the model.
+    """Result of a replay: verdict on the model, causes of the misfit, and evidence.
 
     ``write`` leaves ``replay.json``, ``replay.csv`` and ``report.html``.
 

@@ -21,7 +21,7 @@ from hexjet_identify.fit.problem import Problem
 
 # Step of the simulation [s]; the throttle of a step is the mean of the command over it.
 STEP_S = 0.004
-RPM = 60.0 / (2.0 * np.pi)
+RPM = 60.0 / (2.0 * np.pi)  # rpm in 1 rad/s
 
 
 class EngineChoices(NamedTuple):
@@ -51,7 +51,7 @@ class EngineForm(Form):
 
     @property
     def label(self) -> str:
-        """What the form is called."""
+        """Name of the form in tables."""
         return self.choices.engine
 
     @property

@@ -213,7 +213,7 @@ def fit(problem: Problem, form: Form, start: Array) -> Estimate:
 
 
 def fit_static(problem: Problem) -> Estimate:
-    """Fit the static line alone: as if there were neither delay nor lag, of which nothing is told."""
+    """Fit the static line alone, without delay and lags, for logs that do not determine them."""
     form = Lags(0)
     x = form.limits(problem)[0]
     white = estimate_at(problem, form, x, np.zeros(0))

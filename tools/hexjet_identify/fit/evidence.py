@@ -44,7 +44,7 @@ class PredictedMovement(NamedTuple):
         return sum(abs(b - a) <= share * a + slack for a, b, slack in each)
 
     def to_dict(self) -> dict[str, object]:
-        """Return it for JSON."""
+        """Return the movement for JSON."""
         return self._asdict() | {"model": [None if isnan(time) else time for time in self.model]}
 
 

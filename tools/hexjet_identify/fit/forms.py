@@ -175,7 +175,7 @@ class Poles(Form):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of ``x``."""
+        """Names of the parameters ``x``."""
         return ("delay_s", "rate_1_s", *(f"lag_{i + 1}_s" if i else "lag_s" for i in range(self.lags)))
 
     @property

@@ -38,13 +38,13 @@ class Problem:
 
     @cached_property
     def spans(self) -> list[slice]:
-        """Rows of each log in those of all."""
+        """Slice of each log's rows in the rows of all logs."""
         ends = np.cumsum([0, *(len(log.times) for log in self.logs)])
         return [slice(int(begin), int(end)) for begin, end in pairwise(ends)]
 
     @property
     def parts(self) -> list[tuple[Log, slice]]:
-        """Each log with its rows in those of all."""
+        """Each log with the slice of its rows in the rows of all logs."""
         return list(zip(self.logs, self.spans, strict=True))
 
     @cached_property
@@ -132,16 +132,16 @@ class Problem:
         return np.concatenate([[0.0], np.cumsum(self.on_grid(np.ones(len(self.grid))))])
 
     def equations(self, order: int) -> Flags:
-        """Return which rows have so many predecessors without a gap."""
+        """Return which rows have ``order`` rows before them without a gap."""
         return np.asarray(self._counts[self.grid + 1] - self._counts[np.maximum(self.grid - order, 0)] > order)
 
     def earlier(self, values: Array, order: int) -> Array:
-        """Return the values before each row with so many predecessors, a column for each, the nearest first."""
+        """Return the ``order`` values before each row of :meth:`equations`, a column for each, the nearest first."""
         rows = self.grid[self.equations(order)]
         return np.asarray(self.on_grid(values)[rows[:, None] - np.arange(1, order + 1)])
 
     def fit_noise(self, residual: Array, order: int) -> Array:
-        """Return noise of an order, from what is left over."""
+        """Return the coefficients of noise of this order, fitted to a residual."""
         terms = noise_basis(order)
         late = self.earlier(residual, order) @ terms
         return np.asarray(terms @ np.linalg.lstsq(late, residual[self.equations(order)])[0])

@@ -21,8 +21,8 @@ from cosim.base.errors import InputError
 from hexjet_identify.logs.blackbox_encodings import EVEN, MASK, UNEVEN, extended, signed, tag2_3, tag8, tag8_4, unsigned
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 
-MARKER = b"H Product:Blackbox flight data recorder"
-FRAME_KINDS = b"IPGHSE"
+MARKER = b"H Product:Blackbox flight data recorder"  # first bytes of a log
+FRAME_KINDS = b"IPGHSE"  # letters that frames begin with
 SIGNED, UNSIGNED, NEGATIVE, TAG8, TAG2_3, TAG8_4, NULL, TAG2_3V = 0, 1, 3, 6, 7, 8, 9, 10  # encodings
 PREVIOUS, LINE, AVERAGE, LEAST_THROTTLE, FIRST_MOTOR, COUNT, HOME, CENTRE, BATTERY, LAST_TIME, LEAST_MOTOR = range(
     1, 12
@@ -31,8 +31,8 @@ PREVIOUS, LINE, AVERAGE, LEAST_THROTTLE, FIRST_MOTOR, COUNT, HOME, CENTRE, BATTE
 DIFFERENCE_PREDICTORS = {PREVIOUS, LINE, AVERAGE, COUNT}
 # Number of fields that one code holds.
 FIELDS_PER_CODE = {SIGNED: 1, UNSIGNED: 1, NEGATIVE: 1, TAG2_3: 3, TAG8_4: 4, NULL: 1, TAG2_3V: 3}
-MAX_TAGGED = 8
-MAX_FRAME_BYTES = 256
+MAX_TAG8_FIELDS = 8  # fields that share one TAG8 header byte
+MAX_FRAME_BYTES = 256  # a longer frame counts as damaged
 # Largest step of iteration and time [us] from frame to frame, as the format's own decoders allow.
 MOST_COUNTS, MOST_US = 5000, 10_000_000
 AUTOTUNE_EVENT_BYTES = {10: 5, 11: 3, 12: 3}  # bytes of events of firmware that is gone
@@ -137,7 +137,7 @@ def _read_head(path: Path, data: bytes, at: int, end: int) -> tuple[Head, int]:
 
 
 def _read_layout(path: Path, headers: dict[str, str], kind: str, names: Sequence[str]) -> Layout:
-    def numbers(key: str, of: str = kind) -> list[int]:
+    def read_codes(key: str, of: str = kind) -> list[int]:
         try:
             codes = [int(text) for text in headers.get(f"Field {of} {key}", "").split(",")]
         except ValueError:
@@ -146,9 +146,9 @@ def _read_layout(path: Path, headers: dict[str, str], kind: str, names: Sequence
             raise InputError(f"{path}: the head of the blackbox log is damaged: {kind} frames have no {key} each")
         return codes
 
-    encodings = numbers("encoding")
+    encodings = read_codes("encoding")
     unknown = sorted({code for code in encodings if code != TAG8 and code not in FIELDS_PER_CODE})
-    predictors = numbers("predictor")
+    predictors = read_codes("predictor")
     known_predictors = set(range(LEAST_MOTOR + 1)) - (set() if kind == "P" else DIFFERENCE_PREDICTORS)
     unknown_predictors = sorted(set(predictors) - known_predictors)
     if unknown or unknown_predictors:
@@ -160,14 +160,14 @@ def _read_layout(path: Path, headers: dict[str, str], kind: str, names: Sequence
         size = FIELDS_PER_CODE.get(code, 0)
         if code == TAG8:
             size = 1
-            while size < MAX_TAGGED and n + size < len(encodings) and encodings[n + size] == TAG8:
+            while size < MAX_TAG8_FIELDS and n + size < len(encodings) and encodings[n + size] == TAG8:
                 size += 1
         if n + size > len(encodings):
             raise InputError(f"{path}: the head of the blackbox log is damaged: the last {kind} fields are too few")
         groups.append((code, size))
         n += size
     of = "I" if kind == "P" else kind
-    signed = numbers("signed", of) if f"Field {of} signed" in headers else [1] * len(names)
+    signed = read_codes("signed", of) if f"Field {of} signed" in headers else [1] * len(names)
     return Layout(tuple(map(str.strip, names)), tuple(map(bool, signed)), tuple(predictors), tuple(groups))
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-MASK = (1 << 32) - 1
+MASK = (1 << 32) - 1  # the lowest 32 bits of a number
 
 
 def unsigned(data: bytes, at: int) -> tuple[int, int]:

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import NUMPY_TYPES, Channel, FlightLog, numbers
 
-MAGIC = 0xBC
+MAGIC = 0xBC  # first byte of a log
 UNITS = {"acc": "g", "gyro": "deg/s"}  # by the group of the firmware's variable
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cosim.base.errors import InputError
 from hexjet_identify.logs.flight_log import SEARCHED_BYTES, Channel, FlightLog, name_instances, numbers
 
-MESSAGE_HEAD = b"\xa3\x95"
+MESSAGE_HEAD = b"\xa3\x95"  # first bytes of every message
 FMT, FMT_LENGTH = 0x80, 89
 MARK = MESSAGE_HEAD + bytes([FMT, FMT, FMT_LENGTH]) + b"FMT\0"  # the format of formats, which comes first
 # By format character: numpy's type, and the value of a count.

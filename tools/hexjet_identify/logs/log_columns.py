@@ -55,8 +55,7 @@ def read_flight_columns(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
 def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
     """Return a log under our column names, at the times of its fastest channel, and remarks on it.
 
-    Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
-    has none.
+    Slower ones hold their values, NaN before the first.  Times count from its first row.  InputError if it has none.
     """
     columns = match_columns(log)
     if not columns:
@@ -147,7 +146,7 @@ def _match_engines(log: FlightLog) -> dict[str, Channel]:
         if log.has(throttle) and np.isfinite(log.channels[throttle].values).any():
             columns[f"throttle_{jet}"] = log.channels[throttle]
         if log.has(thrust) and log.has(throttle) and np.isfinite(log.channels[thrust].values).any():
-            # of ours, which has it in the row of the step at whose end the engine has it, as our columns do
+            # Our topic stamps a thrust at the end of a step; our columns have it in the row of that step's command.
             columns[f"thrust_{jet}_N"] = _shift_to_command(log.channels[thrust], log.channels[throttle].times)
     return columns
 

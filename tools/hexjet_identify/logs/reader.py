@@ -50,7 +50,7 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
 
 
 def main() -> None:
-    """Read what the arguments name, and write the answer."""
+    """Read the log that the arguments name, and write its packed content to standard output."""
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # a library may print
     reader, path, *numbers = sys.argv[1:]

@@ -24,12 +24,12 @@ DIALECTS = (
     "cosim.groundstation.mavlink.wire._messages",
     "pymavlink.dialects.v20.all",
 )
-STAMP_BYTES = 8
+STAMP_BYTES = 8  # bytes of the time before each frame
 # Times of the years 1980, for a station without a clock, and 2100 [us].
 EARLIEST_US, LATEST_US = 315_532_800_000_000, 4_102_444_800_000_000
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 SIGNED, SIGNATURE, CHECKSUM = 0x01, 13, 2
-OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
+OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}  # sender's times, with their unit in s
 # Largest delay of a frame on a slow link [s]; a larger one is another clock.
 MAX_LATE_S = 5.0
 MAX_NAMED = 10

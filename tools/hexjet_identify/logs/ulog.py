@@ -17,8 +17,8 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, read_file
 from hexjet_identify.logs.flight_log import MAX_LOG_MB, SEARCHED_BYTES, Channel, FlightLog, numbers
 
-MAGIC = b"ULog\x01\x12\x35"
-HEAD_BYTES = 16
+MAGIC = b"ULog\x01\x12\x35"  # first bytes of a ULog
+HEAD_BYTES = 16  # bytes of the file's head
 _PARAMETER_TYPES = {"float": "<f", "int32_t": "<i"}  # types of a parameter's value
 _LOGGED, _TAGGED = ord("L"), ord("C")
 

@@ -72,7 +72,7 @@ class Refit(NamedTuple):
 
 @dataclass(frozen=True)
 class Validation:
-    """How well a model answers the commands of a log.
+    """Comparison of a model's response with a log, by the log's commands.
 
     ``fit``: 1 less the error's standard deviation over the output's, 1 is perfect, 0 the mean; ``ahead``: the same of
     the change of the output over AHEAD_S.  ``nrmse``: of the simulation, over the output's standard deviation;
@@ -281,7 +281,7 @@ def rows(validation: Validation) -> list[tuple[str, str]]:
 
 
 class ValidateResult(FolderResult):
-    """How well a model answers the commands of a log.
+    """Comparison of a model's response with a log, by the log's commands.
 
     ``write`` leaves ``validation.json`` and ``report.html``.
 

@@ -16,10 +16,11 @@ from cosim.base.signals import AXES
 from hexjet_identify.replay.flown import Change, Model
 from hexjet_identify.replay.recorded import RecordedFlight
 
+# Names of the candidates: parts of the vehicle's model that may be wrong.
 CENTRE: Final = "centre of gravity"
 INERTIA: Final = "moment of inertia about"
 MASS, THRUST = "mass", "thrust of all engines"
-SENSORS: Final = ("gyro", "accelerometer", "attitude")
+SENSORS: Final = ("gyro", "accelerometer", "attitude")  # sensors whose delay may be wrong
 
 
 class Number(NamedTuple):

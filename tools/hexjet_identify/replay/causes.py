@@ -385,7 +385,7 @@ def _is_common(moments: Array) -> Flags:
 
 
 def _compare_windows(before: Array, after: Array, misfit: Array) -> tuple[float, float]:
-    """Return by what share windows improve in the mean, and that share in its standard errors.
+    """Return the mean relative fall of the windows' misfit, and that fall over its standard error.
 
     Windows with less than a fifth of the mean misfit say nothing; less than two others say nothing either.
     """

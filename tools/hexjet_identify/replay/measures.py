@@ -12,7 +12,7 @@ from hexjet_identify.replay.windows import CHANNELS, CutFlight
 
 # Edges of the bands, in periods a window.
 BAND_EDGES: Final = (1.0, 3.0, 8.0, 25.0)
-# The level of this channel is thrust over mass, which is told without any movement.
+# Judged by its rms instead of its variation: it is thrust over mass, which shows without movement.
 LEVEL_CHANNEL: Final = "specific_force_z"
 # Minimum rms of a channel, in units of its noise, to be judged.
 MIN_EXCITATION: Final = 2.0

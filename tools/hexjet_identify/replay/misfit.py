@@ -64,7 +64,7 @@ class Scores(NamedTuple):
     information: Array
 
     def bounds(self) -> Array:
-        """Return half of the 95 % intervals: the widest of three, as each rests on something else.
+        """Return half of the 95 % intervals: the widest of three, each under another assumption on the noise.
 
         Noise that is white, and as large as what is left of each channel, beyond which no log tells; rows that are
         alike over a quarter of a window (Newey and West, 1987); and windows that are independent, each freed of its
@@ -145,7 +145,7 @@ class Misfit:
         # Across the thrust the zero is also how straight the accelerometer stands, within some degrees.
         self._shared_deviation = np.array([0.5, 0.5, along, 5.0, 5.0])
         self._moment_deviation = np.full(3, np.inf) if moment is None else moment
-        # Without an attitude in the log nothing tells the one at the start.
+        # Weights that hold start values: 1e12 fixes the angles at the start if the log has no attitude to tell them.
         self._held = np.diag(
             np.concatenate([np.full(6, 1e-9), np.where(self.present[6:], 1e-9, 1e12), np.full(3, 1e-9)])
         )

@@ -26,7 +26,7 @@ NED: Final = ("north", "east", "down")
 MIN_DURATION_S: Final = 2.0
 # PX4's outputs, in microseconds.
 PX4_OUTPUTS: Final = "actuator_outputs"
-MICROSECONDS: Final = (1000.0, 2000.0)
+MICROSECONDS: Final = (1000.0, 2000.0)  # pulses of throttle 0 and 1
 # Values of throttle 0 and 1, by the kind of log or by the topic.
 THROTTLE_RANGES: Final = {
     PX4_OUTPUTS: MICROSECONDS,
@@ -37,7 +37,7 @@ THROTTLE_RANGES: Final = {
 }
 # A table with these columns, or a log with topics of this prefix, was written by this program.
 OWN_COLUMNS: Final = {"throttle_1", "thrust_1_N", "health_1"}
-OWN_TOPICS: Final = "hexjet_"
+OWN_TOPICS: Final = "hexjet_"  # prefix of this program's topics
 # By kind of log: how to log commands more often.
 _FASTER_LOG_HINTS: Final = {
     "ULog": "PX4: SDLOG_PROFILE with high rate; of ours: hexjet export --to ulog --rates all",

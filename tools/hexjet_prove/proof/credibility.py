@@ -16,7 +16,8 @@ from cosim.base.storage.files import read_json
 from cosim.base.storage.toml import read_toml
 
 RECORD = Path(__file__).with_name("evidence.toml")  # file of the evidence
-CHOSEN = "chosen"  # first word of the source of such values
+# An uncertainty whose source begins with this word was chosen, not measured.
+CHOSEN = "chosen"
 VALIDATION = "Validation"  # group of factors
 CAPABILITY, RESULTS = "capability", "results"  # the standard's two assessments
 

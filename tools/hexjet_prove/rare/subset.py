@@ -146,8 +146,7 @@ def subset_simulation(
     """Yield the candidates of one repeat, take their margins, and return its result.
 
     It goes on from the ``first`` level, whose margins are ``flown``, to failures of the ``group``, by at most
-    ``most_levels`` levels in all, each other one with ``size`` flights.  Every candidate has this ``seed``, or one of
-    its own.
+    ``most_levels`` levels in all, each other one with ``size`` flights.  Every candidate has this ``seed``, or its own.
     """
     count, dimension = first.points.shape
     states = _States(first.points, first.seeds, *group.judge(flown), np.arange(count))

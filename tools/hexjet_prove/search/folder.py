@@ -52,8 +52,7 @@ def resolve_search(
     """Return the study and the plan that a command line states; ``options`` are those of ``open_study``.
 
     ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  An engine that states
-    its uncertainty is drawn by it in all of them but the first, unless ``nominal_engine`` is among the options.
-    Raises InputError.
+    its uncertainty is drawn by it in all but the first, unless ``nominal_engine`` is an option.  Raises InputError.
     """
     varied = [parse_vary(text) for text in vary]
     if any(entry.uncertainty for entry in varied):

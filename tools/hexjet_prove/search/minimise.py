@@ -177,7 +177,7 @@ def _run_descent(descent: _Descent, optimiser: Any) -> Steps[None]:
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
     # A generation whose spread is below this fraction of the region has converged, if it is the best so far.
     narrow_if_best = 0.02
-    narrow_otherwise = 0.08  # fraction for all other generations
+    narrow_otherwise = 0.08  # of the region, for other generations
     max_stalled = 12  # generations without improvement
     min_improvement = 0.001  # of a generation's range of margins
     while descent.region.size > 0.0 and not optimiser.should_stop():

@@ -88,7 +88,7 @@ class SavedResult(Generic[A]):
 
 
 def fly_cases(campaign: Campaign, chosen: Iterable[tuple[str, int, bool, float | None]]) -> tuple[Case, ...]:
-    """Fly flights again, recorded in full in ``cases/``; each has a name, a number, and two fields of a case."""
+    """Fly flights again, recorded in ``cases/``, each given as (name, number, whether it fails, its distance)."""
     shutil.rmtree(campaign.folder / CASES, ignore_errors=True)  # left by an interrupted search
     return tuple(_fly_case(campaign, *case) for case in chosen)
 

@@ -32,7 +32,7 @@ class Span:
     @property
     def sides(self) -> tuple[int, ...]:
         """1 if there is room above the start, -1 if below."""
-        return tuple(side for side in (1, -1) if self._scaled_range(side) > 0.0)
+        return tuple(side for side in (1, -1) if self._length_of_side(side) > 0.0)
 
     @property
     def quantum(self) -> float | None:
@@ -58,19 +58,19 @@ class Span:
 
     def number_at(self, deviation: float) -> float:
         """Return the number at a deviation, whether or not the key accepts it."""
-        number = self._to_scale(self.start) + deviation * self._scaled_range(1 if deviation >= 0.0 else -1)
+        number = self._to_scale(self.start) + deviation * self._length_of_side(1 if deviation >= 0.0 else -1)
         return exp(number) if self.logarithmic else number
 
     def deviation(self, value: float) -> float:
         """Return the deviation of a value, 1 or -1 at the range's ends."""
         off = self._to_scale(value) - self._to_scale(self.start)
-        reach = self._scaled_range(1 if off >= 0.0 else -1)
+        reach = self._length_of_side(1 if off >= 0.0 else -1)
         return off / reach if reach else 0.0
 
     def positions(self, side: int) -> list[float]:
         """Return the positions of a scan from the start to the end of a side, 0 to 1, all of different values."""
         whole = self.quantum
-        reach = self._scaled_range(side)
+        reach = self._length_of_side(side)
         step = (self._to_scale(self.high) - self._to_scale(self.low)) / (self.points - 1)
         count = max(1, ceil(reach / step - 1e-9))
         if whole is None or self.logarithmic:
@@ -102,7 +102,8 @@ class Span:
     def _to_scale(self, value: float) -> float:
         return log(value) if self.logarithmic else value
 
-    def _scaled_range(self, side: int) -> float:
+    def _length_of_side(self, side: int) -> float:
+        """Return the distance from the start to the high (side > 0) or low end, logarithmic if the span is."""
         end = self.high if side > 0 else self.low
         return abs(self._to_scale(end) - self._to_scale(self.start))
 

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
     from cosim.simulation.controllers.source import Source
 
-WHOLE_CONTROLLER = "controller"  # level that replaces the engine monitor
+# Level of users' controllers that replace the whole controller, engine monitor included.
+WHOLE_CONTROLLER = "controller"
 START_STATES = ("hover", "roll")  # flights at the time of the fault
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # s before the fault; the roll has settled
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")  # sensors that fail

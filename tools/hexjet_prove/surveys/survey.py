@@ -109,6 +109,6 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
 
 def held_formula(duration_s: float) -> str:
     """Return the requirement of a held vehicle: all axes level to 5 deg over the last second."""
-    max_error_deg = 5.0  # held: all axes within it for 1 s
+    max_error_deg = 5.0  # deg, error of each axis while held
     level = " and ".join(f"abs({axis}_error_deg) <= {max_error_deg:g}" for axis in AXES)
     return f"after({duration_s - 1.0:.9g} s, always({level}))"

@@ -47,8 +47,7 @@ def tip_speed(aircraft: str, engine: str, above_m: float = 0.005) -> float:
 
     The least of eight headings, in still air, at full weight; found by bisection to 0.02 m/s, infinite if 8 m/s does
     not tip it.  ``aircraft`` is a name or the path of a folder, ``engine`` a name or a file; ``above_m`` is the height
-    of the lowest leg at the start, and with legs that just touch (0) the speed is less.  Raises InputError as
-    :func:`build`.
+    of the lowest leg at the start; with legs that just touch (0) the speed is less.  Raises InputError.
     """
     subject = Subject(aircraft, load_vehicle(aircraft)[0], engine)
     contacts = [contact.model_dump() for contact in subject.vehicle.contacts]

@@ -13,8 +13,7 @@ from cosim.control.autopilot.modes import Home
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import RallyPoint
 
-# Chosen by us: m above the ground in automatic flight, large compared with GNSS noise, small compared with the
-# surroundings.
+# Heights [m] of automatic flight chosen by us: large compared with GNSS noise, small compared with surroundings.
 MIN_HEIGHT_M = 1.0  # above the ground, in automatic flight
 LANDING_HEIGHT_M = 0.3  # a lower height command means to land
 HEIGHT_OFF_M = 0.4  # error that completes climb or descent

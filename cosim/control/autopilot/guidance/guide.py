@@ -58,8 +58,7 @@ class Guide:
     ) -> None:
         """Store the state of step ``k`` for the commands; ``max_sink``: highest rate of descent [m/s] of a set-point.
 
-        With ``is_spinning`` no heading is held: the lean is computed for the commanded heading, at which it can change
-        steadily.
+        With ``is_spinning`` no heading is held: the lean is computed for the commanded heading, so it changes steadily.
         """
         self._yaw = self.yaw if is_spinning and self._yaw_step == self._k else yaw
         self._k = k
