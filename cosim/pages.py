@@ -3,6 +3,7 @@
 Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#rrggbb"``.
 """
 
+from cosim.base.wording import spell
 from cosim.results.report.cards import Card, Page, code, coloured, link, marked, sentence
 from cosim.results.report.marks import cell, check_marks, filled, page_parts, parts_of, row, table, write_marks
 from cosim.results.report.page import render
@@ -28,5 +29,5 @@ from cosim.results.report.plot import (
 __all__ = [
     "BLUE", "GREEN", "GREY", "MAGENTA", "ORANGE", "RED", "Card", "Page", "axis_name", "bars", "beneath", "cell",
     "check_marks", "closest", "code", "coloured", "dotted", "filled", "layout", "link", "marked", "page_parts",
-    "panels", "parts_of", "render", "row", "run_colour", "sentence", "share", "table", "trace", "write_marks",
+    "panels", "parts_of", "render", "row", "run_colour", "sentence", "share", "spell", "table", "trace", "write_marks",
 ]  # fmt: skip

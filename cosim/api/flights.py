@@ -35,10 +35,8 @@ class FlightResult(Result):
 
     def lines(self) -> list[str]:
         """Return the ending with the smallest margin, the commanded axes, what flew, and notes."""
-        from cosim.base.outcomes import Verdict
         from cosim.results.report.flight import axis_sentences
         from cosim.results.report.requirements import checked_rows
-        from cosim.results.verdict import NOTHING_EXPECTED
 
         summary, controller = self.run.summary, self.run.summary.own_controller
         checked = checked_rows(summary) if summary.outcome == "completed" else []
@@ -55,14 +53,12 @@ class FlightResult(Result):
         lines += [*summary.own_metrics_failed, *(f"not as expected: {text}" for text in summary.complaints)]
         lines += [f"requirement {each.describe()}" for each in summary.requirements if each.source == "require"]
         if controller is not None and controller.repeatable is False:
-            name = summary.controller
-            lines.append(f"controller {name} is not repeatable: asked the same again, it answered otherwise")
+            lines += [f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise"]
         if controller is not None and controller.level == "controller" and self.run.scenario.monitored:
             lines.append(
                 f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself"
             )
-        lines += note_lines(summary.notes)
-        return [*lines, *([NOTHING_EXPECTED] if summary.verdict == Verdict.NOTHING_CHECKED else [])]
+        return [*lines, *note_lines(summary.notes)]
 
     def tables(self) -> list[Table]:
         """Return the metrics of the axes and of the whole flight, and what was checked, each with its margin."""

@@ -9,6 +9,7 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u20
 _QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a quoted value in a message
 # A word longer than any file name is an unquoted value, not a part of a path.
 _LONG_WORD = re.compile(r"[^\s/]{256,}")
+_options: dict[str, str] = {}  # by argument of the running command
 
 
 def printable(text: str) -> str:
@@ -26,3 +27,16 @@ def printable_line(text: str, max_echo: int = 80, max_line: int = 2000) -> str:
     line = _QUOTED.sub(shorten_quoted, printable(text).replace("\n", "\\n"))
     line = _LONG_WORD.sub(lambda found: f"{found[0][:max_echo]}...", line)
     return line if len(line) <= max_line else f"{line[:max_line]}..."
+
+
+def name_options(options: dict[str, str]) -> None:
+    """Keep the options of the command that runs for :func:`spell`, by the names of its arguments."""
+    _options.clear()
+    _options.update(options)
+
+
+def spell(text: str) -> str:
+    """Return a message with the running command's arguments as the options that are typed for them."""
+    # Keys of files stay: in lists of them, and before an equals sign.
+    names = r"(?:allowed|missing|unknown|wrong)(?: too)?: [^;]*|(?<![\w.\"'/-])\w+_\w+(?![\w.=(/]| =)"
+    return re.sub(names, lambda found: _options.get(found[0], found[0]), text)

@@ -232,7 +232,7 @@ def _make_scenario_table(
     changed = [*(vary.key for vary in study.vary), *study.case_keys]
     swapped = {key.split(".")[-1] for key in changed} & {"aircraft", "engine"}
     if swapped:
-        names = engine_files([simulation.engine, *simulation.stations], sources)
+        names = engine_files([simulation.engine, *simulation.stations], sources, simulation.vehicle.identified)
         stations = {number: station.model_dump(exclude_none=True) for number, station in base.stations.items()}
         for number, station in stations.items():
             if "engine" in station:
@@ -257,7 +257,7 @@ def _copied(base: Scenario, key: str, value: Any, sources: dict[str, Path | byte
     if key.split(".")[-1] == "engine" and isinstance(value, str) and is_file(value):
         source, unchecked, apart = find_source(value, base.folder), base.engine_unchecked, base.engine_isolated
         spec: EngineSpec = load_engine(source, {}, base.step_s, unchecked=unchecked, isolated=apart)
-        return engine_files([spec], sources)[id(spec)]
+        return engine_files([spec], sources, base.resolved_vehicle()[0].identified)[id(spec)]
     return value
 
 

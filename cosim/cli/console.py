@@ -12,24 +12,12 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Self
 
 from cosim.api.call import Progress, Result, WholeLine
-from cosim.base.wording import printable, printable_line
+from cosim.base.wording import printable, printable_line, spell
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
 _bars: list[Bar] = []  # progress bars on the terminal now
-_options: dict[str, str] = {}  # by argument of the running command
-
-
-def name_options(options: Mapping[str, str]) -> None:
-    """Keep the options of the command that runs for :func:`spell`, by the names of its arguments."""
-    _options.clear()
-    _options.update(options)
-
-
-def spell(text: str) -> str:
-    """Return a message with the command's arguments as they are typed: ``--time-unit`` for ``time_unit``."""
-    return re.sub(r"(?<![\w.\"'/-])\w+_\w+(?![\w.=(/])", lambda found: _options.get(found[0], found[0]), text)
 
 
 @contextmanager

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything, without_code
+from cosim.base.wording import name_options
 from cosim.cli.annotations import format_docstring, read_type
-from cosim.cli.console import TerminalProgress, echo, format_help, name_options, output_to_stderr, show_result
+from cosim.cli.console import TerminalProgress, echo, format_help, output_to_stderr, show_result
 
 if TYPE_CHECKING:
     from cyclopts import App, CycloptsError

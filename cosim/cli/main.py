@@ -17,9 +17,9 @@ from typing import Any
 
 from cosim.base.errors import RESOURCE_ERRNOS, STDOUT_NAME, FlightError, InputError, Notice, NotIdentifiedError, nearest
 from cosim.base.trust import command_trust_scope
-from cosim.base.wording import printable_line
+from cosim.base.wording import printable_line, spell
 from cosim.cli import table
-from cosim.cli.console import INTERRUPT_REPORTED, echo, format_help, note, spell
+from cosim.cli.console import INTERRUPT_REPORTED, echo, format_help, note
 from cosim.cli.trust import trust_prompt
 
 DONE, FLIGHT_FAILED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143  # last: 128 + number of the signal

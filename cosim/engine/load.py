@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from cosim.base.errors import EngineError, InputError, nearest
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
-from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement
@@ -59,7 +58,7 @@ def load_unchecked(
         rotor_inertia=definition.rotor_inertia if definition else mapping.rotor.inertia_kg_m2,
         flame_out=_make_flame_out_law(source),
         specified_delay=mapping.ledger.delay_s,
-        mapping=source.path if is_mapping(source.path) else None,
+        mapping=source.path if source.path.suffix.lower() == ".toml" else None,
         archive=archive,
         settings=settings,
         settling_window=settling_window(measured.response.delay),

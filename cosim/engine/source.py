@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,12 +11,12 @@ from pathlib import Path
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
-from cosim.base.storage.paths import data_folder
+from cosim.base.storage.paths import ENGINE, data_folder
 from cosim.base.trust import Code
 from cosim.engine.fmu.archive import Archive, read_archive
 from cosim.engine.fmu.container import read_bytes
 from cosim.engine.fmu.description import read_description
-from cosim.engine.fmu.mapping import MappingFile, is_mapping, read_mapping
+from cosim.engine.fmu.mapping import MappingFile, read_mapping
 from cosim.engine.fmu.ports import PortError, PortMap
 from cosim.engine.fmu.starting import Setting, convert_value
 from cosim.engine.fmu.uncertainty import Uncertainty
@@ -74,15 +75,18 @@ class EngineSource:
     @property
     def code(self) -> list[Code]:
         """Code that the engine runs and the user must trust: its archive, unless it is a shipped one."""
-        archive = self.archive
-        return [Code(archive.path, (self.path, archive.path))] if self.engine is None else []
+        return [] if self.engine else [Code(self.archive.path, (self.path, self.archive.path))]
 
 
-def _refuse_misspelt_file(path: Path) -> None:
-    """Raise InputError with a similarly named file, if ``path`` looks like a file that does not exist."""
+def _refuse_wrong_path(path: Path) -> None:
+    """Raise InputError for the folder of an engine, for one that was not identified, and for a misspelt file."""
     from difflib import get_close_matches
 
-    files = [file.name for file in Path().iterdir() if file.suffix.lower() == ".fmu"] if path.suffix else []
+    if (path / ENGINE).is_file() and path.name not in list_engine_names():
+        raise InputError(f"engine {path}: is a folder; name its file: {path / ENGINE}")
+    if path.name == ENGINE and (path.parent / "identification.json").is_file():
+        raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
+    files = [file.name for file in path.parent.glob("*") if path.suffix and file.suffix.lower() in (".fmu", ".toml")]
     if meant := get_close_matches(path.name, files, n=1):
         raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
 
@@ -97,9 +101,9 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
     if isinstance(engine, EngineSource):
         return engine
     path = folder / engine
-    if is_mapping(path):
-        if not path.exists() and (path.parent / "identification.json").is_file():
-            raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
+    if not os.path.isfile(path):
+        _refuse_wrong_path(path)
+    if path.suffix.lower() == ".toml":
         mapping, fmu, ports = read_mapping(path)
         try:
             archive = read_archive(fmu, ports)
@@ -112,8 +116,7 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
         return EngineSource(file_label(path), path, read_archive(path), None, _make_empty_mapping(path.name))
     name = engine.removesuffix(FMI2_SUFFIX)
     home = data_folder("engines") / name
-    if not (home / "engine.toml").is_file():
-        _refuse_misspelt_file(Path(engine))
+    if not (home / ENGINE).is_file():
         allowed = nearest(name, list_engine_names())
         raise InputError(f"unknown engine {engine!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one")
     definition = _read_definition(home)
@@ -131,9 +134,8 @@ def _make_empty_mapping(fmu: str) -> MappingFile:
 
 
 def _read_definition(folder: Path) -> EngineDefinition:
-    path = folder / "engine.toml"
     try:
-        return _definitions.get((folder, read_file(path)), lambda: read_engine(folder))
+        return _definitions.get((folder, read_file(folder / ENGINE)), lambda: read_engine(folder))
     except BuildError as error:
         raise InputError(str(error)) from error
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tup
     scenario, specs = simulation.flown_scenario, [simulation.engine, *simulation.stations]
     whole = simulation.vehicle.model_dump(mode="json", exclude_none=True)
     if not is_aircraft_path(scenario.aircraft):
-        return scenario.aircraft, whole, engine_files(specs, files)
+        return scenario.aircraft, whole, engine_files(specs, files, simulation.vehicle.identified)
     _, folder = scenario.resolved_vehicle()
     table, written = read_tables(scenario.aircraft, scenario.folder), dict[str, Path | bytes]()
     model = simulation.vehicle.model
@@ -100,7 +100,7 @@ def copy_aircraft(simulation: Simulation, files: dict[str, Path | bytes]) -> tup
         if name in files:
             raise InputError(f"aircraft {scenario.aircraft_name}: another file of the flight has the name {name!r}")
     files |= written
-    names = engine_files(specs, files)
+    names = engine_files(specs, files, simulation.vehicle.identified)
     called = {(spec.mapping or spec.path).resolve(): names[id(spec)] for spec in specs}
     table, whole = (_with_engines(aircraft_table, folder, called) for aircraft_table in (table, whole))
     files[VEHICLE] = toml_text(_drop_none(table)).encode()
@@ -141,7 +141,7 @@ def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) ->
     }
     step, sources = vehicle.control_step, [location / engine for engine in changes]
     specs = {source.resolve(): load_engine(str(source), {}, step, isolated=True) for source in sources}
-    names = engine_files(list(specs.values()), files)
+    names = engine_files(list(specs.values()), files, vehicle.identified)
     table = _with_engines(table, location, {source: names[id(spec)] for source, spec in specs.items()})
     written[f"{vehicle.name}-{VEHICLE}"] = toml_text(_drop_none(table)).encode()
     for name in written:
@@ -194,20 +194,20 @@ def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
     return named._replace(file=name).text
 
 
-def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) -> dict[int, str]:
+def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes], known: Container[str]) -> dict[int, str]:
     """Return each spec's file name (by id) next to a resolved scenario; foreign ones add files to ``files``.
 
-    A mapping file goes along with its archive and names that archive there.
+    A mapping file names its archive there.  Files are called as their engines; as before, if models are ``known`` so.
     """
     noted = {file.resolve(): name for name, file in files.items() if isinstance(file, Path)}
     copied: dict[Path, str] = {}
 
-    def add_copy(source: Path, content: Path | bytes) -> str:
+    def add_copy(source: Path, content: Path | bytes, called: str) -> str:
         target = source.resolve()
         if target not in copied:
-            name, number = noted.get(target, source.name), len(copied)
+            name, number = noted.get(target, called), len(copied)
             while name in files and name != noted.get(target):  # equal file names from several folders
-                name, number = f"{number}-{source.name}", number + 1
+                name, number = f"{number}-{called}", number + 1
             copied[target] = name
             files[name] = content
         return copied[target]
@@ -217,8 +217,10 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
         if spec.library:
             names[id(spec)] = spec.name
             continue
-        archive = add_copy(spec.path, spec.path)
-        names[id(spec)] = archive if spec.mapping is None else add_copy(spec.mapping, _mapping(spec.mapping, archive))
+        file = spec.mapping or spec.path
+        called = file.name if file.name in known or spec.family in RUN_FILES else spec.family
+        archive = add_copy(spec.path, spec.path, spec.path.name if spec.mapping else called)
+        names[id(spec)] = add_copy(file, _mapping(file, archive), called) if spec.mapping else archive
     return names
 
 

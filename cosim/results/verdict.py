@@ -20,8 +20,6 @@ BADGES: dict[RunVerdict, str] = {
     Verdict.BEYOND_LIMITS: "unmet",
 }
 
-NOTHING_EXPECTED = "Nothing was expected of it, so that nothing but its limits was checked."  # sentence on a page
-
 
 def judge(
     outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None, requirements_kept: bool | None = None

@@ -13,7 +13,7 @@ from cosim.base.errors import FlightError
 from cosim.base.trust import remember_written
 from cosim.files import map_os_errors
 from cosim.identify.files import PICTURE, write_identification
-from cosim.pages import Page
+from cosim.pages import Page, spell
 from hexjet_identify.picture import draw_picture
 
 # Name of the library's engine that holds a fitted form, and its internal step [s].
@@ -89,7 +89,7 @@ def engine_readme(
         f"**Validity.** {validity}; nothing was seen outside, nor in other air, nor with air speed.",
         f"**Residuals.** {residuals} `report.html` has all of them.",
         f"![Measured and modelled]({PICTURE})",
-        "**Not told by the log**\n\n" + "\n".join(f"- {line}" for line in untold or ("nothing that was asked",)),
-        *(["**Notes**\n\n" + "\n".join(f"- {line}" for line in notes)] if notes else []),
+        "**Not told by the log**\n\n- " + "\n- ".join(untold or ("It tells everything that was asked.",)),
+        *(["**Notes**\n\n" + "\n".join(f"- {spell(line)}" for line in notes)] if notes else []),
     ]
     return "\n\n".join(lines) + "\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+ENGINE = "engine.toml"
 _PACKAGE = Path(__file__).resolve().parents[2]  # folder of the package
 _DATA_ROOT = _PACKAGE / "data" if (_PACKAGE / "data").is_dir() else _PACKAGE.parent  # of aircraft, engines, scenarios
 

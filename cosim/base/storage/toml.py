@@ -299,7 +299,10 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     message = _describe_missing_entry(kind, value) or first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     message = message.replace("should be a valid ", "must be a ").replace("a integer", "an integer")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
-    return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+    text = f"{key}{shown}: {message}" if key else message
+    is_delay = re.search(r"(?<!parameters\.)(?<!\d\.)\b(added_)?delay_samples = ", text)
+    sample = "; a sample is one control step (step_s, 0.004 s on the Hex-Jet: 60 ms are 15)" if is_delay else ""
+    return f"{text}{sample}{rest}"
 
 
 def _describe_missing_entry(kind: str, value: Any) -> str:

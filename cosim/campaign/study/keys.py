@@ -71,7 +71,7 @@ def find_key(scenario: Scenario, text: str) -> Key:
         raise InputError(f"{name}: is not a number or a choice that could be varied")
     if head in LISTS and head not in [path.split(".")[0] for path in keys]:
         raise InputError(f"{name}: scenario {scenario.name} has no [[{head}]]")
-    meant = suggest_key(name) if head == "engine" or "delay" in head else None
+    meant = suggest_key(name) if head == "engine" or ("delay" in name and head not in Scenario.model_fields) else None
     raise InputError(f"unknown key {name!r}; {meant or _suggest_keys(name, keys)}")
 
 

@@ -160,11 +160,6 @@ class MappingFile(Model):
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
 
 
-def is_mapping(path: Path) -> bool:
-    """Return whether a path looks like a mapping file."""
-    return path.suffix.lower() == ".toml"
-
-
 def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     """Return the contents of a mapping file, the path of its archive, and its port map.
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from markupsafe import Markup, escape
 
+from cosim.base.wording import spell
 from cosim.results.report.page import TEMPLATES, Flights, render
 
 _NUMBER_CELL = re.compile(r"[<>≥≤+−–-]?\s*\d|[–-]?$")
@@ -96,7 +97,8 @@ class Page:
     def write(self, path: Path) -> None:
         """Write the page.  Raises FlightError if the file cannot be written."""
         several = self.flights is not None and len(self.flights.runs) > 1
-        render(TEMPLATES / "page.html", path, dict(self.figures), self.flights, page=self, two=several)
+        shown = replace(self, problems=[*map(spell, self.problems)], notes=[*map(spell, self.notes)])
+        render(TEMPLATES / "page.html", path, dict(self.figures), self.flights, page=shown, two=several)
 
 
 def code(text: str) -> Markup:

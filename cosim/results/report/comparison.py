@@ -23,7 +23,6 @@ from cosim.results.report.requirements import compared_margins
 from cosim.results.report.signals_data import FlightData, describe_run, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
-from cosim.results.verdict import NOTHING_EXPECTED
 from cosim.results.wording import DIGITS, NONE, display_unit, metric
 
 STRIPS = (  # plots in order: name, title, caption
@@ -90,8 +89,7 @@ def _describe_outcome(flight: ComparedFlight, name: Markup, path: Path) -> Marku
         return Markup("{} a log without a run: it has no metrics.").format(name)
     badge, word = verdict_badge(flight.run.summary)
     own = link("full report", _report_link(flight.run, path)) if _report_link(flight.run, path) else ""
-    sentence = verdict(flight.run.summary).replace(f" {NOTHING_EXPECTED}", "")  # the badge says so
-    return Markup("{} {} {} {}").format(name, marked(word, f"badge {badge}"), sentence, marked(own, "small"))
+    return Markup(" ").join((name, marked(word, f"badge {badge}"), verdict(flight.run.summary), marked(own, "small")))
 
 
 def _describe_flight(flight: ComparedFlight) -> str:

@@ -29,7 +29,7 @@ from cosim.results.report.requirements import (
 from cosim.results.report.signals_data import describe_run, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
-from cosim.results.verdict import BADGES, NOTHING_EXPECTED
+from cosim.results.verdict import BADGES
 from cosim.results.wording import DIGITS, NONE, metric, show_value
 
 EVENT_KINDS = {
@@ -118,8 +118,6 @@ def verdict(summary: Summary) -> str:
         sentences += [f"Not as expected: {text}." for text in summary.complaints]
     else:
         sentences = [f"{summary.outcome.capitalize()} after {duration} of {summary.planned_s:g} s: {summary.reason}."]
-    if summary.verdict == Verdict.NOTHING_CHECKED:
-        sentences.append(NOTHING_EXPECTED)
     sentences += axis_sentences(summary)
     if summary.touchdown_m_s is not None:
         sentences.append(f"Touched down at {summary.touchdown_m_s:.2f} m/s.")

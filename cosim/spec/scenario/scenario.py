@@ -315,8 +315,9 @@ class Scenario(Model):
         error = data.get("substeps")
         if isinstance(error, str):
             data = data | {"substeps": runs_for(error, str(data.get("aircraft", "hexjet")), where)}
-        of_engine = [f"engine.{key}" for key in data["engine"]] if isinstance(data.get("engine"), Mapping) else []
-        for key in (*of_engine, *(data.keys() - cls.model_fields.keys())):
+        unknown = data.keys() - cls.model_fields.keys()
+        tables = [key for key in ("engine", *unknown) if isinstance(data.get(key), Mapping)]
+        for key in (*(f"{table}.{name}" for table in tables for name in data[table]), *unknown):
             if (meant := suggest_key(key)) is not None:
                 raise InputError(f"{where}: unknown key {key!r}; {meant}")
         scenario = validate(cls, data, where)
@@ -409,11 +410,10 @@ class Scenario(Model):
 
 def suggest_key(name: str) -> str | None:
     """Return a clause ``did you mean KEY?`` on a name that is no key of a scenario, or None."""
-    _, _, parameter = name.partition(".")
-    if not name.startswith("engine.") and (parameter or "delay" not in name):
+    if not name.startswith("engine.") and "delay" not in name:
         return None if (key := find_similar_key(name)) is None else f"did you mean {key!r}?"
     delays = {"added_delay_samples": Scenario, "mismatch.delay_samples": Mismatch} if "delay" in name else {}
-    parameter = "delay_samples" if delays else parameter
+    parameter = "delay_samples" if delays else name.partition(".")[2]
     shown = [f"{key} ({meaning_of(model, key.rpartition('.')[2])})" for key, model in delays.items()]
     shown += [f"engine_parameters.{parameter} ({PREDICTOR_KEEPS_MODEL})"]
     shown += [] if delays else [f"mismatch.engine_parameters.{parameter} ({UNKNOWN_TO_CONTROLLER})"]

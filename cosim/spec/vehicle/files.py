@@ -11,7 +11,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Vector3
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
-from cosim.base.storage.paths import data_folder, names_in
+from cosim.base.storage.paths import ENGINE, data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
 from cosim.spec.file_kind import AIRCRAFT, check_kind
 from cosim.spec.scaling import scale_vehicle
@@ -57,8 +57,11 @@ def engine_of(aircraft: str, folder: Path = Path()) -> str | None:
 
 
 def file_seen_from(engine: str, folder: Path) -> str:
-    """Return an engine's name; a file's path is made absolute, taken relative to ``folder``."""
-    return str((folder / engine).absolute()) if is_file(engine) else engine
+    """Return an engine's name; the path of a file, or of a folder's engine.toml, is made absolute from ``folder``."""
+    path = folder / engine
+    if (path / ENGINE).is_file() and engine not in names_in("engines", ENGINE):
+        return str((path / ENGINE).absolute())
+    return str(path.absolute()) if is_file(engine) else engine
 
 
 def is_file(engine: str) -> bool:
@@ -82,8 +85,7 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
                 raise InputError(f"{aircraft}: is no aircraft; {suggestion}, or {here}")
             raise InputError(f"unknown aircraft {aircraft!r}; {suggestion}, or {here}")
         return path
-    path = folder / aircraft
-    path = path / VEHICLE if path.is_dir() else path
+    path = folder / aircraft / (VEHICLE if (folder / aircraft).is_dir() else "")
     if not path.is_file():
         raise InputError(f"aircraft {path}: no such file; name a folder with a {VEHICLE}, or such a file")
     return path

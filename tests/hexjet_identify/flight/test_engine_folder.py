@@ -11,6 +11,7 @@ from known_benches import Truth, bench_log
 
 from cosim.engine import load_engine
 from cosim.engine.response import find_curve_problems
+from cosim.spec.vehicle import file_seen_from
 from hexjet_identify.bench import identify_bench, read_records
 from hexjet_identify.bench.result import BenchIdentifyResult
 
@@ -39,7 +40,7 @@ def test_it_has_an_engine_a_page_and_a_picture(hexjet: Hexjet, tmp_path: Path, c
     log_of(tmp_path, Truth())
     done = hexjet(*COMMANDS[command], "--out", "mine")
     assert done.status == 0, done.out + done.err
-    engine = load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.004)
+    engine = load_engine(file_seen_from("mine", tmp_path), {}, 0.004)
     for throttle in (0.4, 0.6):
         assert engine.thrust_at(throttle) == pytest.approx(5.0 + 100.0 * throttle, abs=0.5)
     assert engine.uncertainty is not None

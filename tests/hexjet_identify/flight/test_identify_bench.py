@@ -253,11 +253,11 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
 def test_wrong_logs_are_told_in_a_line(
     hexjet: Hexjet, tmp_path: Path, name: str, changed: object, status: int, words: str
 ) -> None:
-    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
-    times, command, thrust = changed(times, command, thrust)  # type: ignore[operator]
+    times, command, thrust = changed(*bench_log("stairs of 5 s", 20.0)[:3])  # type: ignore[operator]
     write(tmp_path / "bench.csv", command, thrust, times)
     done = hexjet("engine", "from-bench", "bench.csv", "--out", "mine")
     assert done.status == status
+    assert not any("throttle_range" in page.read_text() for page in tmp_path.glob("mine/*.[mh]*"))
     assert words in " ".join((done.out + done.err).split())
     assert "Traceback" not in done.err
 

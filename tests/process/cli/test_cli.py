@@ -90,6 +90,11 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--engine", "edg"], "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown"),
         (["fly", "hover", "--set", "vehicle.mass_kg=-2"], "mass_kg = -2"),
         (["fly", "hover", "--set", "duration_s='2'"], "hover.toml: settings: duration_s = '2': must be a number"),
+        (["fly", "hover", "--set", "added_delay_samples=60ms"], "a sample is one control step (step_s, 0.004 s on the"),
+        (
+            ["fly", "hover", "--set", "mismatch.delay_samples=0.06"],
+            "part; a sample is one control step (step_s, 0.004 s",
+        ),
         (["fly", "hover", "--set", "vehicle.name='a/b'"], "name = 'a/b'"),
         (["fly", "hover", "--seed", "-1"], "seed = -1"),
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),

@@ -212,7 +212,7 @@ def test_names_with_dots_of_their_own() -> None:
     assert find_key(written, key.path).nominal == 12.5
 
 
-@pytest.mark.parametrize("name", ["delay_s", "delay_samples", "engine.delay", "engine.delay_samples"])
+@pytest.mark.parametrize("name", ["delay_s", "delay_samples", "engine.delay", "engine.delay_samples", "plant.delay"])
 def test_a_delay_is_answered_with_its_keys_and_who_knows_of_them(name: str) -> None:
     for refused in (lambda: find_key(Scenario.load("hover"), name), lambda: Scenario.load("hover", [f"{name}=4"])):
         with pytest.raises(InputError) as error:

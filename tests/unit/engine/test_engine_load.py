@@ -81,12 +81,7 @@ def test_a_library_engine_knows_its_numbers(name: str, suffix: str) -> None:
     assert spec.transport_delay == pytest.approx(delay * STEP, abs=1e-15)
     # the time constants of the paper: 0.33 s and 0.029 s (29.9 ms unrounded)
     assert spec.lag == pytest.approx({"turbojet": 0.32857}.get(name, 0.029904), rel=2e-5)
-    assert spec.parameters == {
-        "gain": gain,
-        "pole": pole,
-        "delay_samples": float(delay),
-        "newton_per_unit": NEWTON_PER_KGF,
-    }
+    assert spec.parameters == {"gain": gain, "pole": pole, "delay_samples": delay, "newton_per_unit": NEWTON_PER_KGF}
     steady = gain / (1.0 - pole) * NEWTON_PER_KGF
     assert full_thrust(spec) == pytest.approx(steady, rel=1e-9)
     # measured by stepping until the thrust stands still to 1e-10, so a few times that
@@ -107,10 +102,8 @@ def test_the_longest_delay_is_measured_through() -> None:
 
 
 def test_by_path_there_is_no_ledger_but_everything_else() -> None:
-    by_name, by_path = (
-        load_engine("turbojet", {}, STEP),
-        load_engine(str(archive("turbojet", 3)), {}, STEP, unchecked=True),
-    )
+    by_name = load_engine("turbojet", {}, STEP)
+    by_path = load_engine(str(archive("turbojet", 3)), {}, STEP, unchecked=True)
     assert (by_path.pole, by_path.delay_samples, by_path.lag, by_path.transport_delay) == (None, None, None, None)
     assert (by_path.name, by_path.title, by_path.start) == ("turbojet", "turbojet", "throttle_start")
     assert not by_path.library
@@ -121,9 +114,8 @@ def test_a_start_parameter_that_does_not_start_the_engine_there_is_not_used(tmp_
     """Named as ours, but another parameter's reference: setting it changes the gain, not the start."""
     text = 'name="throttle_start" valueReference="7"'
     path = edit_description(archive("edf", 3), tmp_path / "a.fmu", text, text.replace("7", "99"))
-    path = edit_description(
-        path, tmp_path / "b.fmu", 'name="gain" valueReference="3"', 'name="gain" valueReference="7"'
-    )
+    gain = 'name="gain" valueReference="3"'
+    path = edit_description(path, tmp_path / "b.fmu", gain, gain.replace("3", "7"))
     path = edit_description(path, tmp_path / "c.fmu", text.replace("7", "99"), text.replace("7", "3"))
     assert load_engine(str(path), {}, STEP, unchecked=True).start is None
 
@@ -174,10 +166,13 @@ def test_a_system_of_fmus_is_told_as_what_left(tmp_path: Path) -> None:
 
 
 def test_a_misspelt_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "MyEngine.fmu").touch()
+    for name in ("MyEngine.fmu", "engine.toml", "identification.json"):
+        (tmp_path / name).touch()
     with monkeypatch.context() as there:
         there.chdir(tmp_path)
         assert refusal("MyEngine.fm") == "engine MyEngine.fm: no such file; did you mean 'MyEngine.fmu'?"
+        assert refusal("engin.toml") == "engine engin.toml: no such file; did you mean 'engine.toml'?"
+    assert refusal(str(tmp_path)) == f"engine {tmp_path}: is a folder; name its file: {tmp_path / 'engine.toml'}"
     source = tmp_path / "engine.py"
     source.touch()
     assert refusal(str(source)) == f"{source}: is Python code, not an FMU: pythonfmu3 build -f makes one of it"

@@ -103,7 +103,7 @@ def _read_file_records(path: Path, columns: Columns) -> list[BenchRecord]:
     notes = list(log.remarks)
     log = _sort_by_time(log, notes)
     if columns.command is None or columns.output is None:
-        notes.append(f"taken: {command_name} to {output_name}; command and output say otherwise")
+        notes.append(f"taken: {command_name} to {output_name}; others: hexjet engine from-bench --command X --output Y")
     command, output = (_select_usable(log.signal(name, notes), columns) for name in (command_name, output_name))
     _check_row_count(path, command_name, command)
     _check_row_count(path, output_name, output)

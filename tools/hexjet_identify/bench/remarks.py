@@ -99,8 +99,8 @@ def _describe_levels(records: Sequence[BenchRecord], limits: tuple[float, float]
     stairs = ", ".join(f"{limits[0] + part * span:.4g}" for part in (0.2, 0.4, 0.6, 0.8, 1.0))
     if len(levels) < 3:
         yield (
-            f"whether gain and lag are the same at all levels: {len(levels)} levels are held {settled:.2g} s, three "
-            f"times delay and lags. Next: a staircase {stairs} and down again, {hold:.2g} s each"
+            f"whether gain and lag are the same at all levels: {len(levels)} levels are held at least {settled:.2g} s, "
+            f"three times delay and lags. Next: a staircase {stairs} and down again, {hold:.2g} s each"
         )
     moves = np.concatenate([np.diff(record.command) for record in records])
     if not (moves > 0.0).any() or not (moves < 0.0).any():

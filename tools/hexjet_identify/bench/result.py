@@ -95,7 +95,7 @@ def page(found: Identification) -> Page:
     cards = [
         Card("Measured and modelled", figure="signals"),
         Card("Models", columns, rows(found, every=True), BOUNDS_TEXT),
-        Card("What the log does not tell, and the next test", lines=found.untold or ("nothing that was asked",)),
+        Card("Not told by the log, and the next test", lines=found.untold or ("It tells everything that was asked.",)),
         *([Card("Movements, predicted", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
         *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),
     ]

@@ -149,7 +149,7 @@ def _evaluate_flights(
         folder=out,
         study={
             "name": study.name, "title": study.title, "scenario": scenario.name, "aircraft": scenario.aircraft_name,
-            "engine": scenario.engine, "controller": short_name(study.controller_names[0]), "seed": study.seed,
+            "engine": evidence.engine, "controller": short_name(study.controller_names[0]), "seed": study.seed,
             "most_flights": study.draws,
         },
         claim=claim,
@@ -213,7 +213,7 @@ def _collect_evidence(
     rankings = [rank_keys(table, 0, name) for name in (SUCCESS, *(metric.name for metric in table.metrics))]
     return Evidence(
         aircraft=scenario.aircraft_name,
-        engine=scenario.engine,
+        engine=scenario.engine if source.engine else Path(scenario.engine).stem,
         is_shipped=scenario.aircraft in aircraft_names() and source.engine is not None,
         version=versions().get(PACKAGE, ""),
         own_code=[code.path.name for code in study_code(study)],
