@@ -21,12 +21,12 @@ from cosim.campaign.run import (
     run_campaign,
     run_sampler,
 )
-from cosim.campaign.store import Campaign, open_campaign, read_referee
+from cosim.campaign.store import Campaign, Tally, open_campaign, read_referee
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.draws import flight_seed
-from cosim.campaign.study.engine_draw import EngineDraw, default_draw, engine_draw
+from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, default_draw, engine_draw
 from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.keys import with_values
+from cosim.campaign.study.keys import all_keys, with_values
 from cosim.campaign.study.model_notes import design_warnings, nominal_model_notes
 from cosim.campaign.study.normal_space import MAX_SIGMA, NormalSpace, draw_seed
 from cosim.campaign.study.options import NothingVariesError, open_study

@@ -66,7 +66,7 @@ class Option:
         """Names and placeholder of the value, as the help shows them."""
         if self.kind is bool:
             short = "".join(f"{name}, " for name in self.names if name[1] != "-")
-            return f"{short}{self.names[0]}" if not self.default else f"{self.names[0]}/--no-{self.names[0][2:]}"
+            return f"{short}{self.names[0]}" if self.default is False else f"{self.names[0]}/--no-{self.names[0][2:]}"
         return f"{self.names[0]} {self.metavar}" if self.names else self.metavar
 
     @property
@@ -285,7 +285,7 @@ class Command:
             default = () if option.several else kind.empty if option.required else option.default
             stated = Parameter(
                 name=option.names or option.metavar,
-                negative=[f"--no-{name[2:]}" for name in option.names] if option.default is True else (),
+                negative=[f"--no-{name[2:]}" for name in option.names] if "/--no-" in option.label else (),
                 validator=_make_validator(option),
                 help=option.text,
                 completer=make_completer(option.argument, option.names),

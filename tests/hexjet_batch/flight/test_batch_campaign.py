@@ -102,8 +102,7 @@ def test_processes_resume_and_the_folder_says_how_it_flies(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("limit_deg", "share", "runs"),
-    [(2.0, 0.0455, 300), pytest.param(3.890592, 1e-4, 40_000, marks=pytest.mark.long)],
+    ("limit_deg", "share", "runs"), [(2.0, 0.0455, 300), pytest.param(3.890592, 1e-4, 40_000, marks=pytest.mark.long)]
 )
 def test_a_known_truth_is_counted_and_estimated(limit_deg: float, share: float, runs: int, tmp_path: Path) -> None:
     """A start that leans by N(0, 1) deg is off by its size.  The intervals of counting and of subset simulation hold."""

@@ -20,7 +20,7 @@ from cosim.api.call.choices import apply_choices
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.paths import data_folder
-from cosim.campaign import open_campaign
+from cosim.campaign import open_campaign, open_study
 from cosim.campaign.analysis.summary import campaign_summary, success_lines
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
@@ -108,6 +108,7 @@ def told(folder: Path) -> dict[str, Any]:
 
 
 MOST_WORDS = 45  # of the sentence
+ASKED = Request(limit=False)
 
 
 class Some:
@@ -131,7 +132,7 @@ def test_90_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     shown, _, fixed = data["sentence"].partition("; not varied: ")
     assert shown.endswith("(95 % confidence, 36 flights, 0 of them failed, stopped by rule)")
     assert len(shown.split()) <= MOST_WORDS
-    assert fixed.startswith("engines, delay, thrust, ")
+    assert fixed.startswith("engines, mass and balance but for their mass, ")
     assert list(data["facts"]) == ["probability over", "most likely failure", "controller"]
     assert data["facts"]["probability over"] == data["over"]
     assert [one["label"] for one in data["requirements"]] == ["R1", "R2", "R3"]
@@ -150,13 +151,8 @@ def test_90_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert {axis: limit["done"] for axis, limit in data["limit"].items()} == dict.fromkeys(AXES, False)
     assert "at least 90 % with 95 % confidence; the two-sided interval of 95 % confidence is 9" in data["says"][0]
     page = (proven / "proof.html").read_text()
-    for text in (
-        data["sentence"],
-        *data["facts"].values(),
-        data["repeat"]["command"],
-        *(one["name"] for one in data["credibility"]),
-    ):
-        assert text in page
+    names = (one["name"] for one in data["credibility"])
+    assert all(text in page for text in (data["sentence"], *data["facts"].values(), data["repeat"]["command"], *names))
 
 
 def test_the_worst_flights_are_runs_that_fly_again(proven: Path) -> None:
@@ -181,8 +177,8 @@ def test_its_own_command_repeats_it(proven: Path, hexjet: Hexjet, tmp_path: Path
 
 
 def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
-    stopped = fly_study(proof_study(str(study), "90%@95%"), tmp_path / "p", Some(20))  # type: ignore[arg-type]
-    partly = conclude(stopped, tmp_path / "p", Request(limit=False))
+    stopped = fly_study(proof_study(str(study), "90%@95%"), tmp_path / "p", ASKED, Some(20))  # type: ignore[arg-type]
+    partly = conclude(stopped, tmp_path / "p", ASKED)
     assert partly.decision == "open"
     assert partly.sentence.startswith("Nothing can be said yet")
     refused = hexjet("prove", str(tmp_path / "p"))
@@ -192,8 +188,13 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
         refused = hexjet("prove", str(tmp_path / "p"), "--resume", f"--{name}", value)
         assert refused.status == 2
         assert f"is a proof and goes on as it began; leave out {name}\n" in refused.err
-    assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
-    data = told(tmp_path / "p")
+    assert hexjet("prove", str(tmp_path / "p"), "--resume").status == 0
+    data, held = told(tmp_path / "p"), (tmp_path / "p/proof.json").read_bytes()
+    assert (
+        hexjet("prove", str(tmp_path / "p"), "--resume").status == 0
+    )  # finished: nothing is searched, nothing changes
+    assert (tmp_path / "p/proof.json").read_bytes() == held
+    assert not (tmp_path / "p/searches").exists()
     first = told(proven)
     assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
     assert {**data, "repeat": 0} == {**first, "repeat": 0}
@@ -213,25 +214,18 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     assert data["requirements"][2]["margin"] < 0.0
     seldom = tmp_path / "seldom.toml"  # one in two
     seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
-    few = conclude(
-        fly_study(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1),
-        tmp_path / "few",
-        Request(limit=False),
-    )
+    out = tmp_path / "few"
+    few = conclude(fly_study(proof_study(str(seldom), "50%@99.9%", 10), out, ASKED, 1), out, ASKED)
     assert few.decision == "shown"  # 10 of 10: 2^-10 is below the error
 
 
 def test_what_could_not_be_flown_is_said(tmp_path: Path) -> None:
     """A moment of inertia above the sum of the others is no body's: its flights refute nothing, by one rule."""
     impossible = tmp_path / "impossible.toml"
-    impossible.write_text(
-        HOVER.replace('key = "vehicle.mass_kg"', 'key = "vehicle.inertia_kg_m2.2"\nrelative = "factor"').replace(
-            "range = [5.4, 5.8]", "range = [1.8, 2.4]"
-        )
-    )
-    proof = conclude(
-        fly_study(proof_study(str(impossible), "50%@90%", 40), tmp_path / "p", 1), tmp_path / "p", Request(limit=False)
-    )
+    text = HOVER.replace('key = "vehicle.mass_kg"', 'key = "vehicle.inertia_kg_m2.2"\nrelative = "factor"')
+    impossible.write_text(text.replace("[5.4, 5.8]", "[1.8, 2.4]"))
+    out = tmp_path / "p"
+    proof = conclude(fly_study(proof_study(str(impossible), "50%@90%", 40), out, ASKED, 1), out, ASKED)
     (line,) = [text for text in proof.not_covered if "could not be flown" in text]
     assert "to a verdict, the first because:" in line
     assert line.endswith(NOT_FLOWN)
@@ -259,10 +253,8 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
     assert max(likely["keys"], key=likely["keys"].get) == "mismatch.thrust_factor"
     assert worst["margin"] < likely["margin"] < 0.0
     assert likely["says"] == data["facts"]["most likely failure"]
-    assert likely["says"].startswith(
-        "its most likely failure within 6 standard deviations of the middle of all keys in"
-    )
-    assert worst["says"].startswith("its worst case within 3 standard deviations of the middle of all keys in")
+    for case, says in ((likely, "its most likely failure within 6"), (worst, "its worst case within 3")):
+        assert case["says"].startswith(f"{says} standard deviations of the middle of all keys in")
     for found in (likely, worst):
         assert open_run(tmp_path / "p" / found["run"]).outcome == "completed"
     (robust,) = [one["evidence"] for one in data["credibility"] if one["name"] == "Results robustness"]
@@ -275,6 +267,44 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
     assert hexjet(*arguments, "--resume").status == 0  # stopped there, a proof goes on and comes to the same
     assert [json.dumps(open_campaign(folder).row(number)) for number in range(20)] == kept
     assert {**told(tmp_path / "p"), "repeat": 0} == {**data, "repeat": 0}
+    refused = hexjet("prove", "p", "--resume", "--search", "50")
+    assert (refused.status, refused.err) == (2, "hexjet: p: search has begun with 60 flights; leave out search\n")
+
+
+def test_without_the_package_that_searches_the_terminal_says_so(
+    study: Path, hexjet: Hexjet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hexjet_prove.search.minimise.find_spec", lambda name: None)
+    lacks = "a search needs the package cmaes, which is not installed: pip install cmaes"
+    likely = ["search", "hover", "--worst", "--vary", "vehicle.mass_kg=5:6"]
+    for words in (["prove", str(study), "--search", "20"], likely):
+        refused = hexjet(*words, "--out", "q")
+        assert (refused.status, refused.err) == (2, f"hexjet: {lacks}\n")
+        assert not (tmp_path / "q").exists()
+    done = hexjet("prove", str(study), "--claim", "90%@95%", "--no-limit", "--workers", "1", "--out", "p")
+    assert done.status == 0
+    assert f"no search for the most likely failure was made: {lacks}" in " ".join(done.out.split())
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (["engine_parameters.delay_samples=20:30"], "engines but for their delay"),
+        (["mismatch.delay_samples=0:3"], "engines but for their delay"),
+        (["mismatch.delay_samples=0:3", "mismatch.thrust_factor=0.9:1.1"], "engines but for their delay and gain"),
+        (["added_delay_samples=0:3", "mismatch.thrust_factor=0.9:1.1", "engine_parameters.pole=0.8:0.9"], ""),
+        (["engine=edf,turbojet"], ""),
+        (["stations.3.parameters.gain=0.9:1"], "engines but for their gain of station 3"),
+        (["vehicle.servo.lag_s=0.01:0.02"], "servos but for their lag"),
+        (["vehicle.sensors.gyro.noise_rad_s=0.001:0.002"], "sensors but for their gyro noise"),
+        (["mismatch.stretch.0=-0.1:0.1"], "moments of inertia but for their pitch and yaw"),
+        (["environment.wind_ned_m_s.0=0:3"], "wind and air but for their wind"),
+    ],
+)
+def test_what_is_varied_of_a_kind_is_told_from_the_rest_of_it(keys: list[str], said: str) -> None:
+    """A part is not the whole: the rest of it is as the model has it."""
+    left = kinds_not_varied(open_study("hover", vary=keys, design="random", runs=2))
+    assert (len(left), [kind for kind in left if "but for" in kind]) == (7 if said else 6, [said] if said else [])
 
 
 class Known:
@@ -293,8 +323,9 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
     edge = tmp_path / "edge.toml"
     edge.write_text(EDGE)
     out = tmp_path / "p"
-    flown = fly_study(proof_study(str(edge), "60%@90%"), out, Known())  # type: ignore[arg-type]
-    proof = conclude(flown, out, Request(limit=False, rare=2800), Known())  # type: ignore[arg-type]
+    asked = Request(limit=False, rare=2800)
+    flown = fly_study(proof_study(str(edge), "60%@90%"), out, asked, Known())  # type: ignore[arg-type]
+    proof = conclude(flown, out, asked, Known())  # type: ignore[arg-type]
     data = json.loads((out / "proof.json").read_text())["rare"]
     assert data["done"]
     assert data["low"] < 2.33e-4 < data["high"] < 2e-3
@@ -307,21 +338,12 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (
-            ["hover", "--claim", "99.9%@95%", "--budget", "2995"],
-            "nothing varies; a proof is of a study, a .toml file that",
-        ),
-        (
-            ["STUDY", "--claim", "99.9%@95%", "--budget", "100"],
-            "budget 100: 100 flights do not show it, even if all succeed; 99.9%@95% takes 2,995 without a failure",
-        ),
+        (["hover", "--claim", "99.9%@95%", "--budget", "2995"], "nothing varies; a proof is of a study, a .toml file"),
+        (["STUDY", "--claim", "99.9%@95%", "--budget", "100"], "even if all succeed; 99.9%@95% takes 2,995 without a"),
         (["STUDY", "--budget", "2000000"], "budget 2000000: at most 1,000,000"),
         (["STUDY", "--claim", "99.9999%@95%"], "claim 99.9999%@95%: 1,000,000 flights do not show it"),
         (["STUDY", "--claim", "smith>baseline@95%"], "compares two controllers, which hexjet sweep --until does"),
-        (
-            ["predictor-robustness", "--claim", "99%@95%"],
-            "has 5 controllers, and a proof is one's; controller NAME says which: baseline, smith",
-        ),
+        (["predictor-robustness", "--claim", "99%@95%"], "and a proof is one's; controller NAME says which: baseline,"),
         (["predictor-robustness"], "states no claim (until); claim says what is to be shown"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
@@ -417,7 +439,7 @@ def nominal(study: Study) -> dict[str, float]:
 def test_an_uncertain_engine_is_drawn_in_place_of_the_box(tmp_path: Path) -> None:
     study = proof_study("hover", "90%@90%", settings=["engine='jetcat-p300'", "aircraft='hexjet-p220'"])
     assert [vary.uncertainty for vary in study.vary] == [True]
-    assert kinds_not_varied(study)[:2] == ["thrust", "mass and balance"]  # its ECU alone is known
+    assert kinds_not_varied(study)[:2] == ["engines but for 6 of their numbers", "mass and balance"]  # its ECU alone
     assert np.all([key.startswith("mismatch.engine_parameters.") for key in study.drawn])
 
 

@@ -14,7 +14,7 @@ MAX_LINES = {
     "benchmarks": 3_403,
     "cosim": 64_781,
     "docs": 1_631,
-    "tests": 68_796,
+    "tests": 68_794,
     "tools/hexjet_batch": 3_070,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
@@ -22,7 +22,7 @@ MAX_LINES = {
     "tools/hexjet_identify": 10_460,
     "tools/hexjet_laws": 586,
     "tools/hexjet_paper": 4_508,
-    "tools/hexjet_prove": 6_472,
+    "tools/hexjet_prove": 6_469,
     "tools/hexjet_sitl": 3_339,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.

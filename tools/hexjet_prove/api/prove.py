@@ -76,9 +76,9 @@ def prove(
     batch: bool = False,
     settings: Sequence[str] | Mapping[str, object] = (),
     seed: int | None = None,
-    search: int = 500,
-    rare: int = 0,
-    limit: bool = True,
+    search: int | None = None,
+    rare: int | None = None,
+    limit: bool | None = None,
     replays: Sequence[str | Path] = (),
     workers: int | None = None,
     cluster: str | None = None,
@@ -117,12 +117,14 @@ def prove(
         Written over the scenario's.
     seed : int or None
         Seed of the draws.
-    search : int
-        Flights for each search, of the most likely failure and of the worst case; 0: none.
-    rare : int
-        Flights for the probability of failures too rare to count; 0: none.
-    limit : bool
-        Compare the controller with the best that any linear one could do, which takes a minute.
+    search : int or None
+        Flights for each search, of the most likely failure and of the worst case, which needs cmaes;
+        0: none; None: 500, or as it was when resumed.
+    rare : int or None
+        Flights for the probability of failures too rare to count; None: none, or as it was when resumed.
+    limit : bool or None
+        Compare the controller with the best that any linear one could do, which takes a minute and
+        Clarabel; None: yes, or as it was when resumed.
     replays : sequence of str or Path
         What ``replay`` left of recorded flights of this vehicle: ``replay.json``, or its folder.
     workers : int or None
@@ -152,10 +154,12 @@ def prove(
     """
     from cosim.flight import new_folder
     from cosim.studies import choose_workers, is_campaign, refuse_changes
+    from hexjet_design.loop.programme import need_solver
     from hexjet_prove.proof.credibility import read_comparison
     from hexjet_prove.proof.failure import check_flights
-    from hexjet_prove.proof.prove import CAMPAIGN, Request, conclude, fly_study
+    from hexjet_prove.proof.prove import CAMPAIGN, conclude, fly_study, resolve_request
     from hexjet_prove.proof.source import proof_study
+    from hexjet_prove.search.minimise import need_optimiser
 
     hears = progress or Progress()
     is_begun = is_campaign(Path(name) / CAMPAIGN)
@@ -169,7 +173,12 @@ def prove(
         )  # fmt: skip
     if rare:
         check_flights(rare)
-    request = Request(limit, search, rare, tuple(read_comparison(Path(path)) for path in replays))
+    if search:
+        need_optimiser()
+    if limit:
+        need_solver()
+    asked = {"search": search, "rare": rare, "limit": limit, "comparisons": [*map(read_comparison, map(Path, replays))]}
+    given = {name: value for name, value in asked.items() if value not in (None, [])}
     if is_begun:
         study, folder = None, Path(name)
     else:
@@ -180,9 +189,10 @@ def prove(
             controllers=controllers, success=success, seed=seed, nominal_engine=nominal_engine, batch=batch,
         )  # fmt: skip
         folder = Path(out) if out is not None else new_folder(Path("runs"), f"proof-{study.name}")
+    request = resolve_request(folder, given, resume)
     hears.begin(folder)
     with choose_workers(workers, cluster, time_limit_s) as flying:
         for text in study.notes() if study is not None else ():
             hears.note(text)
-        campaign = fly_study(study, folder, flying, resume, report_tally(hears))
+        campaign = fly_study(study, folder, request, flying, resume, report_tally(hears))
         return ProofResult(conclude(campaign, folder, request, flying, lambda text: hears.update(text, 0, 0)))

@@ -149,7 +149,7 @@ def _describe_uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> str:
     text = f"{evidence.varied} numbers, noise and turbulence are drawn and flown through the whole model"
     if evidence.uncertainty_source is not None and not evidence.is_engine_drawn:
         text += "; the engine states an uncertainty that was not drawn"
-    return text + (f"; nothing of {_join_names(evidence.not_varied)}" if evidence.not_varied else "")
+    return text + (f"; nothing of {join_names(evidence.not_varied)}" if evidence.not_varied else "")
 
 
 def _describe_robustness(evidence: Evidence, record: Mapping[str, Any]) -> str:
@@ -191,5 +191,6 @@ def _is_measured(evidence: Evidence) -> bool:
     return bool(source) and not str(source).startswith(CHOSEN)
 
 
-def _join_names(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
+    """Join names by commas and a word."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else "nothing"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.base.errors import InputError
@@ -12,6 +11,7 @@ from hexjet_prove.proof.result import Part
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import run_rare
 from hexjet_prove.rare.simulation import Plan
+from hexjet_prove.search.minimise import need_optimiser
 from hexjet_prove.search.worst_case import DEFAULT_WORST_REGION, LIKELY_REGION, WorstCase, WorstPlan, important
 from hexjet_prove.search.worst_folder import SavedWorst, run_worst
 
@@ -23,18 +23,8 @@ NOT_SEARCHED = {  # sentence on a search that was not made
 # The levels reach down to this probability, as those of hexjet search --rare do by default.
 MIN_PROBABILITY = 1e-6
 KEPT_KEYS = (  # keys of rare.json in a proof
-    "probability",
-    "low",
-    "high",
-    "method",
-    "flights",
-    "failures",
-    "not_flown",
-    "nearest",
-    "shifts",
-    "contradiction",
-)
-INSTALL_HINT = "pip install cmaes"  # how to install the search's package
+    "probability", "low", "high", "method", "flights", "failures", "not_flown", "nearest", "shifts", "contradiction",
+)  # fmt: skip
 
 
 def search_failures(
@@ -45,11 +35,10 @@ def search_failures(
     The flights have the noise and turbulence of the scenario's own seed.  Where the package that searches is not
     installed a part says so.  Raises FlightError if no more can be flown.
     """
-    if find_spec("cmaes") is None:
-        return {
-            name: Part(None, f"{NOT_SEARCHED[name]}: the package cmaes is not installed, {INSTALL_HINT}")
-            for name in NOT_SEARCHED
-        }
+    try:
+        need_optimiser()
+    except InputError as error:
+        return {name: Part(None, f"{text}: {error}") for name, text in NOT_SEARCHED.items()}
     searched = study.changed(until=None, runs=1)
     parts = {}
     for name in (LIKELY, WORST):
@@ -109,13 +98,7 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
     plan = Plan(Budget(MIN_PROBABILITY, flights))
     saved = run_rare(asked, plan, folder, workers, True, _make_count_reporter(say, "rare"))
     told = saved.to_json()
-    cases = [
-        {
-            "run": f"{folder.parent.name}/{folder.name}/{CASES}/{case.name}",
-            "distance": case.distance,
-            "is_same": case.same,
-        }
-        for case in saved.cases
-    ]
+    place = f"{folder.parent.name}/{folder.name}/{CASES}"
+    cases = [{"run": f"{place}/{case.name}", "distance": case.distance, "is_same": case.same} for case in saved.cases]
     says = "; ".join(filter(None, (saved.result.sentence, saved.result.contradiction)))
     return Part({key: told[key] for key in KEPT_KEYS} | {"cases": cases, "is_same": saved.confirmed}, says)

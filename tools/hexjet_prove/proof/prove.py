@@ -11,7 +11,6 @@ import json
 import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import numpy as np
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_whole
+from cosim.base.storage.toml import Model, read_toml, toml_text, validate
 from cosim.engine import find_source
 from cosim.results.summary import versions
 from cosim.spec.controller_name import short_name
@@ -34,6 +34,7 @@ from cosim.studies import (
     FlightTable,
     Progress,
     Study,
+    Tally,
     Workers,
     design_warnings,
     eccentricity,
@@ -61,6 +62,7 @@ from hexjet_prove.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
+ASKED = "asked.toml"  # what was asked beside the flights
 RARE_FOLDER = "rare"  # folder of rare failures
 NO_RARE_METHOD = "no method for rare failures was used: what flights that succeed can show is all that is shown"
 PACKAGE = "hexjet-cosim"  # package whose version is recorded
@@ -68,19 +70,32 @@ PACKAGE = "hexjet-cosim"  # package whose version is recorded
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class Request:
-    """Options of a proof besides its flights."""
+class Request(Model):
+    """Options of a proof besides its flights, as its folder records them."""
 
     limit: bool = True  # whether to compute performance limits
     search: int = 0  # flights for each search; 0: none
     rare: int = 0  # flights for rare failures; 0: none
-    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # contents of replay.json files
+    comparisons: Sequence[dict[str, Any]] = ()  # contents of replay.json files
+
+
+def resolve_request(folder: Path, given: dict[str, Any], resume: bool) -> Request:
+    """Return what is ``given``, beside that what the folder of a resumed proof records, and the defaults.
+
+    Raises InputError for another number of flights than those of a search that has begun there.
+    """
+    path = folder / ASKED
+    asked = read_toml(path) if resume and path.is_file() else {}
+    for name, place in (("search", LIKELY), ("rare", RARE_FOLDER)):
+        if given.get(name, asked.get(name)) != asked.get(name) and asked and (folder / SEARCHES / place).is_dir():
+            raise InputError(f"{folder}: {name} has begun with {asked[name]} flights; leave out {name}")
+    return validate(Request, {"search": 500} | asked | given, str(path))
 
 
 def fly_study(
     study: Study | None,
     out: Path,
+    request: Request,
     workers: Workers | int | None = None,
     resume: bool = False,
     progress: Progress | None = None,
@@ -97,7 +112,15 @@ def fly_study(
         is_proof = is_campaign(folder)
         what = "already holds a proof; resume goes on with it" if is_proof else "is not empty; choose another folder"
         raise InputError(f"{out}: {what}")
-    return run_campaign(study, folder, workers, resume, progress)
+    pending = [toml_text(request.model_dump())]
+
+    def report(tally: Tally, done: int, of: int) -> None:  # first when the campaign has begun
+        if pending:
+            write_whole(out / ASKED, pending.pop(), FlightError)
+        if progress is not None:
+            progress(tally, done, of)
+
+    return run_campaign(study, folder, workers, resume, report)
 
 
 def conclude(

@@ -128,9 +128,8 @@ class Proof:
         failed = [one for one in self.worst if one.why.endswith(NEAREST)]
         for one in [*failed, *self.worst]:
             what = "the failed flight nearest to the middle of the draws" if failed else "the flight nearest to failing"
-            more = "likelier one" if failed else "failure"
-            return f"{what} is {one.run or f'flight {one.flight}'}, and no {more} was searched for"
-        return "no failure was searched for"
+            return f"{what} is {one.run or f'flight {one.flight}'}, and {self.likely.says}"
+        return self.likely.says
 
     def _limit_clause(self) -> str:
         limit = self.limits[self.axis]

@@ -54,9 +54,7 @@ def group_requirements(margins: Array, most: int, far: float = 20.0) -> list[Gro
     groups[-1 if len(alone) > most else 0] += [column for column in order if [column] not in groups]
     return [
         Group(
-            tuple(group),
-            tuple(spreads[column] for column in group),
-            tuple(tuple(other) for other in groups if other is not group),
+            tuple(group), tuple(spreads[at] for at in group), tuple(tuple(each) for each in groups if each is not group)
         )
         for group in groups
     ]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.pages import GREY, RED, Card, Page, closest, dotted, run_colour, sentence
+from cosim.pages import GREY, RED, Card, Page, closest, dotted, run_colour, sentence, trace
 from cosim.spec.controller_name import short_name
 from cosim.studies import referee_cards, with_referee
 from hexjet_prove.rare.estimate import probability_text
@@ -62,15 +62,9 @@ def write_page(saved: SavedResult[RareResult], path: Path) -> None:
 def describe_result(result: RareResult) -> list[str]:
     """Return the result in lines: sentence, contradictions, and method."""
     lines = (
-        result.sentence,
-        result.contradiction,
-        result.estimate.method,
-        result.groups_note,
-        result.search_note,
-        result.seed_note,
-        describe_plan(result.plan, len(result.groups)),
-        result.study.engine_note,
-    )
+        result.sentence, result.contradiction, result.estimate.method, result.groups_note, result.search_note,
+        result.seed_note, describe_plan(result.plan, len(result.groups)), result.study.engine_note,
+    )  # fmt: skip
     return [line for line in lines if line]
 
 
@@ -107,17 +101,8 @@ def _make_levels_figure(result: RareResult) -> Figure:
     data: list[Figure] = []
     for number, (names, repeat) in enumerate(_group_repeats(result)):
         margins, probabilities = _probability_curve(repeat)
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": f"simulation {number + 1}, {', '.join(names)}",
-                "x": margins,
-                "y": probabilities,
-                "line": {"color": run_colour(number), "width": 1.5},
-                "hovertemplate": "margin %{x:.3g}: %{y:.2e}<extra></extra>",
-            }
-        )
+        name, says = f"simulation {number + 1}, {', '.join(names)}", "margin %{x:.3g}: %{y:.2e}<extra></extra>"
+        data.append(trace(name, run_colour(number), margins, probabilities, hovertemplate=says))
     figure = closest(420, 80)
     figure["xaxis"] = {"title": {"text": "margin"}}
     figure["yaxis"] = {"title": {"text": "probability of less"}, "type": "log"}

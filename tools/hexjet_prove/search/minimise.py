@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import product
 from math import inf
 from typing import Any, Protocol, TypeVar
@@ -202,11 +203,15 @@ def _run_descent(descent: _Descent, optimiser: Any) -> Steps[None]:
             return
 
 
+def need_optimiser() -> None:
+    """Raise InputError where cmaes is not installed."""
+    if find_spec("cmaes") is None:
+        raise InputError("a search needs the package cmaes, which is not installed: pip install cmaes")
+
+
 def _make_optimiser(start: Array, sigma: float, seed: int) -> Any:
-    try:
-        from cmaes import CMA
-    except ImportError as error:
-        raise InputError("a search for the worst case needs the package cmaes: pip install cmaes") from error
+    from cmaes import CMA
+
     return CMA(mean=start, sigma=sigma, seed=seed)
 
 

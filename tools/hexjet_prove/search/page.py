@@ -201,14 +201,10 @@ def _make_bands(result: SearchResult, span: Span) -> Figure:
 def _make_bar(name: str, first: float, last: float, colour: str) -> Figure:
     does = "breaks" if colour == RED else "holds"
     return {
-        "type": "scatter",
-        "mode": "lines+markers",
-        "x": [first, last],
-        "y": [name, name],
-        "line": {"color": colour, "width": 10},
-        "marker": {"color": colour, "size": 10, "symbol": "square"},
+        "type": "scatter", "mode": "lines+markers", "x": [first, last], "y": [name, name],
+        "line": {"color": colour, "width": 10}, "marker": {"color": colour, "size": 10, "symbol": "square"},
         "hovertemplate": f"{name}: {does} from {first:.6g} to {last:.6g}<extra></extra>",
-    }
+    }  # fmt: skip
 
 
 def _make_label(name: str, value: float, label: str, logarithmic: bool) -> Figure:
@@ -238,11 +234,9 @@ def _make_boundary(result: SearchResult) -> Figure:
 
 def _make_branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figure]:
     broken = [e for e in edges if e.breaks is not None]
-    line = {
-        "type": "scatter",
+    common: Figure = {"type": "scatter", "name": name, "legendgroup": name}
+    line = common | {
         "mode": "lines+markers",
-        "name": name,
-        "legendgroup": name,
         "showlegend": first,
         "x": [e.level for e in edges],
         "y": [None if e.breaks is None else float(e.breaks) for e in edges],
@@ -252,19 +246,12 @@ def _make_branch(edges: list[Edge], colour: str, name: str, first: bool) -> list
         "hovertemplate": f"{name}, %{{x}}: %{{text}}<extra></extra>",
     }
     ends = [e for e in edges if e.breaks is None]
-    free = {
-        "type": "scatter",
+    free = common | {
         "mode": "markers",
-        "name": name,
-        "legendgroup": name,
         "showlegend": first and not broken,
         "x": [e.level for e in ends],
         "y": [float(e.end) for e in ends],
-        "marker": {
-            "color": colour,
-            "size": 10,
-            "symbol": "triangle-up-open" if edges[0].side == "up" else "triangle-down-open",
-        },
+        "marker": {"color": colour, "size": 10, "symbol": f"triangle-{edges[0].side}-open"},
         "hovertemplate": f"{name}, %{{x}}: holds to the end, %{{y}}<extra></extra>",
     }
     return [line, free] if ends else [line]

@@ -12,6 +12,7 @@ from cosim.base.errors import InputError
 from cosim.spec.controller_name import short_name
 from cosim.studies import Progress, Study, Workers, open_study, parse_number, run_sampler
 from hexjet_prove.search.folder import COMMAND, REPORT, RESULT, point_seeds
+from hexjet_prove.search.minimise import need_optimiser
 from hexjet_prove.search.question import SavedResult, fly_cases
 from hexjet_prove.search.worst_case import (
     DEFAULT_WORST_REGION,
@@ -43,6 +44,7 @@ def resolve_worst(
     number of standard deviations, or ``ranges``.  ``seeds`` flights a point have the scenario's seed, or ``seed``, and
     those that follow it; the search itself has the study's.  Raises InputError.
     """
+    need_optimiser()
     opened: dict[str, Any] = {"design": "random", "runs": 1, "until": ""} | options
     study = name if isinstance(name, Study) else open_study(name, **opened)
     plan = WorstPlan(likely, _parse_region(within, likely), point_seeds(study, seed, seeds), budget, study.seed)

@@ -260,20 +260,11 @@ class FaultSurvey:
 def _make_row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
     """Return the outcome that a row of the campaign states."""
     margin, detected = row[f"{MARGIN_OF}held"], row["own.detected_s"]
+    lean, lost = (nan if row[name] is None else row[name] for name in ("own.lean_deg", "own.lost_m"))
     return Row(
-        case.kind,
-        case.place,
-        start,
-        row["controller"],
-        judge(row["outcome"], margin),
-        nan if row["own.lean_deg"] is None else row["own.lean_deg"],
-        nan if row["own.lost_m"] is None else row["own.lost_m"],
-        None if case.fault is None else detected,
-        row["reason"],
-        row["controller_sha256"],
-        margin,
-        row["flight"],
-    )
+        case.kind, case.place, start, row["controller"], judge(row["outcome"], margin), lean, lost,
+        None if case.fault is None else detected, row["reason"], row["controller_sha256"], margin, row["flight"],
+    )  # fmt: skip
 
 
 def judge(outcome: str, margin: float | None) -> Verdict:

@@ -34,13 +34,8 @@ class Subject(NamedTuple):
 
     def settings(self, height: float, duration: float, **more: Any) -> dict[str, Any]:
         """Return the settings of a flight at its control step, from ``height`` [m] on, of ``duration`` [s]."""
-        return {
-            "aircraft": self.aircraft,
-            "engine": self.engine,
-            "step_s": self.vehicle.control_step,
-            "duration_s": duration,
-            "initial": {"altitude_m": height},
-        } | more
+        named = {"aircraft": self.aircraft, "engine": self.engine, "step_s": self.vehicle.control_step}
+        return named | {"duration_s": duration, "initial": {"altitude_m": height}} | more
 
     def scenario(self, name: str, controller: str, height: float, duration: float, **table: Any) -> Scenario:
         """Return a flight with :meth:`settings`.  Raises InputError."""

@@ -55,14 +55,9 @@ def tip_speed(aircraft: str, engine: str, above_m: float = 0.005) -> float:
     friction = 100.0  # legs that hold under any load
     for leg in legs:
         leg |= {"friction_static": friction, "friction_dynamic": friction}
-    scenario = subject.scenario(
-        "tipping",
-        BASELINE.name,
-        max(leg["position_m"][2] for leg in legs) + above_m,
-        MAX_TIPPING_S,
-        sensor_noise=False,
-        vehicle={"contacts": contacts},
-    )
+    height = max(leg["position_m"][2] for leg in legs) + above_m
+    more = {"sensor_noise": False, "vehicle": {"contacts": contacts}}
+    scenario = subject.scenario("tipping", BASELINE.name, height, MAX_TIPPING_S, **more)
     fastest_m_s = 8.0  # no faster speed is tried
     slowest = fastest_m_s
     resolution_m_s = 0.02  # resolution of the speed found
