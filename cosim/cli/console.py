@@ -199,7 +199,7 @@ def show_table(
     from rich import box
     from rich.table import Table
 
-    table, room = Table(box=box.SIMPLE_HEAD, **table_options), 45  # columns that the other cells need
+    table, room = Table(box=box.SIMPLE_HEAD, **table_options), 56  # columns that the other cells need
     # A name, such as a key, is broken behind its dots alone.
     rows = [(_break_name(row[0], terminal().width - room), *row[1:]) for row in rows] if plain else rows
     for number, title in enumerate(titles):
