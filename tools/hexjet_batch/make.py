@@ -105,7 +105,7 @@ def read_flight(scenario: Scenario, known: Known | None = None) -> Numbers:
         return _engine(engines, scenario.step_s, late, where), needs_air, jets
 
     engine, needs_air, jets = known.get((key, differs, places), make)
-    # JSBSim's flight has the same tables: they keep their names.
+    # The flights by JSBSim write the same tables, whose names these keep.
     tables = name_values(vehicle.model_dump(include={"sensors", "airflow"}))
     return Numbers(
         xp=np,
@@ -236,8 +236,8 @@ def _lead_constants(settings: Any, step: float) -> tuple[float, ...] | None:
     return Lead(settings, step).constants if settings else None
 
 
-# What a batch does not fly of an ECU, with the values that state that there is none.
-_NOTHING = {"command_interval": 1.0} | dict.fromkeys(
+# Parameters of an ECU that a batch does not fly, with the values that switch each off.
+_UNFLOWN_PARAMETERS = {"command_interval": 1.0} | dict.fromkeys(
     ("command_resolution", "command_dead_band", "command_rate", "speed_dead_band", "fuel_gain"), 0.0
 )
 
@@ -249,14 +249,14 @@ def _engine(engines: Sequence[EngineSpec], step: float, late: int, where: str) -
     others = [engine for engine in engines if engine is not first]
     if any(engine.path != first.path or engine.parameters != first.parameters for engine in others):
         raise InputError(f"{where}: engines that differ by station: not flown in a batch; fly it without batch")
-    # The library's, perhaps by a file that gives it other parameters alone.
+    # The engine is one of the library's, perhaps by a file that changes only its parameters.
     plain = all((p.scale, p.offset, p.gain, p.bias) == (1.0, 0.0, 1.0, 0.0) for p in first.ports.values())
     if name not in KINDS or not (first.library or (plain and first.path.resolve() == find_source(name).path.resolve())):
         raise InputError(f"{where}: engine {first.name}: not flown in a batch; fly it without batch")
     if first.internal_step is not None and abs(first.internal_step - step) > 1e-9:
         raise InputError(f"{where}: engine {first.name} takes several steps in one of control: fly it without batch")
     numbers = {key: float(value) for key, value in first.parameters.items()}
-    if stated := [key for key, nothing in _NOTHING.items() if numbers.get(key, nothing) != nothing]:
+    if stated := [key for key, nothing in _UNFLOWN_PARAMETERS.items() if numbers.get(key, nothing) != nothing]:
         raise InputError(f"{where}: engine {first.name}: {stated[0]}: not flown in a batch; fly it without batch")
     if "pressure_ratio" in numbers:
         ratio = numbers["pressure_ratio"] ** (2.0 / 7.0)

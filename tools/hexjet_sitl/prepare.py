@@ -44,14 +44,14 @@ BUILDS = {
 AUTOPILOTS: dict[str, type[Autopilot]] = {  # by name
     each.name: each for each in (betaflight.Betaflight, px4.Px4, ardupilot.ArduPilot)
 }
-# Sensor faults that would not reach an autopilot, and the reason for each.
-_FAULT_KINDS = ("sensor_dropout", "sensor_bias")
-_NO_ATTITUDE_FAULTS = {  # where the autopilot estimates it
+_FAULT_KINDS = ("sensor_dropout", "sensor_bias")  # kinds of fault of the tables below
+# Faults that would not reach an autopilot that estimates its attitude, each with the reason.
+_NO_ATTITUDE_FAULTS = {
     ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _FAULT_KINDS
 }
 _NO_GNSS_FAULTS = "Betaflight gets no position; allowed: gyro, attitude, and barometer, which its pilot has"
 _NO_BAROMETER_DROPOUT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"
-_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # by autopilot
+_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {  # reasons, by autopilot
     "betaflight": {("gnss", kind): _NO_GNSS_FAULTS for kind in _FAULT_KINDS},
     "px4": _NO_ATTITUDE_FAULTS,
     "ardupilot": _NO_ATTITUDE_FAULTS | {("barometer", "sensor_dropout"): _NO_BAROMETER_DROPOUT},

@@ -47,7 +47,7 @@ class Plan:
     trim: tuple[float, ...]
     up: tuple[float, ...]
     roll: tuple[float, ...]
-    roll_range: tuple[float, float]  # roll with any collective left
+    roll_range: tuple[float, float]  # that leaves a range of collective
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
 

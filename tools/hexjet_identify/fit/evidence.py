@@ -146,8 +146,8 @@ def _compare_movement(
     )
     if any(isnan(time) or not time > 0.0 for time in measured):
         return found
-    # White noise, by what a row differs from the next, is less by the rows that are averaged; where the answer is slow
-    # its deviation moves a time by so much, and by three tenths of it at most.
+    # White noise is estimated from differences of successive rows; averaging n rows divides its variance by n.  Where
+    # the answer is slow it moves a time by so much, and by three tenths of it at most.
     noise = float(np.median(np.abs(np.diff(log.output)))) / 0.954 / np.sqrt(2 * int(0.5 * seconds / log.step) + 1)
     rates = np.interp(measured, times, np.abs(np.gradient(courses[1][use], times)))
     slack = log.step + np.minimum(noise / np.maximum(rates, 1e-300), 0.3 * np.array(measured))

@@ -87,7 +87,7 @@ class Edge:
     holds: Value | None  # last value before breaks, or None
     breaks: Value | None  # first value that breaks; None: none
     end: Value
-    deviation: float | None  # of breaks, over the range searched
+    deviation: float | None  # of breaks, as a share of the range
     bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, whether it breaks
     flown: int
     broken: int  # flights that broke at the breaking point

@@ -74,7 +74,7 @@ class KeyEffect:
     name: str
     value: Value | None  # None: of an uncertain engine
     middle: Value | None  # at the middle of its distribution
-    place: float  # standard deviations, or half ranges
+    place: float  # from nominal: deviations, half ranges
     share: float
     without: float | None  # None: no such flight was made
     alone: float | None

@@ -77,7 +77,7 @@ class Row:
     detected_s: float | None  # s from the fault to its detection
     reason: str
     controller_sha256: str | None = None  # of a user's controller
-    margin_deg: float | None = None  # to "held"; below 0: worst if early
+    margin_deg: float | None = None  # of lean, to "held"; below 0: beyond
     flight: int = 0  # number of the flight in the campaign
 
 
