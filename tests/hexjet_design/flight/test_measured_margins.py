@@ -415,7 +415,7 @@ def test_the_status_says_whether_the_margins_are_what_was_asked_for(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--period", "0.003"], "--period"),
+        (["--period", "0.003"], "period_s"),
         (["--from-hz", "0.01"], "the lowest must be at least 0.05 Hz"),
         (["--to-hz", "200"], "the highest at most 125 Hz"),
         (["climb-and-land"], "begins there"),

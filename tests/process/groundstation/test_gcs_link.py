@@ -71,7 +71,7 @@ def test_the_exit_status_is_the_verdicts_as_of_fly(hexjet: Hexjet, most: str, st
         (["--personality", "none"], "--personality"),
         (["--sign-key", "no-such-key"], "no-such-key"),
         (["--place", "somewhere"], "place somewhere"),
-        (["--duration", "0.0011"], "--duration"),
+        (["--duration", "0.0011"], "duration_s"),
         (["--rtf", "-1"], "--rtf"),
         (["--system", "0"], "system 0: must be from 1 to 250"),
         (["--system", "two"], "--system"),
