@@ -283,9 +283,10 @@ class Command:
         parameters = []
         for option in self.rows if with_help else [*self.declared, *self._common_options]:
             default = () if option.several else kind.empty if option.required else option.default
+            may_be_on = option.kind is bool and option.default is not False
             stated = Parameter(
                 name=option.names or option.metavar,
-                negative=[f"--no-{name[2:]}" for name in option.names] if "/--no-" in option.label else (),
+                negative=[f"--no-{name[2:]}" for name in option.names] if may_be_on else (),
                 validator=_make_validator(option),
                 help=option.text,
                 completer=make_completer(option.argument, option.names),

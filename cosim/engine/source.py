@@ -86,9 +86,10 @@ def _refuse_wrong_path(path: Path) -> None:
         raise InputError(f"engine {path}: is a folder; name its file: {path / ENGINE}")
     if path.name == ENGINE and (path.parent / "identification.json").is_file():
         raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
-    files = [file.name for file in path.parent.glob("*") if path.suffix and file.suffix.lower() in (".fmu", ".toml")]
-    if not path.exists() and (meant := get_close_matches(path.name, files, n=1)):
-        raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
+    if path.suffix and not path.exists():
+        files = [file.name for file in path.parent.glob("*") if file.suffix.lower() in (".fmu", ".toml")]
+        if meant := get_close_matches(path.name, files, n=1):
+            raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
 
 
 def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSource:

@@ -41,10 +41,7 @@ class Digest:
 
 
 def log_digest(log: Log, block: int = 2048) -> str:
-    """Return the :class:`Digest` of a finished log, read in blocks.
-
-    ``block``: of a log, read at once: 2 MB.
-    """
+    """Return the :class:`Digest` of a finished log, read in blocks of ``block`` rows, some 2 MB."""
     digest = Digest(log.columns)
     for columns in log.blocks(log.columns, block):
         digest.update(np.stack(list(columns.values())))

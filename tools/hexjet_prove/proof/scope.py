@@ -62,7 +62,7 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
     ``missing`` are the parts that were not done, and ``not_flown`` the reasons of the flights that could not be flown.
     """
     base = study.base()
-    lines = [f"{part}" for part in missing]
+    lines = list(missing)
     if not_flown:
         lines.append(describe_not_flown(len(not_flown), not_flown[0]))
     lines.append(
