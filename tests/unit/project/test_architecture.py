@@ -38,7 +38,7 @@ HOMES = {
     "pyarrow": ["results/log/arrow.py"],
     "websockets": ["groundstation/web/", "shelf/server.py"],
     "distributed": ["campaign/workers/cluster.py"],
-    "gymnasium": ["tools/hexjet_gym/__init__.py", "tools/hexjet_batch/vector_env.py"],
+    "gymnasium": ["tools/hexjet_gym/"],
     "pandas": ["results/log/tables.py"],
     "pyulog": ["tools/hexjet_identify/logs/ulog.py"],
     "nptdms": ["tools/hexjet_identify/logs/tdms.py"],

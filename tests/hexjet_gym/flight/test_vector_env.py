@@ -11,8 +11,8 @@ gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils import env_checker as checker  # noqa: E402
 
-from hexjet_batch.vector_env import HexJetVectorEnv  # noqa: E402
-from hexjet_gym import HexJetEnv  # noqa: E402
+from hexjet_batch.vector_env import HexJetVectorEnv as OldName  # noqa: E402
+from hexjet_gym import HexJetEnv, HexJetVectorEnv  # noqa: E402
 
 pytestmark = pytest.mark.flight
 
@@ -37,7 +37,7 @@ def test_each_flight_is_that_of_the_environment_of_one(act: str) -> None:
 
 def test_it_is_what_gymnasium_asks_of_an_environment_of_many() -> None:
     """Its checkers pass, all flights end with the scenario, and the step after begins the next episode."""
-    envs = HexJetVectorEnv(2, Scenario.load("hover", ["duration_s=0.04"]))
+    envs = OldName(2, Scenario.load("hover", ["duration_s=0.04"]))
     for check in (checker.check_reset_seed_determinism, checker.check_reset_options, checker.env_reset_passive_checker):
         check(envs)
     envs.action_space.seed(1)
