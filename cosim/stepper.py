@@ -241,7 +241,6 @@ class Stepper:
             raise
 
     def _close_flight(self) -> None:
-        """Close the flight and its observers."""
         observers, self._observers = self._observers, ()
         try:
             for observer in observers:

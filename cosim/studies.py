@@ -11,7 +11,7 @@ from cosim.campaign.analysis.statistics import LEVEL, proportion
 from cosim.campaign.analysis.summary import SUCCESS, rank_keys, with_referee
 from cosim.campaign.analysis.table import FlightTable, describe_range, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity, write_flight
-from cosim.campaign.folder import CASES, REFEREE, STUDY, is_campaign
+from cosim.campaign.folder import ASKED, CASES, REFEREE, STUDY, is_campaign
 from cosim.campaign.run import (
     Progress,
     choose_workers,

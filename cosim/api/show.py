@@ -111,7 +111,6 @@ def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
 
 
 def singular_kind(item: Mapping[str, Any]) -> str:
-    """Return the kind of an item in the singular."""
     kind = str(item["kind"])
     return {"studies": "study", "aircraft": "aircraft"}.get(kind, kind.removesuffix("s"))
 

@@ -36,14 +36,14 @@ STUDY, SCENARIO = "study.toml", "scenario.toml"  # files in a campaign's folder
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
 REFEREE = "referee.json"  # JSBSim's check of flights on arrays
 # What the campaign was started with: study, scenario, file hashes and installed versions.
-RECORD = "asked.toml"
+ASKED = "asked.toml"
 # Keys of the record: the table of what a command adds to the study, and in it the command's name.
 PLAN, COMMAND = "plan", "command"
 SWEEP = "hexjet sweep"  # command if the record names none
 # Keys of study and scenario that no result depends on: titles and the origin of values.
 DESCRIPTIVE_KEYS = ("title", "description", "changed")
 CAMPAIGN_FILES = (  # files that campaigns write
-    *(STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS, REFEREE),
+    *(STUDY, SCENARIO, ASKED, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS, REFEREE),
     *("search.toml", "search.json", "search.html", "rare.toml", "rare.json", "rare.html"),
 )
 
@@ -67,7 +67,7 @@ class FrozenStudy:
         for name, content in self.files.items():
             write_whole(folder / name, content)
         write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
-        write_whole(folder / RECORD, toml_text(self.asked | {"installed": installed_versions()}).encode())
+        write_whole(folder / ASKED, toml_text(self.asked | {"installed": installed_versions()}).encode())
         remember_written(folder)
 
     def write_study(self, folder: Path) -> None:
@@ -87,9 +87,9 @@ def check_asked(folder: Path, frozen: FrozenStudy | None) -> None:
     Study, scenario and their files have to be as they were then, and what is installed; ``frozen``, if there is one,
     has to be that study, with that plan.
     """
-    if not (folder / RECORD).is_file():
+    if not (folder / ASKED).is_file():
         raise InputError(
-            f"{folder}: {RECORD} is missing, as in folders of version 0.2.0; it can be looked at, that version goes on "
+            f"{folder}: {ASKED} is missing, as in folders of version 0.2.0; it can be looked at, that version goes on "
             "with it, and this one flies it anew in another folder"
         )
     check_unedited(folder)
@@ -111,7 +111,7 @@ def check_unedited(folder: Path) -> dict[str, Any]:
 
     Raises InputError where study, scenario or a file of theirs is not as it was at the folder's first flight.
     """
-    if not (folder / RECORD).is_file():
+    if not (folder / ASKED).is_file():
         return {}
     asked = read_asked(folder)
     files = {name: sha256(read_file(folder / name)).hexdigest() for name in asked["file"]}
@@ -123,10 +123,10 @@ def check_unedited(folder: Path) -> dict[str, Any]:
 
 def read_asked(folder: Path) -> dict[str, Any]:
     """Return the record of a campaign's inputs.  Raises InputError if it is invalid."""
-    asked = {PLAN: {}} | read_toml(folder / RECORD)
+    asked = {PLAN: {}} | read_toml(folder / ASKED)
     for name in (STUDY, SCENARIO, "file", PLAN, "installed"):
         if not isinstance(asked.get(name), dict):
-            raise InputError(f"{folder / RECORD}: has no table [{name}]; it is not as it was at the first flight")
+            raise InputError(f"{folder / ASKED}: has no table [{name}]; it is not as it was at the first flight")
     return asked
 
 
@@ -140,7 +140,7 @@ def fingerprint(asked: Mapping[str, Any]) -> str:
 
 def extend_asked(folder: Path, study: Study) -> None:
     """Replace a folder's study by a longer one that begins with the same draws, and record that."""
-    write_whole(folder / RECORD, toml_text(read_toml(folder / RECORD) | {STUDY: study.table()}), FlightError)
+    write_whole(folder / ASKED, toml_text(read_toml(folder / ASKED) | {STUDY: study.table()}), FlightError)
     study.save(folder / STUDY)
 
 

@@ -27,11 +27,11 @@ from cosim.base.storage.files import map_os_errors, parse_json, read_file, try_l
 from cosim.base.trust import without_code
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
+    ASKED,
     CAMPAIGN_FILES,
     COLUMNS,
     FLIGHTS,
     JOURNAL,
-    RECORD,
     REFEREE,
     SCENARIO,
     STUDY,
@@ -120,7 +120,7 @@ class Store:
         try:
             return cls._begin_in(folder, journal, frozen, kept)
         except InputError:
-            for name in (*frozen.files, SCENARIO, RECORD, STUDY, JOURNAL, COLUMNS):
+            for name in (*frozen.files, SCENARIO, ASKED, STUDY, JOURNAL, COLUMNS):
                 (folder / name).unlink(missing_ok=True)
             with suppress(OSError):
                 (folder / FLIGHTS).rmdir()

@@ -100,7 +100,6 @@ class TerminalProgress(Progress):
                 echo(f"hexjet: {self._notes}: {printable_line(spell(text))}", err=True)
 
     def update(self, part: str, done: int, of: int) -> None:
-        """Update the progress bar."""
         self._is_concluding = done == of == 0
         if not self._is_concluding:
             self._done, self._of = done, of

@@ -195,7 +195,6 @@ class Command:
         return [option for option in found if option is not None]
 
     def _make_option(self, parameter: inspect.Parameter, function: Callable[..., Any]) -> Option | None:
-        """Return the option of a parameter; None if it has none."""
         name, several = parameter.name, parameter.kind is parameter.VAR_POSITIONAL
         if name in self.given or name in self.hidden:
             return None

@@ -90,7 +90,6 @@ class EngineHost:
         return self._read(self.request(question, limit, moment))
 
     def request(self, question: tuple[Any, ...], limit: float, moment: Moment) -> bytes:
-        """Return the bytes that answer a question."""
         return self.exchange(b"p" + pickle.dumps(question), limit, moment)
 
     def exchange(self, data: bytes, limit: float, moment: Moment) -> bytes:

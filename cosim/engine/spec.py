@@ -129,7 +129,6 @@ class EngineSpec:
 
     @property
     def transport_delay(self) -> float | None:
-        """Transport delay [s]."""
         if self.specified_delay is not None:
             return self.specified_delay
         if self.delay_samples is None or self.internal_step is None:

@@ -81,7 +81,6 @@ class Links:
 
     @property
     def page_url(self) -> str | None:
-        """URL of the page, or None."""
         return self._page.url if self._page is not None else None
 
     @property

@@ -227,7 +227,6 @@ class Session:
         return None
 
     def _execute(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:
-        """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
             return self._end_or_restart(request, waiting.sender, flight.pilot.armed)

@@ -85,7 +85,6 @@ class SessionFlight:
             raise InputError(answer.text)
 
     def publish(self, sample: Sample | None, ending: Ending | None) -> None:
-        """Publish a snapshot of the flight."""
         exchange = self.exchange
         self.last_message = forward_messages(self.pilot, exchange, self.last_message)
         self.sample = sample or self.sample
@@ -231,7 +230,6 @@ def make_snapshot(
     ending: Ending | None = None,
     mission: tuple[MissionItem, ...] = (),
 ) -> Snapshot:
-    """Return a snapshot of the flight after ``sample``."""
     k, state, measured = simulation.k, simulation.state, simulation.measured
     time = k * info.scenario.step_s
     diagnostics = simulation.controller.diagnostics

@@ -79,7 +79,6 @@ def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
 
 
 def compare_with_first(flights: Sequence[ComparedFlight]) -> list[LogComparison]:
-    """Compare each flight with the first."""
     return [_compare_pair(flights[0], other) for other in flights[1:]]
 
 

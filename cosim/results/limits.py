@@ -69,7 +69,7 @@ class LimitInputs(Record):
 
 
 def make_limit_inputs(scenario: Scenario, vehicle: Vehicle) -> LimitInputs:
-    """Return the inputs of the limits of a flight of this scenario with this vehicle."""
+    """Return what a scenario and a vehicle state for the limits of a flight: span, gains, noise, own limits."""
     gains = vehicle.control.altitude
     limits = scenario.limits.model_dump(exclude_none=True)
     return LimitInputs(

@@ -376,7 +376,6 @@ def _position_metrics(log: Columns) -> PositionMetrics:
 
 
 def commands_position(log: Columns) -> bool:
-    """Return whether a position is commanded at any time."""
     return POSITION_SETPOINT[0] in log.columns and bool(np.any(np.isfinite(log[POSITION_SETPOINT[0]])))
 
 

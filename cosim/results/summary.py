@@ -99,7 +99,6 @@ class Integration(Record):
 
     @property
     def methods(self) -> str:
-        """Description of the methods of integration."""
         air = [f"rates {self.rates}", f"velocities {self.velocities}"]
         if self.rates == self.velocities:
             air = [f"rates and velocities {self.rates}"]
@@ -258,7 +257,6 @@ class Summary(Setup):
         return f"<p><b>{escape(f'{self.scenario}: {self.ending}')}</b></p>{self.metric_table()}"
 
     def metric_table(self) -> str:
-        """Return the metrics as a table of HTML."""
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
             for name, value in self.flat_metrics.items()
@@ -359,7 +357,7 @@ def summarize(
 def assess_flight(
     setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: FailedFlight | None
 ) -> list[RequirementResult]:
-    """Return the flight's result for each requirement."""
+    """Return the results of the limits, of what the scenario expects of the controller, and of its ``[[require]]``."""
     expected = {} if setup.expectation is None else setup.expectation.metrics
     requirements = flight_requirements(limits, expected, setup.requires)
     return [RequirementResult.of(requirement.assess(flight, lost)) for requirement in requirements]

@@ -77,7 +77,6 @@ def make_delay_ledger(
 
 
 def select_axis(rows: Sequence[LedgerRow], axis: str) -> list[LedgerRow]:
-    """Return the rows of an axis."""
     return [row for row in rows if row.axis == axis]
 
 

@@ -109,7 +109,6 @@ class GuidedPilot:
         self._begin_flight()
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """Return the command of step ``k``."""
         self.seen = measured
         fix = self._estimator.update(k, measured, report.legs)
         command = self._commander.at(k)

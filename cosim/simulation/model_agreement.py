@@ -233,7 +233,6 @@ def _one_radian_frequency(late: Array, omega: Array) -> float:
 
 
 def _gain_unit(vehicle: Vehicle, index: int) -> str:
-    """Return the unit of an axis' gain."""
     if vehicle.allocation == "effectiveness":
         return "rad/s^2 per rad/s^2"
     return "rad/s^2 per throttle" if is_turned_by_throttle(vehicle, index) else "rad/s^2 per rad"

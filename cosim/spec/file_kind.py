@@ -16,7 +16,6 @@ class FileKind(NamedTuple):
     keys: tuple[str, ...]
 
     def matches(self, table: Mapping[str, Any]) -> bool:
-        """Return whether a file's table is of this kind."""
         return any(key in table for key in self.keys)
 
 

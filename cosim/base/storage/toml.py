@@ -56,7 +56,7 @@ class Model(BaseModel, metaclass=_HidePydanticNames):
             if name in numeric and type(value) is not float:
                 for number in value if isinstance(value, list) else [value]:
                     if isinstance(number, (str, bool)):
-                        raise ValueError(f"{name} = {number!r}: must be a number")
+                        raise ValueError(f"{name} = {number!r}: must be a number{_describe_field([cls], name)}")
         return data
 
 
@@ -90,6 +90,10 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # s since the start of the flight, or span
 Duration = Annotated[float, Field(gt=0.0, le=1e6)]  # s, of a duration
+Samples = Annotated[
+    int,
+    Field(ge=0, le=1000, description="a sample is one control step (step_s, 0.004 s on the Hex-Jet: 60 ms are 15)"),
+]
 Vector = tuple[float, float, float]
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 
@@ -119,7 +123,6 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _deep_copy(table: Any) -> Any:
-    """Return a deep copy of tables and lists."""
     if isinstance(table, dict):
         return {key: _deep_copy(value) for key, value in table.items()}
     return [_deep_copy(value) for value in table] if isinstance(table, list) else table
@@ -299,10 +302,14 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     message = _describe_missing_entry(kind, value) or first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     message = message.replace("should be a valid ", "must be a ").replace("a integer", "an integer")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
-    text = f"{key}{shown}: {message}" if key else message
-    is_delay = re.search(r"(?<!parameters\.)(?<!\d\.)\b(added_)?delay_samples = ", text)
-    sample = "; a sample is one control step (step_s, 0.004 s on the Hex-Jet: 60 ms are 15)" if is_delay else ""
-    return f"{text}{sample}{rest}"
+    description = _describe_field(_find_tables(model, first["loc"]), first["loc"][-1]) if key else ""
+    return f"{key}{shown}: {message}{description}{rest}" if key else f"{message}{rest}"
+
+
+def _describe_field(tables: Iterable[type[BaseModel]], name: int | str) -> str:
+    """Return a clause with the description of a key of these tables, or an empty string."""
+    found = (table.model_fields.get(str(name)) for table in tables)
+    return "".join(f"; {field.description}" for field in found if field and field.description)
 
 
 def _describe_missing_entry(kind: str, value: Any) -> str:
@@ -349,7 +356,6 @@ def _file_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[
 
 
 def _collect_models(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """Return a model and all models nested in it."""
     models, waiting = {model}, [model]
     while waiting:
         for field in waiting.pop().model_fields.values():
@@ -365,17 +371,19 @@ def _is_kind_of_entry(location: tuple[int | str, ...], part: str) -> bool:
 
 def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Return the allowed keys of the table that contains ``location``."""
+    return sorted({name for table in _find_tables(model, location) for name in table.model_fields})
+
+
+def _find_tables(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """Return the models that the table with ``location`` may be of; none in a mapping of plain values."""
     models: list[type[BaseModel]] = [model]
     for part in location[:-1]:
-        submodels: list[type[BaseModel]] = []
-        for candidate in models:
-            if part in candidate.model_fields:
-                submodels += _find_models(candidate.model_fields[str(part)].annotation)
-            elif _find_kind_name(candidate) == part:
-                submodels.append(candidate)
+        fields = [table.model_fields[str(part)] for table in models if part in table.model_fields]
+        kinds = [table for table in models if _find_kind_name(table) == part]
         # An index or a mapping's key keeps the models; a field's name leads to the models of its type.
-        models = submodels or models
-    return sorted({name for candidate in models for name in candidate.model_fields})
+        if fields or kinds:
+            models = kinds + [submodel for field in fields for submodel in _find_models(field.annotation)]
+    return models
 
 
 def _find_kind_name(model: type[BaseModel]) -> Any:

@@ -76,7 +76,6 @@ def success_fractions(table: FlightTable) -> list[Proportion]:
 
 
 def controller_indices(table: FlightTable) -> range:
-    """Return the indices of the controllers."""
     return range(len(table.controllers))
 
 

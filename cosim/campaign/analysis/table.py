@@ -80,7 +80,6 @@ class FlightTable(NamedTuple):
 
     @property
     def success(self) -> Mask:
-        """Whether each flight is a success."""
         return np.equal(self.kind, KINDS.index("success"))
 
     @property

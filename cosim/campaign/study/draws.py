@@ -99,7 +99,6 @@ class Draws(LazySequence[Draw]):
 
 
 def draws(study: Study) -> Draws:
-    """Return the draws of ``study``."""
     return Draws(study)
 
 

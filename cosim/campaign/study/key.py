@@ -46,7 +46,6 @@ class Key:
 
     @property
     def meaning(self) -> str:
-        """Meaning of the key, in a clause."""
         return self.text or (meaning_of(*self.field) if self.field is not None else "")
 
     @property

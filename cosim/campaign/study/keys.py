@@ -281,7 +281,6 @@ def _predictor_keys(tuning: PredictorTuning) -> Iterator[Key]:
 
 
 def _table_keys(path: str, value: BaseModel) -> Iterator[Key]:
-    """Yield the keys of a table."""
     for name, field in type(value).model_fields.items():
         for key in _value_keys(f"{path}.{name}", _restore_bounds(field), getattr(value, name)):
             yield key if key.field else replace(key, field=(type(value), name))

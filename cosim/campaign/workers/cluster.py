@@ -245,7 +245,6 @@ class _Tasks:
                 future = self._finished.get_nowait()
 
     def cancel(self) -> None:
-        """Cancel the running tasks."""
         futures = [future for future, _ in self._pending.values()]
         self._pending.clear()
         if futures and self._client.status == "running":

@@ -53,7 +53,6 @@ class _IdleProcesses:
         timer.start()
 
     def end_idle(self) -> None:
-        """End all idle workers."""
         with self._lock:
             idle, self._idle = self._idle, {}
         for workers, (_, timer) in idle.items():

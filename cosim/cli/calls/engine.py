@@ -51,7 +51,6 @@ class ControllerCheckResult(Result):
         return self.run.outcome == "completed" and bool(self.found["repeatable"])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all findings."""
         return dict(self.found)
 
     def lines(self) -> list[str]:

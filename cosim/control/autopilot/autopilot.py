@@ -213,7 +213,6 @@ class Autopilot(FlightState):
         return self.remote.needs_take_off(self.mode, k)
 
     def _command_take_off(self, k: int) -> Command:
-        """Return the command of a take-off."""
         if self.landing.has_lifted:
             self.landed = LandedState.IN_AIR
             self.arming.flew = True

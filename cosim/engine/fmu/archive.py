@@ -64,12 +64,10 @@ class Archive:
 
     @property
     def throttle(self) -> Variable:
-        """Variable of the port ``throttle``."""
         return self.ports["throttle"].variable
 
     @property
     def thrust(self) -> Variable:
-        """Variable of the port ``thrust``."""
         return self.ports["thrust"].variable
 
     @property

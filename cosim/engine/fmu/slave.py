@@ -109,7 +109,6 @@ class Slave:
             self.call("SetupExperiment", c_int(0), c_double(0.0), c_double(0.0), c_int(0), c_double(0.0))
 
     def enter_initialization(self) -> None:
-        """Enter initialization mode."""
         none = (c_bool(False), c_double(0.0), c_double(0.0), c_bool(False), c_double(0.0))
         self.call("EnterInitializationMode", *(() if self.fmi == 2 else none))
 

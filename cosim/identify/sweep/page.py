@@ -58,7 +58,6 @@ def _format_csv(identification: Identification) -> str:
 
 
 def make_page(identification: Identification) -> Page:
-    """Return the page of an identification."""
     sweep, is_axis = identification.sweep, identification.kind == "axis"
     columns = [WITH_BOUNDS, *(fit.label for fit in identification.fits)]
     equation = "" if identification.refused else "G(z) = " + "\n       ".join(equations(identification))

@@ -27,7 +27,6 @@ def write_check(report: CheckReport, folder: Path) -> Path:
 
 
 def make_page(report: CheckReport) -> Page:
-    """Return the page of a checked engine."""
     figures = check_figures(report)
     still = f"Each point held until the thrust stands still to {REST_TOLERANCE:.0e} of itself."
     marks = {"yes": "met", "no": "unmet"}

@@ -33,7 +33,6 @@ class Reader:
 
     @classmethod
     def of(cls, flight: ComparedFlight) -> Reader:
-        """Return a reader of a compared flight."""
         if flight.run is not None:
             return cls(flight.log, flight.run.summary.step_s)
         times = flight.log[TIME]

@@ -88,7 +88,6 @@ def overlay(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[P
 
 
 def _trace(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
-    """Return a trace in the panel with this number, counted from 0."""
     values = panel.scale * reader.log[trace.column]
     return {
         "type": "scatter",

@@ -62,7 +62,6 @@ class Quantity:
 
     @property
     def names(self) -> Iterator[str]:
-        """Names of the signals in the quantity."""
         for part in self.parts:
             yield from part.names
 
@@ -162,18 +161,15 @@ class Formula:
 
     @property
     def parts(self) -> tuple[Formula, ...]:
-        """Formulas that the formula is composed of."""
         return tuple([value for value in vars(self).values() if isinstance(value, Formula)])
 
     @property
     def comparisons(self) -> Iterator[Comparison]:
-        """Comparisons in the formula."""
         for part in self.parts:
             yield from part.comparisons
 
     @property
     def events(self) -> Iterator[str]:
-        """Names of the events in the formula."""
         for part in self.parts:
             yield from part.events
 

@@ -191,7 +191,6 @@ class RequirementResult(Record):
 
     @classmethod
     def of(cls, assessment: Assessment) -> RequirementResult:
-        """Return the result for an assessment."""
         requirement = assessment.requirement
         return cls(
             **requirement.model_dump(exclude={"scale"}),
@@ -206,7 +205,6 @@ class RequirementResult(Record):
 
     @property
     def requirement(self) -> Requirement:
-        """Requirement that was assessed."""
         return Requirement(**{name: getattr(self, name) for name in Requirement.model_fields})
 
     @property

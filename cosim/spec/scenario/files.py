@@ -9,7 +9,6 @@ from cosim.base.storage.paths import data_folder
 
 
 def scenario_names() -> list[str]:
-    """Return the names of all shipped scenarios."""
     return sorted(path.stem for path in data_folder("scenarios").glob("*.toml"))
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cosim.base.signals import JETS
-from cosim.base.storage.toml import Model, Vector
+from cosim.base.storage.toml import Model, Samples, Vector
 from cosim.spec.scenario.faults import StationNumber
 
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
@@ -36,7 +36,7 @@ class Mismatch(Model):
     thrust_factor_4: Factor = 1.0
     thrust_factor_5: Factor = 1.0
     thrust_factor_6: Factor = 1.0
-    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # of every engine; no controller knows it
+    delay_samples: Samples = 0  # of every engine; no controller knows it
     # Parameters of every engine that is the scenario's, by the FMU's names.
     engine_parameters: Annotated[dict[str, float], Field(exclude_if=not_)] = {}
     # Parameters of one station's engine, which override those of all.
@@ -44,5 +44,4 @@ class Mismatch(Model):
 
     @property
     def single_factors(self) -> tuple[float, ...]:
-        """The factors of the single jets."""
         return tuple(getattr(self, f"thrust_factor_{jet}") for jet in range(1, JETS + 1))

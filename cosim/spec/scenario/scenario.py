@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.storage.settings import as_settings
-from cosim.base.storage.toml import Duration, Model, merge, nest, parse_setting, read_toml, set_path, validate
+from cosim.base.storage.toml import Duration, Model, Samples, merge, nest, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import trust_named_code
 from cosim.spec.file_kind import SCENARIO, check_kind
 from cosim.spec.meanings import meaning_of
@@ -64,7 +64,7 @@ class Scenario(Model):
     substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
-    added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the roll output; the predictor knows
+    added_delay_samples: Samples = 0  # on the roll output; the predictor knows
     initial: Initial = Field(default_factory=Initial)
     environment: Environment = Field(default_factory=Environment)
     mismatch: Mismatch = Field(default_factory=Mismatch)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from math import hypot, sqrt
 from pathlib import Path
 from typing import Any
@@ -120,19 +120,17 @@ def load_vehicle(
         For an unknown aircraft (lists the known ones), a path where none is, or a wrong key.
     """
     path = find_aircraft(name, folder)
-    texts = _read_sources(path)
-    tables, vehicle = _vehicles.get((path, *texts), lambda: _read_vehicle(path))
+    key, tables, vehicle = _read_unless_cached(path)
     if overrides:
-        key = (path, *texts, repr(overrides))
         stated = _default_bank_inertia(overrides)
+        key = (*key, repr(overrides))
         vehicle = _vehicles.get(key, lambda: (tables, validate(Vehicle, merge(tables, stated), where)))[1]
     return vehicle, path.parent
 
 
 def read_tables(name: str, folder: Path = Path()) -> dict[str, Any]:
     """Return the tables of an aircraft's file, scaling applied; raise InputError as :func:`load_vehicle`."""
-    path = find_aircraft(name, folder)
-    return _vehicles.get((path, *_read_sources(path)), lambda: _read_vehicle(path))[0]
+    return _read_unless_cached(find_aircraft(name, folder))[1]
 
 
 def _default_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
@@ -143,11 +141,15 @@ def _default_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
     return overrides | {"servo": {"bank_inertia_kg_m2": 0.0, "bank_imbalance_kg_m": 0.0} | servo}
 
 
-def _read_sources(path: Path) -> list[bytes]:
-    """Return the contents of an aircraft's file and of its scaling base, if any."""
-    text = read_file(path)
-    base = _bases.get((path, text), lambda: _find_base(path))
-    return [text] if base is None else [text, read_file(data_folder("aircraft") / base / VEHICLE)]
+def _read_unless_cached(path: Path) -> tuple[tuple[Hashable, ...], dict[str, Any], Vehicle]:
+    """Return path and contents of an aircraft's file, with those of its scaling base if any; its tables; the aircraft.
+
+    What was read of the same contents before is returned as it is.
+    """
+    contents = read_file(path)
+    base = _bases.get((path, contents), lambda: _find_base(path))
+    sources = [contents] if base is None else [contents, read_file(data_folder("aircraft") / base / VEHICLE)]
+    return (path, *sources), *_vehicles.get((path, *sources), lambda: _read_vehicle(path))
 
 
 def _find_base(path: Path) -> str | None:

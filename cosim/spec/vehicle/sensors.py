@@ -4,9 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cosim.base.storage.toml import Model, NotNegative, Vector
-
-Samples = Annotated[int, Field(ge=0, le=1000)]
+from cosim.base.storage.toml import Model, NotNegative, Samples, Vector
 
 
 class GyroSensor(Model):

@@ -11,7 +11,7 @@ from command_tools import Done, Hexjet
 from places import TESTS
 
 from cosim.campaign import installed, open_campaign
-from cosim.campaign.folder import RECORD
+from cosim.campaign.folder import ASKED
 
 STUDY = """
 name = "short"
@@ -82,10 +82,10 @@ def test_an_edited_folder_is_refused_by_the_key_that_changed(
         status, _, line = resume()
     begin = f"hexjet: {folder}: what is installed changed since its first flight: jsbsim was "
     assert (status, line[: len(begin)], line[-12:]) == (2, begin, " and is 0.9\n")
-    edit(folder / RECORD, "[installed]", "[other]")
-    line = f"hexjet: {folder / RECORD}: has no table [installed]; it is not as it was at the first flight\n"
+    edit(folder / ASKED, "[installed]", "[other]")
+    line = f"hexjet: {folder / ASKED}: has no table [installed]; it is not as it was at the first flight\n"
     assert resume() == (2, "", line)
-    (folder / RECORD).unlink()
+    (folder / ASKED).unlink()
     status, _, line = resume()
     assert (status, line.startswith(f"hexjet: {folder}: asked.toml is missing, as in folders of version 0.2.0")) == (
         2,

@@ -18,7 +18,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.campaign import Campaign, fly_again, open_campaign, run_campaign
-from cosim.campaign.folder import FLIGHTS, JOURNAL, RECORD, SCENARIO, STUDY
+from cosim.campaign.folder import ASKED, FLIGHTS, JOURNAL, SCENARIO, STUDY
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
@@ -87,7 +87,7 @@ def test_a_changed_number_of_the_aircraft_is_told(moved: Path) -> None:
         InputError, match=r"scenario.toml: vehicle.sensors.gyro.noise_rad_s was 0.005 and is 0.00500000"
     ):
         open_campaign(moved)
-    (moved / RECORD).unlink()  # a folder of version 0.2.0 does not tell before it is flown
+    (moved / ASKED).unlink()  # a folder of version 0.2.0 does not tell before it is flown
     again = fly_again(open_campaign(moved), 0)
     assert (again.same, again.verdict) == (False, "not the same")
     assert again.otherwise[0] == "the numbers of the aircraft or of an engine are others"

@@ -27,6 +27,7 @@ from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_names
 from cosim.studies import (
+    ASKED,
     STUDY,
     SUCCESS,
     Campaign,
@@ -62,7 +63,6 @@ from hexjet_prove.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from hexjet_prove.proof.scope import kinds_not_varied, not_covered
 
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
-ASKED = "asked.toml"  # what was asked beside the flights
 RARE_FOLDER = "rare"  # folder of rare failures
 NO_RARE_METHOD = "no method for rare failures was used: what flights that succeed can show is all that is shown"
 PACKAGE = "hexjet-cosim"  # package whose version is recorded

@@ -103,7 +103,6 @@ class Course:
         return max(stop, min(measured.altitude, self.landmarks.ground + MIN_HEIGHT_M))
 
     def distance_to(self, position: Pair) -> float:
-        """Return the distance to a position [m]."""
         n, e = self.estimates.fix.position
         return hypot(position[0] - n, position[1] - e)
 
@@ -120,7 +119,6 @@ class Course:
         return target, max([altitude, height, *rally]), False
 
     def fly(self) -> Command:
-        """Return the command to the target."""
         return self.fly_to(self.position, self.height, self.heading)
 
     def fly_to(self, position: Pair | None, altitude: float | None, yaw: float | None) -> Command:

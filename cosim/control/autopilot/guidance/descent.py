@@ -141,7 +141,6 @@ class CollectiveFloor:
         return min(max(thrust - self._idle, self._least), self._most)
 
     def limit_rate(self, collective: float) -> float:
-        """Return the collective with its rate limited."""
         if self._last is not None:
             collective = min(max(collective, self._last - self._most_change), self._last + self._most_change)
         self._last = collective

@@ -34,7 +34,6 @@ class TelemetryLog:
         self.failure = ""  # why writing stopped; empty: it did not
 
     def write_sent(self, packed: Message) -> None:
-        """Write a message that was sent."""
         if self._file is not None:
             self._write(self._packer.pack_frame(packed))
 
