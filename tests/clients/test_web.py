@@ -141,6 +141,15 @@ def until(true: Callable[[], bool], seconds: float = SOON) -> None:
         time.sleep(0.01)
 
 
+@contextlib.contextmanager
+def closed(code: int) -> Iterator[None]:
+    """The link ends, for this reason."""
+    with pytest.raises(ConnectionClosed) as ended:
+        yield
+    assert ended.value.rcvd is not None
+    assert ended.value.rcvd.code == code
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
     """A vehicle on the ground, in real time."""
@@ -153,10 +162,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
 
 def test_the_page_is_served_with_everything_it_names(flown: Flown) -> None:
     answer = flown.get(flown.home)
-    page = answer.read().decode()
     assert answer.status == 200
-    named = re.findall(r'(?:src|href)="([^"]+)"', page)
-    named = [path.removeprefix(flown.files) for path in named]
+    named = [path.removeprefix(flown.files) for path in re.findall(r'(?:src|href)="([^"]+)"', answer.read().decode())]
     assert {"/main.js", "/page.css", "/assets/scene.js", "/assets/vendor/uPlot.iife.min.js"} <= set(named)
     for script in STATIC.glob("*.js"):
         named += [f"/{each}" for each in re.findall(r'from "\./([^"]+)"', script.read_text(encoding="utf-8"))]
@@ -240,34 +247,24 @@ def test_without_the_printed_address_there_is_nothing(flown: Flown, path: str) -
 def test_another_name_for_this_machine_is_refused(flown: Flown) -> None:
     """A foreign name that resolves to the loopback makes a foreign page of the same origin: no page, no token."""
     port = flown.web.port
-    for hosts in [
-        (f"evil.example:{port}",),
-        ("127.0.0.1",),
-        (f"127.0.0.1:{port + 1}",),
-        ("",),
-        (f"127.0.0.1:{port}",) * 2,
-        (f"127.0.0.1:{port}.evil.example",),
-    ]:
+    here, evil = f"127.0.0.1:{port}", f"evil.example:{port}"
+    for hosts in ([evil], ["127.0.0.1"], [f"127.0.0.1:{port + 1}"], [""], [here, here], [f"{here}.evil.example"]):
         answer = flown.get(flown.home, *hosts)
         assert answer.status in (400, 421), hosts
         assert b"token" not in answer.read()
     assert flown.get(flown.home, f"localhost:{port}").status == 200
-    with pytest.raises(InvalidStatus) as refused, flown.dial(additional_headers={"Host": f"evil.example:{port}"}):
+    with pytest.raises(InvalidStatus) as refused, flown.dial(additional_headers={"Host": evil}):
         pass
     assert refused.value.response.status_code in (400, 421)
 
 
 def test_a_foreign_origin_is_refused(flown: Flown) -> None:
     port = flown.web.port
-    for origin in [
-        None,
-        "null",
-        "http://evil.example",
-        f"http://evil.example:{port}",
-        f"http://127.0.0.1:{port + 1}",
-        f"https://127.0.0.1:{port}",
-        "http://127.0.0.1",
-    ]:
+    foreign = (
+        None, "null", "http://evil.example", f"http://evil.example:{port}", f"http://127.0.0.1:{port + 1}",
+        f"https://127.0.0.1:{port}", "http://127.0.0.1",
+    )  # fmt: skip
+    for origin in foreign:
         with pytest.raises(InvalidStatus) as refused, flown.dial(origin):
             pass
         assert refused.value.response.status_code == 403, origin
@@ -284,17 +281,15 @@ def test_a_foreign_origin_is_refused(flown: Flown) -> None:
         '{"token": 1}',
         '{"token": "\\ud800"}',
         '{"id": 1, "request": "Arm"}',
-        b"\x00",
+        b"\0",
     ],
 )
 def test_without_the_token_nothing_is_told_and_nothing_done(flown: Flown, hello: str | bytes) -> None:
     before = flown.web.refused
     with flown.dial() as link:
         link.send(hello)
-        with pytest.raises(ConnectionClosed) as closed:
+        with closed(server.WRONG_TOKEN):
             link.recv(SOON)
-    assert closed.value.rcvd is not None
-    assert closed.value.rcvd.code == server.WRONG_TOKEN
     assert flown.web.refused == before + 1
     assert not flown.now.status.armed
 
@@ -338,63 +333,42 @@ def test_the_state_that_is_told(flown: Flown) -> None:
     assert seen is not None
     thrust = tuple(7.0 + jet for jet in range(6))
     sample = sample._replace(engines=sample.engines._replace(thrust=thrust))
-    snapshot = snapshot._replace(sample=sample)
-    told = json.loads(server._to_json(feed.describe_state(snapshot)))
+    told = json.loads(server._to_json(feed.describe_state(snapshot._replace(sample=sample))))
     assert told["t"] == pytest.approx(snapshot.k * 0.004, abs=5e-4)
     assert told["mode"] == snapshot.status.mode.value
-    assert told["height"] == round(seen.altitude, 4)
-    assert told["velocity"][2] == round(seen.velocity[2], 4)
+    assert (told["height"], told["velocity"][2]) == (round(seen.altitude, 4), round(seen.velocity[2], 4))
     assert told["attitude_deg"] == [round(math.degrees(a), 4) for a in to_euler(seen.attitude)]
-    assert len(told["jets"]) == 6
-    for jet, spec in enumerate(info.stations):
-        said = told["jets"][jet]
-        assert said["throttle"] == said["asked_N"] == 0.0  # nobody armed it
-        assert said["thrust_N"] == thrust[jet]
-        armed = feed.describe_jets(info, sample, off=False)[jet]
-        assert armed["throttle"] == round(sample.actuation.throttle[jet], 4)
-        assert armed["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
-        assert said["rpm"] is said["fuel_g_s"] is None  # this engine does not say
-
-
-def test_units_of_what_an_engine_says(flown: Flown) -> None:
-    snapshot = flown.now
-    sample = snapshot.sample
-    assert sample is not None
+    # nobody armed it, and this engine does not say its speed or its fuel
+    said = [(jet["throttle"], jet["asked_N"], jet["thrust_N"], jet["rpm"], jet["fuel_g_s"]) for jet in told["jets"]]
+    assert said == [(0.0, 0.0, thrust[jet], None, None) for jet in range(6)]
+    throttle = sample.actuation.throttle
+    armed = [(jet["throttle"], jet["asked_N"]) for jet in feed.describe_jets(info, sample, off=False)]
+    assert armed == [(round(u, 4), round(at.thrust_at(u), 4)) for u, at in zip(throttle, info.stations, strict=True)]
     engines = sample.engines._replace(spool_speed=(100.0 * math.pi,) * 6, exhaust_temperature=(873.15,) * 6)
-    (first, *_) = feed.describe_jets(snapshot.info, sample._replace(engines=engines), off=False)
-    assert first["rpm"] == 3000.0
-    assert first["exhaust_C"] == 600.0
-    (first, *_) = feed.describe_jets(snapshot.info, sample, off=True)
-    assert first["throttle"] == first["asked_N"] == 0.0
+    (first, *_) = feed.describe_jets(info, sample._replace(engines=engines), off=False)
+    assert (first["rpm"], first["exhaust_C"]) == (3000.0, 600.0)
 
 
 def test_the_strip_chart_gets_measured_and_predicted(flown: Flown) -> None:
     sample = flown.now.sample
     assert sample is not None
-    t, *rates = feed.make_chart_point(
-        sample._replace(control=sample.control._replace(rate_predicted=(math.nan, math.pi, 0.0)))
-    )
-    assert t == round(sample.time, 3)
-    assert rates[:3] == [round(math.degrees(rate), 2) for rate in sample.measured.rate]
-    assert rates[3:] == [None, 180.0, 0.0]
+    control = sample.control._replace(rate_predicted=(math.nan, math.pi, 0.0))
+    measured = [round(math.degrees(rate), 2) for rate in sample.measured.rate]
+    point = feed.make_chart_point(sample._replace(control=control))
+    assert list(point) == [round(sample.time, 3), *measured, None, 180.0, 0.0]
 
 
 def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None:
     with flown.page() as page:
         begun = page.next("flight")
-        assert begun["vehicle"] == "hexjet"
-        assert begun["controller"] == "smith"
+        assert (begun["vehicle"], begun["controller"]) == ("hexjet", "smith")
         assert begun["engines"][0]["most_N"] == pytest.approx(flown.now.info.stations[0].curve.thrust[-1], abs=1e-4)
-        first = page.next("state")
-        points = first["strip"]
-        states = [page.next("state") for _ in range(20)]
-    assert states[-1]["t"] > first["t"]
-    for state in states:
-        points += state["strip"]
-    times = [point[0] for point in points]
+        states = [page.next("state") for _ in range(21)]
+    assert states[-1]["t"] > states[0]["t"]
+    times = [point[0] for state in states for point in state["strip"]]
     assert times == sorted(set(times))
     # 21 frames, each with at most so many points; a flight at real time is published every step or two
-    assert 20 < len(points) <= 21 * server.LIMITS.max_points
+    assert 20 < len(times) <= 21 * server.LIMITS.max_points
 
 
 def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
@@ -452,8 +426,7 @@ def test_a_page_arms_and_disarms(flown: Flown) -> None:
         assert page.ask("Disarm")["accepted"]
         until(lambda: not flown.now.status.armed)
         refused = page.ask("Land")
-        assert not refused["accepted"]
-        assert refused["text"] == "landing refused: it is on the ground"
+        assert (refused["accepted"], refused["text"]) == (False, "landing refused: it is on the ground")
 
 
 @pytest.mark.parametrize(
@@ -491,10 +464,8 @@ def test_what_is_wrong_is_refused_with_one_line(flown: Flown, message: str | byt
 def test_a_message_that_is_too_long_ends_the_link(flown: Flown) -> None:
     with flown.page() as page:
         page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LIMITS.max_message_bytes}))
-        with pytest.raises(ConnectionClosed) as closed:
+        with closed(1009):
             page.next("never")
-    assert closed.value.rcvd is not None
-    assert closed.value.rcvd.code == 1009
     assert not flown.now.status.armed
 
 
@@ -502,9 +473,9 @@ def test_a_page_that_floods_is_let_go_and_hurts_nobody(flown: Flown) -> None:
     with flown.page() as quiet, flown.page() as loud:
         quiet.next("state")
         steps = flown.now.k
-        with pytest.raises(ConnectionClosed) as closed:
+        with pytest.raises(ConnectionClosed) as ended:
             loud.flood()
-        assert closed.value.rcvd is None or closed.value.rcvd.code == server.TOO_MANY
+        assert ended.value.rcvd is None or ended.value.rcvd.code == server.TOO_MANY
         until(lambda: flown.web.clients == 1)
         assert quiet.ask("Disarm")["accepted"]
         quiet.next("state")
@@ -558,12 +529,10 @@ def test_the_end_is_told(tmp_path: Path) -> None:
             flight.web._on_publish()  # the same step again is nothing to draw
         assert not any(page.next("state")["strip"] for _ in range(20))
         flight.web.stop()
-        with pytest.raises(ConnectionClosed) as closed:
+        with closed(1001):
             page.next("never")
         assert page.last["state"]["ending"] == {"outcome": "completed", "reason": "enough"}
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == 1001
-        assert "web" not in [thread.name for thread in threading.enumerate() if thread is flight.web._thread]
+        assert flight.web._thread not in threading.enumerate()
         flight.web.stop()
 
 
@@ -651,7 +620,7 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             page.keyboard.press("Home")
             screen.shows("#armed", "ready")
             screen.shows("#title", "hexjet")
-            assert screen_value(page, "#takeoff-height") == 7.4
+            assert float(page.input_value("#takeoff-height")) == 7.4
 
             page.click("#arm")
             screen.shows("#armed", "armed")
@@ -744,10 +713,6 @@ def test_a_flight_by_hand(browser: Any, tmp_path: Path) -> None:
             assert not [error for error in screen.errors if "WebSocket" not in error]
     kinds = [line["request"] for line in requests_of(flight.folder) if line["request"] != "Sticks"]
     assert kinds == ["SetParameter", "Arm", "Takeoff", "Goto", "SetMode", "Hold", "Land"]
-
-
-def screen_value(page: Any, where: str) -> float:
-    return float(page.input_value(where))
 
 
 def commanded(flight: Flown) -> float:

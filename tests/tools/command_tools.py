@@ -17,6 +17,18 @@ class Done(NamedTuple):
     out: str
     err: str
 
+    @property
+    def told(self) -> str:
+        """What a command that came to its end printed."""
+        assert self.status == 0, self.err
+        return self.out
+
+    @property
+    def refusal(self) -> str:
+        """The one line of a command that was refused."""
+        assert (self.status, self.out, self.err.count("\n")) == (2, "", 1), self
+        return self.err
+
 
 Hexjet = Callable[..., Done]
 

@@ -91,19 +91,15 @@ def test_the_exact_interval_leaves_a_fortieth_on_either_side() -> None:
     assert sum(comb(50, k) * low**k * (1.0 - low) ** (50 - k) for k in range(7, 51)) == pytest.approx(0.025, rel=1e-9)
     assert sum(comb(50, k) * high**k * (1.0 - high) ** (50 - k) for k in range(8)) == pytest.approx(0.025, rel=1e-9)
     assert proportion(0, 100).exact == (0.0, pytest.approx(1.0 - 0.025**0.01, rel=1e-9))
-
-
-def test_a_share_of_nothing_may_be_anything() -> None:
-    assert proportion(0, 0).value is None
-    assert proportion(0, 0).wilson == proportion(0, 0).exact == (0.0, 1.0)
+    nothing = proportion(0, 0)
+    assert (nothing.value, nothing.wilson, nothing.exact) == (None, (0.0, 1.0), (0.0, 1.0))
 
 
 # ---- pairs
 
 
 def test_pairs_are_counted_by_who_succeeds() -> None:
-    first = np.array([True, True, False, False, True])
-    second = np.array([True, False, True, False, False])
+    first, second = np.array([[1, 1, 0, 0, 1], [1, 0, 1, 0, 0]], dtype=bool)
     assert count_pairs(first, second) == Pairs(both=1, first=2, second=1, neither=1)
     assert count_pairs(first, second).difference == -0.2
     assert count_pairs(first[:0], second[:0]).difference is None
@@ -154,8 +150,7 @@ def test_the_median_difference_lies_between_order_statistics() -> None:
     """Of ten values the second and the ninth hold 97.9 %, the third and the eighth only 89 %."""
     found = median_difference(np.arange(10.0) ** 2)
     assert found is not None
-    assert found.interval == (1.0, 64.0)
-    assert found.median == 20.5
+    assert (found.median, found.interval) == (20.5, (1.0, 64.0))
     few = median_difference(np.arange(5.0))
     assert few is not None
     assert few.interval is None  # even the ends hold only 1 - 2 / 2^5 = 94 %
@@ -206,9 +201,7 @@ def test_the_index_of_steps_is_exact() -> None:
     numbered = np.repeat(np.arange(4), 25)
     assert first_order(numbered, 1.0 * numbered**2)[0] == 1.0
     result = numbered + np.tile([-1.0, 1.0, -1.0, 1.0, 0.0], 20)
-    share_between = 1.25 / (1.25 + 0.8)
-    expected = 1.0 - (1.0 - share_between) * 99 / 96
-    assert first_order(numbered, result)[0] == pytest.approx(expected, rel=1e-12)
+    assert first_order(numbered, result)[0] == pytest.approx(1.0 - 0.8 / (1.25 + 0.8) * 99 / 96, rel=1e-12)
 
 
 def test_the_interval_of_an_index_holds_what_it_says() -> None:
@@ -321,11 +314,10 @@ def test_a_flight_that_did_not_complete_has_no_metric(tmp_path: Path) -> None:
     assert np.isnan(flown.values["roll.rmse_rad"][::4]).all()
     summary = campaign_summary(made)
     assert summary["controllers"]["baseline"]["outcomes"]["crashed"] == 25
-    spread = summary["controllers"]["smith"]["metrics"]["roll.rmse_rad"]
-    assert (spread["flights"], spread["without"], spread["of"]) == (50, 0, 50)
+    for name, there in (("baseline", 25), ("smith", 50)):
+        spread = summary["controllers"][name]["metrics"]["roll.rmse_rad"]
+        assert (spread["flights"], spread["without"], spread["of"]) == (there, 0, 50)
     assert spread["p95"] <= 0.03
-    survivors = summary["controllers"]["baseline"]["metrics"]["roll.rmse_rad"]
-    assert (survivors["flights"], survivors["without"], survivors["of"]) == (25, 0, 50)
     titles, rows = spread_table(summary)
     assert titles == ["median", "", "baseline", "smith"]
     (rmse,) = [row for row in rows if row[:2] == ["roll RMSE", "deg"]]
@@ -344,19 +336,15 @@ def test_a_flight_beyond_its_own_limits_is_missed_and_says_by_which(tmp_path: Pa
         return {"beyond": "position.drift_m speed.max_m_s" if away else "", "success": not away}
 
     flown = read_flight_table(campaign(tmp_path, study(runs=50, success={}), outcome))
-    missed = flown.kind == KINDS.index("missed")
-    assert np.count_nonzero(missed) == 20
-    (found,) = count_reasons(flown, flown.rows_of(0), {}).items()
-    assert found == (
-        "drift from the start beyond the flight's own limit and largest ground speed beyond the flight's own limit",
-        10,
-    )
+    assert np.count_nonzero(flown.kind == KINDS.index("missed")) == 20
+    beyond = "beyond the flight's own limit"
+    said = f"drift from the start {beyond} and largest ground speed {beyond}"
+    assert count_reasons(flown, flown.rows_of(0), {}) == {said: 10}
 
 
 def test_a_row_of_a_flight_beyond_its_limits_is_no_success() -> None:
-    away = study(
-        scenario="hover", runs=1, controllers=["smith"], success={}, vary=[{"key": WIND, "range": [14.9, 15.0]}]
-    )
+    vary = [{"key": WIND, "range": [14.9, 15.0]}]
+    away = study(scenario="hover", runs=1, controllers=["smith"], success={}, vary=vary)
     row = fly_one(away, flights(away)[0])
     assert (row["outcome"], row["success"]) == ("completed", False)
     assert row["beyond"] == "position.drift_m speed.max_m_s"
@@ -365,10 +353,9 @@ def test_a_row_of_a_flight_beyond_its_limits_is_no_success() -> None:
 
 def test_a_campaign_from_before_there_were_limits_is_read(tmp_path: Path) -> None:
     made = campaign(tmp_path, study(runs=10, success={}))
-    old = {
-        name: values for name, values in made.columns.items() if name != "beyond" and not name.startswith("position")
-    }
+    old = {name: values for name, values in made.columns.items() if not name.startswith(("beyond", "position"))}
     flown = read_flight_table(Campaign(made.folder, made.study, old, made.of))
+    assert flown.beyond == [[] for _ in flown.reason]
     assert flown.beyond == [[] for _ in flown.reason]
     table = tmp_path / "part.parquet"
     write_table(table, {"flight": [1, 2]})
@@ -380,24 +367,22 @@ def test_a_campaign_from_before_there_were_limits_is_read(tmp_path: Path) -> Non
 def test_the_summary_counts_every_flight(tmp_path: Path) -> None:
     made = campaign(tmp_path, study(runs=200))
     summary = json.loads(json.dumps(campaign_summary(made), allow_nan=False))
+    hits = {}
     for name in ("baseline", "smith"):
-        mine = [row for row, each in enumerate(made.columns["controller"]) if each == name]
-        hits = sum(bool(made.columns["success"][row]) for row in mine)
+        mine = np.array(made.columns["controller"]) == name
+        hits[name] = int(np.sum(np.array(made.columns["success"])[mine]))
         found = summary["controllers"][name]
-        assert found["flights"] == sum(found["outcomes"].values()) == len(mine) == 200
-        assert found["success"] == hits / 200
-        assert found["outcomes"]["success"] == hits
-        assert found["wilson_95"] == pytest.approx(proportion(hits, 200).wilson)
+        assert found["flights"] == sum(found["outcomes"].values()) == int(np.sum(mine)) == 200
+        assert (found["success"], found["outcomes"]["success"]) == (hits[name] / 200, hits[name])
+        assert found["wilson_95"] == pytest.approx(proportion(hits[name], 200).wilson)
     (compared,) = summary["comparisons"]
     assert compared["draws"] == 200
-    assert compared["both"] + compared["only_first"] == summary["controllers"]["baseline"]["outcomes"]["success"]
-    assert compared["both"] + compared["only_second"] == summary["controllers"]["smith"]["outcomes"]["success"]
-    assert compared["mcnemar_p"] == pytest.approx(
-        stats.binomtest(compared["only_first"], compared["only_first"] + compared["only_second"]).pvalue
-    )
+    assert compared["both"] + compared["only_first"] == hits["baseline"]
+    assert compared["both"] + compared["only_second"] == hits["smith"]
+    alone = compared["only_first"] + compared["only_second"]
+    assert compared["mcnemar_p"] == pytest.approx(stats.binomtest(compared["only_first"], alone).pvalue)
     first = summary["drives_success"]["baseline"]["keys"][0]
-    assert (first["key"], first["above_noise"]) == (DELAY, True)
-    assert summary["finished"]
+    assert (first["key"], first["above_noise"], summary["finished"]) == (DELAY, True, True)
     assert any(line.startswith("  baseline: ") and DELAY not in line for line in success_lines(summary))
     assert any("smith against baseline: +" in line for line in comparison_lines(summary))
 
@@ -406,9 +391,8 @@ def test_a_terminal_has_each_against_the_first_and_one_controller_with_its_sprea
     five = ["baseline", "smith", "state", "filtered-smith", "state-disturbance"]
     lines = list(comparison_lines(campaign_summary(campaign(tmp_path / "five", study(runs=40, controllers=five)))))
     assert sum(" against baseline: " in line for line in lines) == 4
-    assert [line for line in lines if "more pairs" in line] == [
-        "  6 more pairs are in the report; each p is corrected for all 10"
-    ]
+    said = "  6 more pairs are in the report; each p is corrected for all 10"
+    assert [line for line in lines if "more pairs" in line] == [said]
     summary = campaign_summary(campaign(tmp_path / "one", study(runs=40, controllers=["smith"])))
     titles, rows = spread_table(summary)
     assert titles == ["metric", "", "median", "5 %", "95 %"]
@@ -431,36 +415,34 @@ def test_metrics_are_compared_draw_by_draw(tmp_path: Path) -> None:
     (compared,) = compare_controllers(read_flight_table(campaign(tmp_path, study(runs=30, success={}), outcome)))
     found = compared.metrics["roll.rmse_rad"]
     assert found is not None
-    assert found.median == pytest.approx(-0.01)
-    assert found.interval == pytest.approx((-0.01, -0.01))
+    assert (found.median, *(found.interval or ())) == pytest.approx((-0.01, -0.01, -0.01))
     assert found.draws == compared.completed == 30
 
 
 def test_of_a_grid_nothing_is_called_a_probability(tmp_path: Path) -> None:
-    of = study(
-        design="grid",
-        runs=None,
-        vary=[{"key": DELAY, "range": [0, 20], "levels": 6}, {"key": MASS, "values": [4.0, 5.0, 6.0]}],
-    )
-    made = campaign(tmp_path, of)
+    vary = [{"key": DELAY, "range": [0, 20], "levels": 6}, {"key": MASS, "values": [4.0, 5.0, 6.0]}]
+    made = campaign(tmp_path, study(design="grid", runs=None, vary=vary))
     summary = campaign_summary(made)
     assert summary["share_is"] == "share of the grid"
-    assert summary["controllers"]["baseline"]["wilson_95"] is None
-    assert summary["comparisons"][0]["mcnemar_p"] is None
+    assert summary["controllers"]["baseline"]["wilson_95"] is summary["comparisons"][0]["mcnemar_p"] is None
     write_campaign_report(made)
     text = plain_text(tmp_path)
-    assert "not probabilities" in text
-    assert "Wilson" not in text
-    assert "McNemar" not in text
+    assert [word in text for word in ("not probabilities", "Wilson", "McNemar")] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("reason", "stripped"),
+    [
+        ("leaned past 60 deg at 3.212 s (roll -61.2 deg)", "leaned past … deg at … s"),
+        ("engine 3 (edf.fmu): thrust is not finite at step 812", "engine …: thrust is not finite at step …"),
+        ("", "no reason given"),
+    ],
+)
+def test_reasons_are_told_without_their_numbers(reason: str, stripped: str) -> None:
+    assert strip_numbers(reason) == stripped
 
 
 def test_reasons_that_differ_in_numbers_are_one(tmp_path: Path) -> None:
-    assert strip_numbers("leaned past 60 deg at 3.212 s (roll -61.2 deg)") == "leaned past … deg at … s"
-    assert (
-        strip_numbers("engine 3 (edf.fmu): thrust is not finite at step 812")
-        == "engine …: thrust is not finite at step …"
-    )
-    assert strip_numbers("") == "no reason given"
     flown = read_flight_table(made := campaign(tmp_path, study(runs=100)))
     counted = count_reasons(flown, flown.rows_of(0), made.study.success)
     assert counted.total() == int(np.sum(flown.rows_of(0) & ~flown.success))
@@ -475,12 +457,12 @@ def test_names_are_short_and_tell_keys_apart() -> None:
 
 
 def test_what_success_is_in_words() -> None:
-    assert describe_criterion({}) == "flies to its end within its limits; nothing else is checked"
+    flies = "flies to its end within its limits"
+    assert describe_criterion({}) == f"{flies}; nothing else is checked"
     limits = {"roll.rmse_rad": Range(max=pi / 180.0), "altitude.max_abs_error_m": Range(min=0.1, max=2.0)}
-    expected = (
-        "flies to its end within its limits, with roll RMSE at most 1 deg and altitude largest error 0.1 m to 2 m"
+    assert (
+        describe_criterion(limits) == f"{flies}, with roll RMSE at most 1 deg and altitude largest error 0.1 m to 2 m"
     )
-    assert describe_criterion(limits) == expected
 
 
 # ---- figures and the map
@@ -524,19 +506,16 @@ def test_the_map_counts_every_flight_once(tmp_path: Path) -> None:
 
 def test_the_cells_of_whole_numbers_hold_as_many_of_them(tmp_path: Path) -> None:
     flown = read_flight_table(campaign(tmp_path, study(runs=200)))
-    (delay, *_) = map_tables(flown, [0, 1], (0, 1), "success")["keys"]
-    widths = np.diff(delay["edges"])
-    assert np.all(widths == widths[0])
-    assert widths[0] == round(widths[0])
-    assert delay["edges"][0] == -0.5
+    edges = map_tables(flown, [0, 1], (0, 1), "success")["keys"][0]["edges"]
+    width = round(edges[1] - edges[0])
+    assert edges == [-0.5 + width * k for k in range(len(edges))]
 
 
 def test_single_flights_are_a_sample_where_there_are_many(tmp_path: Path) -> None:
     flown = read_flight_table(campaign(tmp_path, study(runs=3000, controllers=["baseline"])))
     points = map_tables(flown, [0, 1], (0, 1), "success")["points"][0]
     assert points["shown"] == [MAX_POINTS, MAX_POINTS]
-    assert sum(points["of"]) == 3000
-    assert points["kind"].count("success") == MAX_POINTS
+    assert (sum(points["of"]), points["kind"].count("success")) == (3000, MAX_POINTS)
     assert points == map_tables(flown, [0, 1], (0, 1), "success")["points"][0]
 
 
@@ -561,12 +540,8 @@ def test_the_worst_are_named(tmp_path: Path) -> None:
 
 def test_the_middle_of_the_draws(tmp_path: Path) -> None:
     """0 where every number is the median, nearly 1 where every one is extreme; choices have no middle."""
-    of = study(
-        design="grid",
-        runs=None,
-        controllers=["baseline"],
-        vary=[{"key": MASS, "range": [4.0, 6.0], "levels": 101}, {"key": NOISE, "values": [True, False]}],
-    )
+    vary = [{"key": MASS, "range": [4.0, 6.0], "levels": 101}, {"key": NOISE, "values": [True, False]}]
+    of = study(design="grid", runs=None, controllers=["baseline"], vary=vary)
     flown = read_flight_table(campaign(tmp_path, of))
     far = eccentricity(flown)
     assert far[np.argmin(np.abs(flown.keys[0].numbers - 5.0))] == pytest.approx(0.0, abs=1e-12)
@@ -575,14 +550,10 @@ def test_the_middle_of_the_draws(tmp_path: Path) -> None:
 
 def test_a_case_is_a_scenario_with_every_number_of_its_flight(tmp_path: Path) -> None:
     made = campaign(tmp_path, study(runs=60))
-    link, refused = write_case(made, 17)
-    assert (link, refused) == ("cases/flight-000017.toml", "")
-    scenario = Scenario.load(tmp_path / link)
-    row = made.row(17)
-    assert (scenario.controller, scenario.seed) == (row["controller"], row["seed"])
-    assert scenario.vehicle["mass_kg"] == row[MASS]
-    assert scenario.environment.wind_ned_m_s[1] == row[WIND]
-    assert scenario.expect == []
+    assert write_case(made, 17) == ("cases/flight-000017.toml", "")
+    flown, row = Scenario.load(tmp_path / "cases/flight-000017.toml"), made.row(17)
+    stated = (flown.controller, flown.seed, flown.vehicle["mass_kg"], flown.environment.wind_ned_m_s[1], flown.expect)
+    assert stated == (row["controller"], row["seed"], row[MASS], row[WIND], [])
 
 
 def test_a_case_has_what_it_reads_beside_it(tmp_path: Path) -> None:
@@ -641,13 +612,9 @@ def wins(flight: Flight, chance: np.random.Generator) -> dict[str, Any]:
 STATES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "usual": ({"runs": 200, "vary": SIX}, {}, ["McNemar", "Wilson", "Latin hypercube", "First-order index"]),
     "grid": (
-        {
-            "design": "grid",
-            "runs": None,
-            "vary": [{"key": GAIN, "range": [0.5, 2.0], "levels": 5, "scale": "log"}, SIX[5], {"key": MASS, "values": [4.0, 5.0]}],
-        },
-        {},
-        ["Success over the grid", "5 levels, 0.5 to 2, evenly in the logarithm"],
+        {"design": "grid", "runs": None,
+         "vary": [{"key": GAIN, "range": [0.5, 2.0], "levels": 5, "scale": "log"}, SIX[5], {"key": MASS, "values": [4.0, 5.0]}]},
+        {}, ["Success over the grid", "5 levels, 0.5 to 2, evenly in the logarithm"],
     ),
     "no-success": ({"runs": 40}, {"outcome": crashed}, ["0.0 % succeed, 0 of 40", "the hull touched the ground at … s"]),
     "no-failure": ({"runs": 40, "success": {}}, {"outcome": wins}, ["100.0 % succeed", "Every flight was one."]),
@@ -660,8 +627,7 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "own-controller": ({"runs": 30, "controllers": None, "title": "<b>&"}, {}, ["<b>& "]),
     "correlated": (
         {"runs": 60, "design": "random", "correlate": [{"keys": [DELAY, MASS], "rank": 0.5}]},
-        {},
-        ["mismatch.delay_samples with vehicle.mass_kg: 0.5", "Correlated keys share what they explain"],
+        {}, ["mismatch.delay_samples with vehicle.mass_kg: 0.5", "Correlated keys share what they explain"],
     ),
 }  # fmt: skip
 
@@ -680,16 +646,12 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_every_campaign_gets_a_page(state: str, pages: dict[str, Path]) -> None:
     text = (pages[state] / "report.html").read_text(encoding="utf-8")
     shown = plain_text(pages[state])
-    for words in STATES[state][2]:
-        assert words in shown
+    assert [words for words in STATES[state][2] if words not in shown] == []
     assert not re.search(r"\b(nan|None|inf|NaN)\b", shown)
-    used = set(re.findall(r'data-figure="([^"]+)"', text))
-    there = set(re.findall(r'id="figure-([^"]+)"', text))
-    assert used <= there
+    assert set(re.findall(r'data-figure="([^"]+)"', text)) <= set(re.findall(r'id="figure-([^"]+)"', text))
     outside = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert not re.search(r'(src|href)="(https?:)?//', outside)
-    for link in re.findall(r'href="(cases/[^"]+)"', text):
-        assert (pages[state] / link).is_file()
+    assert all((pages[state] / link).is_file() for link in re.findall(r'href="(cases/[^"]+)"', text))
 
 
 @pytest.mark.long

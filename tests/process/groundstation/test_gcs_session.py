@@ -61,26 +61,30 @@ def paced(clock: Clock, factor: float | None, costs: list[float]) -> Pace:
     return pace
 
 
-def test_steps_begin_on_an_absolute_grid() -> None:
+MS = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("factor", "costs", "slept", "ends", "report"),
+    [
+        (1.0, [1, 3, 0.5], [3, 1, 3.5], 12, {"steps": 3, "missed": 0, "stalls": 0}),
+        (4.0, [0.5] * 8, [0.5] * 8, 8, {"missed": 0}),
+        # done at 1, 9.5, 11, 15.9 ms; due at 4, 8, 12, 16, and caught up with
+        (1.0, [1, 5.5, 1.5, 3.9], [3, 1, 0.1], 16, {"steps": 4, "missed": 1, "stalls": 0, "longest_delay": 1.5 * MS}),
+        (1.0, [1, 3000, 1, 1], [3, 3, 3], 3012, {"missed": 1, "stalls": 1, "postponed": 2996 * MS}),
+        (None, [10] * 300, [], 3000, {"missed": 0, "reached_factor": 0.4}),
+    ],
+    ids=["on an absolute grid", "four times real time", "late once", "no race after a long stall", "nothing waits"],
+)
+def test_steps_keep_pace(
+    factor: float | None, costs: list[float], slept: list[float], ends: float, report: dict[str, Any]
+) -> None:
     clock = Clock()
-    paced(clock, 1.0, [0.001, 0.003, 0.0005])
-    assert clock.slept == pytest.approx([0.003, 0.001, 0.0035], abs=1e-12)
-    assert clock.now == pytest.approx(100.0 + 3 * 0.004, abs=1e-12)
-
-
-def test_steps_keep_pace_at_four_times_real_time() -> None:
-    clock = Clock()
-    assert paced(clock, 4.0, [0.0005] * 8).report.missed == 0
-    assert clock.now == pytest.approx(100.0 + 8 * 0.001, abs=1e-12)
-
-
-def test_a_deadline_is_missed_when_a_step_is_not_done_as_the_next_is_due() -> None:
-    clock = Clock()
-    report = paced(clock, 1.0, [0.001, 0.0055, 0.0015, 0.0039]).report
-    # done at 1, 9.5, 11, 15.9 ms; due at 4, 8, 12, 16
-    assert (report.steps, report.missed, report.stalls) == (4, 1, 0)
-    assert report.longest_delay == pytest.approx(0.0015, abs=1e-12)
-    assert clock.now == pytest.approx(100.0 + 4 * 0.004, abs=1e-12)  # caught up with
+    found = paced(clock, factor, [cost * MS for cost in costs]).report
+    assert found.factor == factor
+    assert clock.slept == pytest.approx([each * MS for each in slept], abs=1e-12)
+    assert clock.now == pytest.approx(100.0 + ends * MS, abs=1e-9)
+    assert {name: getattr(found, name) for name in report} == pytest.approx(report, rel=1e-6, abs=1e-9)
 
 
 def test_a_short_stall_is_caught_up_with() -> None:
@@ -90,23 +94,6 @@ def test_a_short_stall_is_caught_up_with() -> None:
     assert pace.report.stalls == 0
     # with 3 ms gained a step; the deadlines of the steps that were not begun in time count as well
     assert pace.report.missed == pytest.approx((0.9 * MAX_CATCH_UP_S - 0.004) / 0.003, abs=1.0)
-
-
-def test_after_a_long_stall_it_does_not_race() -> None:
-    clock = Clock()
-    pace = paced(clock, 1.0, [0.001, 3.0, 0.001, 0.001])
-    assert clock.slept == pytest.approx([0.003, 0.003, 0.003], abs=1e-12)
-    report = pace.report
-    assert (report.missed, report.stalls) == (1, 1)
-    assert report.postponed == pytest.approx(2.996, abs=1e-9)
-
-
-def test_without_a_factor_nothing_waits() -> None:
-    clock = Clock()
-    report = paced(clock, None, [0.01] * 300).report
-    assert not clock.slept
-    assert (report.missed, report.factor) == (0, None)
-    assert report.reached_factor == pytest.approx(0.4, rel=1e-6)  # 4 ms of flight in 10 ms
 
 
 def test_a_step_keeps_time_on_a_real_clock() -> None:
@@ -119,61 +106,59 @@ def test_a_step_keeps_time_on_a_real_clock() -> None:
         assert time.perf_counter() - begin >= k * 0.002 - 1e-9
 
 
-def test_senders_of_requests_take_turns() -> None:
-    exchange = Exchange()
+@pytest.fixture
+def exchange() -> Exchange:
+    return Exchange()
+
+
+@pytest.fixture
+def answers() -> list[Answer]:
+    return []
+
+
+def taken(exchange: Exchange, most: int) -> list[object]:
+    return [each.request for each in exchange.take_requests(most)]
+
+
+def test_senders_of_requests_take_turns(exchange: Exchange) -> None:
     for i in range(5):
         exchange.ask(rq.SetSpeed(float(i)), sender="loud")
     exchange.ask(rq.Land(), sender="quiet")
     exchange.ask(rq.Hold(), sender="third")
-    order = [(each.sender, type(each.request).__name__) for each in exchange.take_requests(4)]
-    assert order == [("loud", "SetSpeed"), ("quiet", "Land"), ("third", "Hold"), ("loud", "SetSpeed")]
-    assert [request for _, request, _, _ in exchange.take_requests(100)] == [
-        rq.SetSpeed(2.0),
-        rq.SetSpeed(3.0),
-        rq.SetSpeed(4.0),
-    ]
-    assert exchange.take_requests(1) == []
+    assert taken(exchange, 4) == [rq.SetSpeed(0.0), rq.Land(), rq.Hold(), rq.SetSpeed(1.0)]
+    assert taken(exchange, 100) == [rq.SetSpeed(2.0), rq.SetSpeed(3.0), rq.SetSpeed(4.0)]
+    assert taken(exchange, 1) == []
 
 
-def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
-    exchange = Exchange()
-    answers: list[Answer] = []
+def test_a_full_queue_answers_at_once_and_leaves_room_for_others(exchange: Exchange, answers: list[Answer]) -> None:
     for _ in range(64 + 3):
         exchange.ask(rq.Hold(), answers.append, "loud")
-    assert [answer.result for answer in answers] == [Result.TEMPORARILY_REJECTED] * 3
     exchange.ask(rq.Land(), answers.append, "quiet")
-    assert len(answers) == 3
+    assert [answer.result for answer in answers] == [Result.TEMPORARILY_REJECTED] * 3
     assert exchange.turned_away == 3
-    assert [type(request) for _, request, _, _ in exchange.take_requests(2)] == [rq.Hold, rq.Land]
+    assert taken(exchange, 2) == [rq.Hold(), rq.Land()]
 
 
-def test_there_may_not_be_any_number_of_senders() -> None:
-    exchange = Exchange()
-    answers: list[Answer] = []
+def test_there_may_not_be_any_number_of_senders(exchange: Exchange, answers: list[Answer]) -> None:
     for i in range(320):
         exchange.ask(rq.Hold(), answers.append, str(i))
     assert (exchange.request_count, len(answers)) == (32, 9 * 32)
 
 
-def test_only_the_last_of_a_stream_counts() -> None:
-    exchange = Exchange()
-    answers: list[Answer] = []
+def test_only_the_last_of_a_stream_counts(exchange: Exchange, answers: list[Answer]) -> None:
     for i in range(1000):
         exchange.ask(rq.Sticks(i / 1000.0, 0.0, 0.0, 0.5), answers.append, "pad")
     exchange.ask(rq.Land(), sender="pad")
     exchange.ask(rq.Sticks(-1.0, 0.0, 0.0, 0.5), sender="pad")
     assert len(answers) == 999
-    taken = [request for _, request, _, _ in exchange.take_requests(10)]
-    assert taken == [rq.Sticks(0.999, 0.0, 0.0, 0.5), rq.Land(), rq.Sticks(-1.0, 0.0, 0.0, 0.5)]
+    assert taken(exchange, 10) == [rq.Sticks(0.999, 0.0, 0.0, 0.5), rq.Land(), rq.Sticks(-1.0, 0.0, 0.0, 0.5)]
 
 
-def test_a_request_whose_time_is_over_is_not_done() -> None:
-    exchange = Exchange()
-    answers: list[Answer] = []
+def test_a_request_whose_time_is_over_is_not_done(exchange: Exchange, answers: list[Answer]) -> None:
     now = time.monotonic()
     exchange.ask(rq.Arm(), answers.append, "slow", now - 0.001)
     exchange.ask(rq.Land(), answers.append, "slow", now + 60.0)
-    assert [request for _, request, _, _ in exchange.take_requests(5)] == [rq.Land()]
+    assert taken(exchange, 5) == [rq.Land()]
     assert [answer.result for answer in answers] == [Result.FAILED]
     assert exchange.request_count == 0
 
@@ -207,12 +192,10 @@ def test_every_request_is_answered_once_whoever_asks_when() -> None:
     assert taken + exchange.turned_away == 4 * asked
 
 
-def test_messages_are_numbered_and_only_the_last_are_kept() -> None:
-    exchange = Exchange()
+def test_messages_are_numbered_and_only_the_last_are_kept(exchange: Exchange) -> None:
     for i in range(250):
         exchange.say(Severity.INFO, str(i))
-    assert [message.number for message in exchange.messages] == list(range(151, 251))
-    assert exchange.messages[-1].text == "249"
+    assert [(each.number, each.text) for each in exchange.messages] == [(i + 1, str(i)) for i in range(150, 250)]
 
 
 def differing(one: Log, other: Log) -> list[str]:
@@ -237,97 +220,86 @@ def tour(pilot: Pilot, session: Session) -> None:
 
 
 @pytest.fixture(scope="module")
-def toured(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    session = flown(tmp_path_factory.mktemp("tour") / "run", tour)
-    (run,) = session.runs
-    return run
+def toured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    """The run of the tour, and its folder."""
+    folder = tmp_path_factory.mktemp("tour") / "run"
+    (run,) = flown(folder, tour).runs
+    return run, folder
 
 
-def test_a_flight_on_request_is_recorded(toured: Run) -> None:
-    assert (toured.outcome, toured.reason) == ("completed", "the script is over")
-    assert toured.summary.metrics is not None
-    assert toured.summary.pacing is not None
-    assert toured.summary.planned_s == pytest.approx(toured.summary.steps * 0.004)
-    assert float(np.max(toured.log["altitude_m"])) > 7.0
+def test_a_flight_on_request_is_recorded(toured: tuple[Run, Path]) -> None:
+    """Faults that came by request are in the requests, not in the scenario."""
+    run, folder = toured
+    assert (run.outcome, run.reason) == ("completed", "the script is over")
+    assert run.summary.metrics is not None
+    assert run.summary.pacing is not None
+    assert run.summary.planned_s == pytest.approx(run.summary.steps * 0.004)
+    assert float(np.max(run.log["altitude_m"])) > 7.0
+    stated = Scenario.load(folder / "scenario.toml")
+    assert (stated.requests, stated.fault, stated.monitored, stated.steps) == (REQUESTS, [], True, run.summary.steps)
 
 
-def test_every_request_is_in_the_log_with_its_step_and_sender(toured: Run) -> None:
-    assert toured.folder is not None
-    entries = read_requests(toured.folder / REQUESTS)
+def test_every_request_is_in_the_log_with_its_step_and_sender(toured: tuple[Run, Path]) -> None:
+    run, folder = toured
+    entries = read_requests(folder / REQUESTS)
     kinds = [type(entry.request).__name__ for entry in entries]
     assert kinds[0] == "SetParameter"
     assert {"Arm", "Takeoff", "Goto", "Sticks", "InjectFault", "MissionUpload", "MissionStart", "Land"} <= set(kinds)
     assert {entry.sender for entry in entries} == {"test", "pad"}
-    assert [entry.step for entry in entries] == sorted(entry.step for entry in entries)
-    assert entries[-1].step < toured.summary.steps
-    first = json.loads((toured.folder / REQUESTS).read_text().splitlines()[0])
+    steps = [entry.step for entry in entries]
+    assert steps == sorted(steps)
+    assert steps[-1] < run.summary.steps
+    first = json.loads((folder / REQUESTS).read_text().splitlines()[0])
     assert first.keys() >= {"step", "sender", "result", "request"}
 
 
 def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path) -> None:
     """One centred and one full: whoever came last in a step flew it."""
-    session = Session(
-        Scenario.load("hover").replace(name="gcs"), Exchange(), records=RecordOptions(tmp_path / "run", report=False)
-    )
+    records = RecordOptions(tmp_path / "run", report=False)
+    session = Session(Scenario.load("hover").replace(name="gcs"), Exchange(), records=records)
     flight = session._next
     assert flight is not None
     flight.begin()
     full, centred = rq.Sticks(1.0, 1.0, 0.0, 0.5), rq.Sticks(0.0, 0.0, 0.0, 0.5)
     seconds = round(1.0 / flight.simulation.dt)
-
-    def taken(sender: str, sticks: rq.Sticks, k: int) -> bool:
-        return flight.ask(sender, sticks, k).accepted
-
     for k in range(0, seconds, seconds // 10):
-        assert taken("255/190", full, k)
-        assert not taken("254/190", centred, k)
+        assert flight.ask("255/190", full, k).accepted
+        assert not flight.ask("254/190", centred, k).accepted
         assert flight.pilot.remote.sticks == full
-    last = k
     # half a second (HJ_STICK_TIME) later they are free, and then they are the other's
-    assert not taken("254/190", centred, last + seconds // 2)
-    assert taken("254/190", centred, last + seconds // 2 + 1)
-    assert not taken("255/190", full, last + seconds // 2 + 2)
+    free = k + seconds // 2 + 1
+    asked = [("254/190", centred, free - 1), ("254/190", centred, free), ("255/190", full, free + 1)]
+    assert [flight.ask(*each).accepted for each in asked] == [False, True, False]
     assert flight.pilot.remote.sticks == centred
     flight.publish(None, None)
-    assert [message.text for message in session.exchange.messages] == [
-        *("sticks of 254/190 not taken: 255/190 flies", "sticks of 255/190 not taken: 254/190 flies"),
-    ]
+    said = ["sticks of 254/190 not taken: 255/190 flies", "sticks of 255/190 not taken: 254/190 flies"]
+    assert [message.text for message in session.exchange.messages] == said
     flight.close()
     # what was not taken is not flown again either
     senders = [entry.sender for entry in read_requests(tmp_path / "run" / REQUESTS)]
     assert senders == ["255/190"] * 10 + ["254/190"]
 
 
-def test_the_scenario_is_as_at_the_start(toured: Run) -> None:
-    """Faults that came by request are in the requests, not in the scenario."""
-    assert toured.folder is not None
-    scenario = Scenario.load(toured.folder / "scenario.toml")
-    assert scenario.requests == REQUESTS
-    assert scenario.fault == []
-    assert scenario.monitored
-    assert scenario.steps == toured.summary.steps
-
-
-def test_the_run_flies_again_without_a_ground_station_bit_for_bit(toured: Run, tmp_path: Path) -> None:
-    assert toured.folder is not None
-    again = fly(Scenario.load(toured.folder / "scenario.toml"), tmp_path / "again", report=False)
+def test_the_run_flies_again_without_a_ground_station_bit_for_bit(toured: tuple[Run, Path], tmp_path: Path) -> None:
+    run, folder = toured
+    again = fly(Scenario.load(folder / "scenario.toml"), tmp_path / "again", report=False)
     assert (again.outcome, "otherwise" in again.reason) == ("completed", False)
-    assert differing(again.log, toured.log) == []
-    assert (tmp_path / "again" / REQUESTS).read_bytes() == (toured.folder / REQUESTS).read_bytes()
+    assert differing(again.log, run.log) == []
+    assert (tmp_path / "again" / REQUESTS).read_bytes() == (folder / REQUESTS).read_bytes()
     third = fly(Scenario.load(tmp_path / "again" / "scenario.toml"), report=False)
-    assert differing(third.log, toured.log) == []
+    assert differing(third.log, run.log) == []
 
 
-def test_a_replay_that_is_not_the_same_says_so(toured: Run, tmp_path: Path) -> None:
+def test_a_replay_that_is_not_the_same_says_so(toured: tuple[Run, Path], tmp_path: Path) -> None:
     """Without the take-off, the goto is refused."""
-    assert toured.folder is not None
+    run, folder = toured
     for name in ("scenario.toml", REQUESTS):
-        lines = (toured.folder / name).read_text().splitlines(keepends=True)
+        lines = (folder / name).read_text().splitlines(keepends=True)
         (tmp_path / name).write_text("".join(line for line in lines if '"Takeoff"' not in line))
     again = fly(Scenario.load(tmp_path / "scenario.toml").replace(duration_s=20.0), report=False)
     assert "answered otherwise, the first: Goto before step" in again.reason
     assert "accepted then, temporarily_rejected now" in again.reason
-    assert differing(again.log, toured.log) != []
+    assert differing(again.log, run.log) != []
 
 
 def test_a_crash_ends_the_flight_and_a_restart_begins_a_new_one(tmp_path: Path) -> None:
@@ -337,13 +309,10 @@ def test_a_crash_ends_the_flight_and_a_restart_begins_a_new_one(tmp_path: Path) 
         pilot.take_off(5.0)
         seen["armed"] = pilot.ask(Restart())
         pilot.ok(rq.Kill(force=True))
-        over = pilot.until(lambda s: s.ending is not None)
-        seen["over"] = over
+        seen["over"] = pilot.until(lambda s: s.ending is not None)
         seen["refused"] = pilot.ask(rq.Arm())
-        seen["folder"] = over.info.folder
         pilot.ok(Restart())
-        new = pilot.until(lambda s: s.info.number == 2)
-        assert new.ending is None
+        assert pilot.until(lambda s: s.info.number == 2).ending is None
         pilot.take_off(3.0)
         pilot.land()
         pilot.ok(Shutdown())
@@ -351,13 +320,12 @@ def test_a_crash_ends_the_flight_and_a_restart_begins_a_new_one(tmp_path: Path) 
     session = flown(tmp_path / "run", script)
     assert seen["armed"].result is Result.TEMPORARILY_REJECTED
     assert seen["over"].ending.outcome == "crashed"
-    assert not seen["over"].status.armed
-    assert not seen["over"].status.ready
-    assert seen["over"].status.landed is LandedState.ON_GROUND
+    status = seen["over"].status
+    assert (status.armed, status.ready, status.landed) == (False, False, LandedState.ON_GROUND)
     assert seen["refused"].result is Result.FAILED
     assert "the flight is over" in seen["refused"].text
-    assert [run.outcome for run in session.runs] == ["crashed", "completed"]
-    assert [run.folder for run in session.runs] == [tmp_path / "run", tmp_path / "run-2"]
+    ends = [(run.outcome, run.folder) for run in session.runs]
+    assert ends == [("crashed", tmp_path / "run"), ("completed", tmp_path / "run-2")]
     assert any(m.severity is Severity.CRITICAL and m.text.startswith("crashed: ") for m in session.exchange.messages)
     assert session.runs[1].reason == "shut down by test"
     # a flight that ended by itself flies again to the same end
@@ -429,37 +397,30 @@ def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
     assert max(steps.count(step) for step in set(steps)) <= 8
 
 
-def test_a_scripted_flight_can_be_watched_but_not_changed(tmp_path: Path) -> None:
-    exchange = Exchange()
-    pilot = Pilot(exchange)
-    answers: list[Answer] = []
+def test_a_scripted_flight_can_be_watched_but_not_changed(exchange: Exchange, answers: list[Answer]) -> None:
     for request in (rq.Land(), rq.SetParameter("HJ_ATT_ROLL", 1.0), Restart()):
         exchange.ask(request, answers.append, "test")
     scenario = Scenario.load("roll-doublet").replace(duration_s=4.0, expect=[])
     watched = fly_watched(scenario, report=False, watch=ReadOnlyObserver(exchange))
-    alone = fly(scenario, report=False)
-    assert differing(watched.log, alone.log) == []
+    assert differing(watched.log, fly(scenario, report=False).log) == []
     assert [answer.text for answer in answers] == ["this flight follows its script"] * 3
-    last = pilot.until(lambda s: True)
+    last = Pilot(exchange).until(lambda s: True)
     assert (last.status.armed, last.status.mode) == (True, Mode.HOLD)
     assert last.sample is not None
     assert abs(last.sample.k - 999) < 250
 
 
-def test_requests_come_back_as_they_were(tmp_path: Path) -> None:
+def test_requests_come_back_as_they_were_but_for_a_torn_last_line(tmp_path: Path) -> None:
     log = RequestLog(tmp_path / REQUESTS)
     asked = [rq.Arm(), rq.Goto(1 / 3, -2e-17, None, 3.0), rq.Sticks(0.1, -1.0, 0.0, 0.7)]
     for k, request in enumerate(asked):
         log.write(k, "udp 1", request, Answer(True, Result.ACCEPTED, "fine"))
     log.close()
+    with open(tmp_path / REQUESTS, "a") as file:
+        file.write('{"step": 4, "request": "La')
     found = read_requests(tmp_path / REQUESTS)
-    assert [entry.request for entry in found] == asked
-    assert (found[0].step, found[0].sender, found[0].result) == (0, "udp 1", "accepted")
-
-
-def test_a_torn_last_line_was_never_flown(tmp_path: Path) -> None:
-    (tmp_path / REQUESTS).write_text('{"step": 3, "request": "Hold"}\n{"step": 4, "request": "La')
-    assert [entry.step for entry in read_requests(tmp_path / REQUESTS)] == [3]
+    assert [(entry.step, entry.request) for entry in found] == list(enumerate(asked))
+    assert (found[0].sender, found[0].result) == ("udp 1", "accepted")
 
 
 @pytest.mark.parametrize(
@@ -541,25 +502,15 @@ def test_a_signal_finishes_the_run(started: Any, tmp_path: Path, number: signal.
 
 def test_a_killed_run_flies_again_as_far_as_it_was_recorded(started: Any, tmp_path: Path) -> None:
     process = started("--rtf", "0")
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait(PATIENCE)
-    done = subprocess.run(
-        [*HEXJET, "fly", str(tmp_path / "run" / "scenario.toml"), "--out", str(tmp_path / "again"), "--json"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
-    killed, again = open_run(tmp_path / "run"), open_run(tmp_path / "again")
-    assert (killed.outcome, killed.reason) == ("failed", "interrupted")
-    assert len(killed.log) >= 250
-    assert differing(again.log, killed.log) == []
-
-
-def test_a_run_that_is_being_flown_cannot_be_flown_again(started: Any, tmp_path: Path) -> None:
-    started()
-    done = subprocess.run(
-        [*HEXJET, "fly", str(tmp_path / "run" / "scenario.toml")], capture_output=True, text=True, cwd=tmp_path
-    )
+    again = [*HEXJET, "fly", str(tmp_path / "run" / "scenario.toml"), "--out", str(tmp_path / "again")]
+    done = subprocess.run(again, capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "still being recorded" in done.stderr
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait(PATIENCE)
+    done = subprocess.run(again, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    killed, flown_again = open_run(tmp_path / "run"), open_run(tmp_path / "again")
+    assert (killed.outcome, killed.reason) == ("failed", "interrupted")
+    assert len(killed.log) >= 250
+    assert differing(flown_again.log, killed.log) == []

@@ -17,7 +17,7 @@ import pytest
 from command_tools import hexjet_beside, install
 from places import of_page
 
-from cosim import InputError, Scenario, fly, open_run
+from cosim import InputError, Run, Scenario, fly, open_run
 from cosim.base.signals import UNKNOWN3, Unallocated
 from cosim.campaign import open_campaign
 from cosim.campaign.run import choose_workers, fly_again, run_campaign
@@ -25,6 +25,7 @@ from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
+from cosim.results.summary import OwnController
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from hexjet_prove.api.surveys import faults
@@ -40,30 +41,31 @@ def same(one: Any, other: Any) -> bool:
     return len(names) >= 80 and all(one.log[name].tobytes() == other.log[name].tobytes() for name in names)
 
 
+def own_of(run: Run) -> OwnController:
+    """What the run says of the controller that it flew."""
+    assert run.summary.own_controller is not None
+    return run.summary.own_controller
+
+
 @pytest.fixture
 def mine(tmp_path: Path) -> str:
     return f"{of_page('predictor', tmp_path / 'mine.py')}:Mine"
 
 
-def test_a_class_of_thirty_lines_that_repeats_the_cascade_leaves_its_log(tmp_path: Path) -> None:
-    name = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
-    # but for the class of the records, everything: a gust and a payload too
-    gust = {
-        "kind": "gust",
-        "start_s": 0.1,
-        "velocity_ned_m_s": [0.0, 4.0, 1.0],
-        "rise_s": 0.1,
-        "hold_s": 0.2,
-        "fall_s": 0.1,
-    }
-    scenario = ROLL.replace(disturbance=[gust])
-    ours, theirs = fly(scenario.replace(controller="smith")), fly(scenario.replace(controller=name))
+@pytest.fixture
+def whole(tmp_path: Path) -> str:
+    return f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
+
+
+def test_a_class_of_thirty_lines_that_repeats_the_cascade_leaves_its_log(whole: str) -> None:
+    """But for the class of the records, everything: a gust and a payload too."""
+    times = {"start_s": 0.1, "rise_s": 0.1, "hold_s": 0.2, "fall_s": 0.1}
+    scenario = ROLL.replace(disturbance=[{"kind": "gust", "velocity_ned_m_s": [0.0, 4.0, 1.0], **times}])
+    ours, theirs = fly(scenario.replace(controller="smith")), fly(scenario.replace(controller=whole))
     assert theirs.outcome == "completed"
     assert ours.log.columns == theirs.log.columns
     assert same(ours, theirs)
-    own = theirs.summary.own_controller
-    assert own is not None
-    assert (own.level, theirs.summary.controller) == ("controller", "cascade.py:Cascade")
+    assert (own_of(theirs).level, theirs.summary.controller) == ("controller", "cascade.py:Cascade")
 
 
 def test_the_predictor_of_the_page_is_between_smith_and_none(mine: str) -> None:
@@ -134,14 +136,13 @@ def test_what_a_controller_is_told_is_never_the_truth() -> None:
     class Curious(OwnRate):
         def prepare(self, belief: Any) -> None:
             super().prepare(belief)
-            told.append(
-                (belief.vehicle.model_dump_json(), belief.models["roll"], belief.hover, belief.engines, belief.step_s)
-            )
+            vehicle = belief.vehicle.model_dump_json()
+            told.append((vehicle, belief.models["roll"], belief.hover, belief.engines, belief.step_s))
 
-    for mismatch in ({}, {"mass_factor": 1.2, "thrust_factor": 0.9, "delay_samples": 5, "centre_m": [0.0, 0.01, 0.0]}):
-        assert fly(SHORT.replace(mismatch=mismatch), controller=Curious()).outcome == "completed"
+    wrong = {"mass_factor": 1.2, "thrust_factor": 0.9, "delay_samples": 5, "centre_m": [0.0, 0.01, 0.0]}
+    for changes in ({}, {"mismatch": wrong}, {"added_delay_samples": 3}):
+        assert fly(SHORT.replace(**changes), controller=Curious()).outcome == "completed"
     assert told[0] == told[1]
-    assert fly(SHORT.replace(added_delay_samples=3), controller=Curious()).outcome == "completed"
     assert told[2][1].delay_samples == told[0][1].delay_samples + 3  # that one its own loop adds
 
 
@@ -154,15 +155,16 @@ def test_a_quadrotor_has_no_tilts() -> None:
         def update(self, command: Any, measured: Any, applied: Any) -> Any:
             return np.array(applied.throttle)
 
-    base = Scenario.load("hover").replace(
-        aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=0.1, expect=[]
-    )
+    quadrotor = {"aircraft": "quadrotor", "engine": "motor", "step_s": 0.0025}
+    base = Scenario.load("hover").replace(**quadrotor, duration_s=0.1, expect=[])
     assert fly(base, controller=Hover).outcome == "completed"
 
 
 class Wrong:
     level = "controller"
-    answer: Any = None
+
+    def __init__(self, answer: Any = None) -> None:
+        self.answer = answer
 
     def reset(self) -> None:
         self.k = 0
@@ -182,14 +184,12 @@ class Wrong:
         (lambda applied: ([*applied.throttle[:5], 1.5], applied.tilt), "throttle 6 = 1.5: must be from 0 to 1"),
         (lambda applied: (applied.throttle, (0.0, nan)), "the tilt of the right servo = nan: must be finite"),
         (lambda applied: ("abc", applied.tilt), "throttles: update gave 'abc': must be 6 numbers"),
-        (lambda applied: None, "update gave None: must be throttles and tilts"),
+        (None, "update gave None: must be throttles and tilts"),
         (lambda applied: 1 / 0, r"update raised ZeroDivisionError: division by zero (test_own_controller.py:"),
     ],
-)  # fmt: skip
+)
 def test_what_a_controller_does_wrong_ends_the_run_which_names_it(answer: Any, reason: str, tmp_path: Path) -> None:
-    block = Wrong()
-    block.answer = answer
-    run = fly(SHORT, tmp_path / "run", controller=block, report=False)
+    run = fly(SHORT, tmp_path / "run", controller=Wrong(answer), report=False)
     assert run.outcome == "failed"
     assert f"Wrong: {reason}" in run.reason
     assert "at step 10 (0.040 s)" in run.reason
@@ -213,30 +213,39 @@ def test_a_predictor_and_a_loop_too() -> None:
     assert "update gave 1 numbers: must be 3 at step 0" in fly(SHORT, controller=Short).reason
 
 
+RESET, UPDATE = "    def reset(self): ...\n", "    def update(self, a, b): ...\n"
+PREDICTOR = f"class Mine:\n    level = 'predictor'\n{RESET}{UPDATE}"
+RATE = f"class Mine:\n    level = 'rate'\n{RESET}"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("class Mine:\n    pass\n", r"mine.py:Mine: level = None: must be one of predictor, rate, attitude, controller"),
-        ("class Mine:\n    level = 'rate'\n    def reset(self): ...\n", r"has no update\(setpoint, measured, applied\)"),
-        ("class Mine:\n    level = 'rate'\n    def reset(self): ...\n    def update(self, a): ...\n",
-         r"update\(self, a\): must take \(setpoint, measured, applied\)"),
+        (
+            "class Mine:\n    pass\n",
+            r"mine.py:Mine: level = None: must be one of predictor, rate, attitude, controller",
+        ),
+        (RATE, r"has no update\(setpoint, measured, applied\)"),
+        (RATE + "    def update(self, a): ...\n", r"update\(self, a\): must take \(setpoint, measured, applied\)"),
         ("class Other:\n    level = 'rate'\n", r"mine.py has no class 'Mine'; allowed: Other"),
         ("x = \n", r"mine.py, line 1: SyntaxError"),
         ("import nowhere_to_be_found\n", r"ModuleNotFoundError: No module named 'nowhere_to_be_found' \(mine.py:1\)"),
-        ("class Mine:\n    level = 'predictor'\n    def __init__(self, x): ...\n    def reset(self): ...\n"
-         "    def update(self, a, b): ...\n", "cannot be made without arguments: TypeError"),
-        ("class Mine:\n    level = 'predictor'\n    parameters = (('a b', 1.0),)\n    def reset(self): ...\n"
-         "    def update(self, a, b): ...\n", "parameter 'a b': a name is of letters, digits and _"),
-        ("class Mine:\n    level = 'predictor'\n    parameters = (('a', 2.0, '', '', 0.0, 1.0),)\n    def reset(self): ...\n"
-         "    def update(self, a, b): ...\n", "parameter a: default = 2.0: must be from least to most"),
-        ("class Mine:\n    level = 'predictor'\n    def reset(self): ...\n    def update(self, a, b): ...\n"
-         "    def prepare(self, belief): raise ValueError('no')\n", r"prepare raised ValueError: no \(mine.py:5\)"),
+        (PREDICTOR + "    def __init__(self, x): ...\n", "cannot be made without arguments: TypeError"),
+        (PREDICTOR + "    parameters = (('a b', 1.0),)\n", "parameter 'a b': a name is of letters, digits and _"),
+        (
+            PREDICTOR + "    parameters = (('a', 2.0, '', '', 0.0, 1.0),)\n",
+            "parameter a: default = 2.0: must be from least to most",
+        ),
+        (
+            PREDICTOR + "    def prepare(self, belief): raise ValueError('no')\n",
+            r"prepare raised ValueError: no \(mine.py:5\)",
+        ),
     ],
-)  # fmt: skip
-def test_what_cannot_fly_is_one_line(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "mine.py").write_text(text)
+)
+def test_what_cannot_fly_is_one_line(mine: str, text: str, message: str) -> None:
+    Path(mine.removesuffix(":Mine")).write_text(text)
     with pytest.raises(InputError, match=message) as caught:
-        fly(SHORT, controller=str(tmp_path / "mine.py") + ":Mine")
+        fly(SHORT, controller=mine)
     assert "\n" not in str(caught.value)
 
 
@@ -255,21 +264,21 @@ def test_what_cannot_fly_is_one_line(tmp_path: Path, text: str, message: str) ->
             {"controller_parameters": {"share": 1.0}},
             "controller smith has none of its own; it is tuned under vehicle.control",
         ),
+        (
+            {"controller": "mine", "controller_parameters": {"shear": 1.0}},
+            "controller_parameters.shear: unknown parameter; did you mean 'share'?",
+        ),
+        (
+            {"controller": "mine", "controller_parameters": {"share": 2.0}},
+            "controller_parameters.share = 2: must be from 0 to 1",
+        ),
     ],
 )
-def test_wrong_names_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_wrong_names_and_parameters_are_refused(mine: str, changes: dict[str, Any], message: str) -> None:
+    if changes.get("controller") == "mine":
+        changes = changes | {"controller": mine}
     with pytest.raises(InputError, match=re.escape(message)):
         fly(SHORT.replace(**changes))
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [({"shear": 1.0}, "controller_parameters.shear: unknown parameter; did you mean 'share'?"),
-     ({"share": 2.0}, "controller_parameters.share = 2: must be from 0 to 1")],
-)  # fmt: skip
-def test_wrong_parameters_are_refused(mine: str, parameters: dict[str, float], message: str) -> None:
-    with pytest.raises(InputError, match=re.escape(message)):
-        fly(SHORT.replace(controller=mine, controller_parameters=parameters))
 
 
 @pytest.mark.parametrize(
@@ -288,8 +297,7 @@ def test_a_run_has_the_file_and_flies_it_again_or_says_what_is_another(mine: str
     file = Path(mine.removesuffix(":Mine"))
     file.write_text("import gain\n" + file.read_text().replace("self.share = ", "self.share = gain.SHARE * "))
     first = fly(SHORT.replace(controller=mine, controller_parameters={"share": 0.5}), folder, report=False)
-    own = first.summary.own_controller
-    assert own is not None
+    own = own_of(first)
     assert own.parameters == {"share": 0.5}
     assert set(own.files) == {"mine.py", "gain.py"}
     assert own.files["mine.py"] == first.summary.sha256["mine.py"]
@@ -298,58 +306,48 @@ def test_a_run_has_the_file_and_flies_it_again_or_says_what_is_another(mine: str
     shutil.copytree(folder, tmp_path / "moved")
     file.write_text("raise SystemError\n")  # the copy is what flies
     (tmp_path / "gain.py").unlink()
-    again = fly(Scenario.load(tmp_path / "moved" / "scenario.toml"))
+    moved = Scenario.load(tmp_path / "moved" / "scenario.toml")
+    again = fly(moved)
     assert same(first, again)
-    assert again.summary.own_controller is not None
-    assert again.summary.own_controller.sha256 == own.sha256
+    assert own_of(again).sha256 == own.sha256
     (tmp_path / "moved" / "gain.py").write_text("SHARE = 0.8\n")
-    with pytest.raises(
-        InputError, match=rf"mine.py:Mine is not the one that was flown: .*then it was {own.sha256[:12]}"
-    ):
-        fly(Scenario.load(tmp_path / "moved" / "scenario.toml"))
+    said = rf"mine.py:Mine is not the one that was flown: .*then it was {own.sha256[:12]}"
+    with pytest.raises(InputError, match=said):
+        fly(moved)
     # another controller is not held against that hash
-    other = Scenario.load(tmp_path / "moved" / "scenario.toml").replace(controller="baseline")
+    other = moved.replace(controller="baseline")
     assert (other.controller_sha256, other.controller_parameters) == (None, {})
     assert fly(other).outcome == "completed"
 
 
 def test_an_object_with_values_of_its_own_is_not_flown_again_by_a_file(tmp_path: Path) -> None:
-    block = Wrong()
-    block.answer = lambda applied: (applied.throttle, applied.tilt)
-    run = fly(SHORT, tmp_path / "object", controller=block, report=False)
-    assert run.summary.own_controller is not None
-    assert not run.summary.own_controller.again
+    block = Wrong(lambda applied: (applied.throttle, applied.tilt))
+    assert not own_of(fly(SHORT, tmp_path / "object", controller=block, report=False)).again
     with pytest.raises(InputError, match="was an object of a program, which no file can make again"):
         fly(Scenario.load(tmp_path / "object" / "scenario.toml"))
     # one as its class makes it is: its file is copied
-    run = fly(SHORT, tmp_path / "class", controller=Wrong(), report=False)
-    assert run.summary.own_controller is not None
-    assert run.summary.own_controller.again
+    assert own_of(fly(SHORT, tmp_path / "class", controller=Wrong(), report=False)).again
     assert (tmp_path / "class" / Path(__file__).name).read_bytes() == Path(__file__).read_bytes()
 
 
 def test_of_a_class_in_a_notebooks_cell_the_text_is_hashed(tmp_path: Path) -> None:
     """IPython keeps a cell's lines for its tracebacks; where nobody keeps them the run says that there is no hash."""
-    body = """    level = "rate"
-    def reset(self): ...
-    def update(self, setpoint, measured, applied):
-        return [0.0] * 3"""
-    cell = f"import math\nclass Mine:\n{body}\nx = 1\n"
+    mine = RATE + "    def update(self, setpoint, measured, applied):\n        return [0.0] * 3"
+    cell = f"import math\n{mine}\nx = 1\n"
     said = {}
-    for name, lines in (("<cell>", cell.splitlines(keepends=True)), ("<stdin>", None)):
-        if lines:
-            linecache.cache[name] = (len(cell), None, lines, name)
+    linecache.cache["<cell>"] = (len(cell), None, cell.splitlines(keepends=True), "<cell>")
+    for name in ("<cell>", "<stdin>"):
         told: dict[str, Any] = {"__name__": "__main__"}  # whose file, pytest's, is not the class's
         exec(compile(cell, name, "exec"), told)
-        run = fly(SHORT, tmp_path / name.strip("<>"), controller=told["Mine"]())
-        own = run.summary.own_controller
-        assert own is not None
+        folder = tmp_path / name.strip("<>")
+        run = fly(SHORT, folder, controller=told["Mine"]())
+        own = own_of(run)
         assert (own.again, own.name) == (False, "python:__main__.Mine")
         assert "an object of a program, which no file makes again" in run._repr_html_()
-        assert "an object of a program" in (tmp_path / name.strip("<>") / "report.html").read_text(encoding="utf-8")
+        assert "an object of a program" in (folder / "report.html").read_text(encoding="utf-8")
         said[name] = own.sha256
     linecache.cache.pop("<cell>")
-    assert said == {"<cell>": hashlib.sha256(f"class Mine:\n{body}".encode()).hexdigest(), "<stdin>": ""}
+    assert said == {"<cell>": hashlib.sha256(mine.encode()).hexdigest(), "<stdin>": ""}
 
 
 def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: Path) -> None:
@@ -361,11 +359,11 @@ def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: P
     columns = campaign.columns
     assert list(columns["outcome"]) == ["completed"] * 4
     assert list(columns["controller"]) == ["mine.py:Mine", "smith"] * 2
-    hashes = list(columns["controller_sha256"])
-    assert hashes[0] == hashes[2] is not None
-    assert hashes[1] is None
-    logs = list(columns["log_sha256"])
-    assert len({*logs}) == 4
+    own, none, *rest = columns["controller_sha256"]
+    assert rest == [own, none]
+    assert own is not None
+    assert none is None
+    assert len({*columns["log_sha256"]}) == 4
     assert fly_again(campaign, 2, report=False).same
     copied = tmp_path / "campaign" / "mine.py"
     copied.write_text(copied.read_text().replace("return measured +", "return measured + 2.0 *"))
@@ -374,9 +372,8 @@ def test_a_study_compares_it_with_ours_in_spawned_workers(mine: str, tmp_path: P
     assert any(line.startswith("mine.py was ") for line in again.otherwise)
 
 
-def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, tmp_path: Path) -> None:
+def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, whole: str, tmp_path: Path) -> None:
     """And the survey says where nothing watches the engines."""
-    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     sha256 = {name: hashlib.sha256(Path(name.rpartition(":")[0]).read_bytes()).hexdigest() for name in (mine, whole)}
     out = tmp_path / "survey"
     asked: dict[str, Any] = {"controllers": [mine, whole], "kinds": ["gyro bias"], "workers": 1}
@@ -396,17 +393,14 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     assert set(open_campaign(tmp_path / "search").columns["controller_sha256"]) == {sha256[mine]}
 
 
-def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path: Path) -> None:
+def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(whole: str, tmp_path: Path) -> None:
     """From what is in the folder alone, the file that was flown being gone."""
-    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
     Path(whole.removesuffix(":Cascade")).unlink()
     again = hexjet_beside(tmp_path, "show", "run", "--page")
     assert again.returncode == 0, again.stderr
     assert "engines were not watched: cascade.py:Cascade is a whole controller" in again.stdout
-    own = run.summary.own_controller
-    assert own is not None
-    assert own.sha256[:12] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert own_of(run).sha256[:12] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
 BLOCKS = """
@@ -432,15 +426,12 @@ class Counts:
 """
 
 
-def test_a_ground_station_session_of_one_leaves_a_run_with_it(tmp_path: Path) -> None:
+def test_a_ground_station_session_of_one_leaves_a_run_with_it(whole: str, tmp_path: Path) -> None:
     """And of the other blocks that a user brings."""
-    whole = f"{of_page('cascade', tmp_path / 'cascade.py')}:Cascade"
     (tmp_path / "mine.py").write_text(BLOCKS)
-    done = hexjet_beside(
-        tmp_path, "gcs", "--controller", whole, "--duration", "0.2", "--rtf", "0", "--params", "none", "--mavlink",
-        "udpout:127.0.0.1:9", "--out", "run", "--json", "--metric", "mine.py:rows", "--wind", "mine.py:Blows",
-        "--sensors", "mine.py:Low", "--observer", "mine.py:Counts",
-    )  # fmt: skip
+    blocks = "--metric mine.py:rows --wind mine.py:Blows --sensors mine.py:Low --observer mine.py:Counts"
+    link = "--mavlink udpout:127.0.0.1:9 --duration 0.2 --rtf 0 --params none --out run --json"
+    done = hexjet_beside(tmp_path, "gcs", "--controller", whole, *link.split(), *blocks.split())
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)["runs"][0]
     own = summary["own_controller"]
@@ -459,61 +450,48 @@ def test_its_parameters_are_keys(mine: str) -> None:
     assert (key.nominal, key.low, key.high) == (1.0, 0.0, 1.0)
     with pytest.raises(InputError, match=r"did you mean controller_parameters\.share"):
         open_study("hover", vary=["controller_parameters.shear=0,1"], controllers=[mine])
+    wrong = ["controller_parameters.shear=1"]
     with pytest.raises(InputError, match=r"controller_parameters\.shear"):
-        open_study(
-            "hover", vary=["vehicle.mass_kg=5,6"], controllers=[mine], settings=["controller_parameters.shear=1"]
-        )
+        open_study("hover", vary=["vehicle.mass_kg=5,6"], controllers=[mine], settings=wrong)
 
 
-@pytest.fixture
-def package(tmp_path: Path) -> Path:
-    place = install(tmp_path, "my-controllers", "1.2", "[hexjet.controllers]\nmine = my_controllers:Mine\n")
-    of_page("predictor", place / "my_controllers.py")
-    return place
-
-
-def test_an_installed_package_brings_one(package: Path) -> None:
+def test_an_installed_package_brings_one(tmp_path: Path) -> None:
+    package = install(tmp_path, "my-controllers", "1.2", "[hexjet.controllers]\nmine = my_controllers:Mine\n")
+    source = of_page("predictor", package / "my_controllers.py")
     assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet_beside(package, "show", "controllers").stdout)
-    done = hexjet_beside(
-        package, "fly", "roll-doublet", "--controller", "mine", "--set", "duration_s=0.2", "--set",
-        "controller_parameters.share=0.5", "--out", "run", "--json",
-    )  # fmt: skip
+    asked = "--set duration_s=0.2 --set controller_parameters.share=0.5 --out run --json"
+    done = hexjet_beside(package, "fly", "roll-doublet", "--controller", "mine", *asked.split())
     assert done.returncode == 0, done.stderr
     own = json.loads(done.stdout)["own_controller"]
     assert (own["name"], own["version"], own["parameters"]) == ("mine", "my-controllers 1.2", {"share": 0.5})
-    (package / "my_controllers.py").write_text((package / "my_controllers.py").read_text() + "# edited\n")
+    source.write_text(source.read_text() + "# edited\n")
     again = hexjet_beside(package, "fly", "run/scenario.toml")
     assert again.returncode == 2
     assert "controller mine is not the one that was flown" in again.stderr
 
 
-@pytest.mark.parametrize("name", ["predictor", "cascade"])
-def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["mine", "whole"])
+def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(name: str, request: pytest.FixtureRequest) -> None:
     """The same steps as over our own; the built-in loops beside it are tuned by nobody."""
-    classes = {"predictor": "Mine", "cascade": "Cascade"}
-    file = of_page(name, tmp_path / f"{name}.py")
+    controller, is_whole = request.getfixturevalue(name), name == "whole"
     hover = Scenario.load("hover").replace(duration_s=0.4, expect=[])
 
-    def flown(controller: str) -> tuple[list[Any], Any]:
+    def flown(controller: str) -> tuple[list[list[float]], Any]:
         with build(hover.replace(controller=controller)) as simulation:
             pilot = attach_autopilot(simulation, airborne=True)
             samples = [simulation.step() for _ in range(100)]
-            return [(s.state.position, s.actuation.throttle) for s in samples], pilot
+            return [[*s.state.position, *s.actuation.throttle] for s in samples], pilot
 
     ours, _ = flown("smith")
-    theirs, pilot = flown(f"{file}:{classes[name]}")
-    np.testing.assert_allclose(
-        np.array([[*place, *throttle] for place, throttle in theirs]),
-        np.array([[*place, *throttle] for place, throttle in ours]),
-        rtol=0.0,
-        atol=0.0 if name == "cascade" else 1e-12,  # the page's predictor adds and takes away the measurement
-    )
+    theirs, pilot = flown(controller)
+    # the page's predictor adds and takes away the measurement
+    np.testing.assert_allclose(theirs, ours, rtol=0.0, atol=0.0 if is_whole else 1e-12)
     kept = {line.name: line.read_only for line in pilot.parameters}
     assert kept["HJ_PRED_TYPE"]
     assert not kept["HJ_YAW_RATE"]
-    assert kept["HJ_ROLL_P"] == kept["HJ_CLIMB_P"] == (name == "cascade")
+    assert kept["HJ_ROLL_P"] == kept["HJ_CLIMB_P"] == is_whole
     meanings = dict(pilot.parameters.table["HJ_PRED_TYPE"].values)
-    assert meanings[pilot.parameters["HJ_PRED_TYPE"]] == f"{name}.py:{classes[name]}"
+    assert meanings[pilot.parameters["HJ_PRED_TYPE"]] == Path(controller).name
 
 
 def test_a_notebook_is_shown_a_run_and_its_log_is_a_table() -> None:
