@@ -21,7 +21,7 @@ from cosim.campaign.run import (
     run_campaign,
     run_sampler,
 )
-from cosim.campaign.store import Campaign, Tally, open_campaign, read_referee
+from cosim.campaign.store import Campaign, Tally, open_campaign
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, default_draw, engine_draw
@@ -37,6 +37,7 @@ from cosim.campaign.study.values import absolute_support, check_vary, levels, qu
 from cosim.campaign.workers.flight_row import (
     MARGIN_OF,
     NOT_FLOWN,
+    Chunk,
     Row,
     describe_not_flown,
     failed_row,

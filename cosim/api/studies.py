@@ -63,7 +63,7 @@ class SweepResult(Result):
         """Return each controller's success rate, and its comparison with the first controller."""
         from cosim.campaign.analysis.summary import comparison_lines, success_lines, with_referee
 
-        flown = with_referee(success_lines(self._summary), self.campaign.folder)
+        flown = with_referee(success_lines(self._summary), self.campaign.referee)
         return [line.strip() for line in (*flown, *comparison_lines(self._summary))]
 
     def table(self) -> Any:

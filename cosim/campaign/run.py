@@ -15,7 +15,7 @@ from cosim.base.plugins.entry_points import load_hook
 from cosim.base.storage.files import parse_json
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, extend_asked, is_campaign
-from cosim.campaign.store import Campaign, Store, Tally, open_campaign
+from cosim.campaign.store import Campaign, Store, Tally, open_campaign, read_referee
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, case_of, flight_of, flights, scenario_of, stopping_rule
@@ -108,7 +108,7 @@ def run_sampler(
                 result = _drive_sampler(
                     sampler(store.study), lambda asked: _get_rows(store, asked, fleet, report_progress)
                 )
-                if batch:
+                if batch and read_referee(folder).get("flights") != store.stored:
                     batch.judge(folder, flying)
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error

@@ -6,7 +6,6 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import islice
 from math import ceil
 from types import SimpleNamespace
@@ -28,6 +27,7 @@ from cosim.results.setup import make_setup
 from cosim.results.summary import Setup, assess_flight
 from cosim.simulation.build import build
 from cosim.studies import (
+    Chunk,
     Flight,
     Row,
     Study,
@@ -70,19 +70,6 @@ def check(study: Study) -> None:
         read_flight(with_values(base, {"controller": controller}))
 
 
-@dataclass(frozen=True)
-class Chunk(Flight):
-    """Flights that a process flies together, as one piece of its work; its row has all of theirs."""
-
-    flights: tuple[Flight, ...] = ()
-
-    def fly(self, study: Study) -> dict[str, Any]:
-        """Fly the chunk's flights together in this process."""
-        begin = time.perf_counter()
-        rows = fly_flights(study, self.flights)
-        return {"flight": self.number, "rows": rows, "wall_s": time.perf_counter() - begin}
-
-
 class BatchWorkers:
     """Flies a study's flights on arrays, in the processes of other workers.
 
@@ -121,7 +108,7 @@ def _chunks(flights: Iterable[Flight], most: int, least: int = 500) -> Iterator[
         size = min(most, max(least, ceil(len(found) / processors)))
         for first in range(0, len(found), size):
             own = tuple(found[first : first + size])
-            yield Chunk(own[0].number, own[0].draw, own[0].controller, own[0].seed, {}, own)
+            yield Chunk(own[0].number, own[0].draw, own[0].controller, own[0].seed, {}, own, fly_flights)
 
 
 def fly_flights(study: Study, flights: Sequence[Flight]) -> list[Row]:

@@ -52,12 +52,8 @@ def judge(folder: Path, workers: Workers, nearest: int = 10, share: float = 0.01
 
     ``nearest``: flights of each controller with the least margins, by size; ``share``: of the others, at random.
     """
+    (folder / REFEREE).unlink(missing_ok=True)  # a check of fewer flights
     campaign = open_campaign(folder)
-    if campaign.referee.get("flights") == len(campaign):
-        return
-    if campaign.referee:  # judged when fewer had been flown
-        (folder / REFEREE).unlink()
-        campaign = open_campaign(folder)
     chosen, random = choose(campaign, nearest, share)
     rows = {number: campaign.row(number) for number in chosen}
     study = campaign.study.changed(batch=False)

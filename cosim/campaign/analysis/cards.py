@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
@@ -18,7 +18,6 @@ from cosim.campaign.analysis.summary import (
     find_spread,
 )
 from cosim.campaign.analysis.table import KINDS, FlightTable
-from cosim.campaign.store import read_referee
 from cosim.results.report.cards import Card, code
 
 NONE = "–"  # shown where there is no number
@@ -177,9 +176,8 @@ def ranking_cards(
         yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
 
 
-def referee_cards(folder: Path) -> Iterator[Card]:
+def referee_cards(referee: Mapping[str, Any]) -> Iterator[Card]:
     """Yield the card of JSBSim's check of flights computed on arrays: differences of metrics and verdicts."""
-    referee = read_referee(folder)
     if referee:
         columns = ("metric", "largest", "unit", "flight", "half within [%]", "nine of ten within [%]", "")
         yield Card("Flown again by JSBSim", columns, referee["metrics"], " ".join(referee["says"]),

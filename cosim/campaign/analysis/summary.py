@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,7 +27,6 @@ from cosim.campaign.analysis.statistics import (
     widen,
 )
 from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read_flight_table
-from cosim.campaign.store import read_referee
 from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.results.wording import metric
 
@@ -268,9 +266,8 @@ def _rank_dict(ranking: Ranking | None) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def with_referee(lines: Iterable[str], folder: Path) -> list[str]:
+def with_referee(lines: Iterable[str], referee: Mapping[str, Any]) -> list[str]:
     """Return lines with those on JSBSim's check of the flights added; they come first if it failed."""
-    referee = read_referee(folder)
     says = referee.get("says", [])
     return [*lines, *says] if referee.get("confirmed", True) else [*says, *lines]
 

@@ -10,11 +10,12 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from socket import gethostname
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import RESOURCE_ERRNOS, FlightError, InputError
 from cosim.base.storage.scratch import temporary
@@ -70,6 +71,14 @@ NOT_FLOWN = (
 _COLUMN_TYPES: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}  # column type of each kind of key
 
 
+@dataclass(frozen=True)
+class Chunk(Flight):
+    """Flights that one process flies together, by a function that it imports by its name; their rows are in its row."""
+
+    flights: Sequence[Flight]
+    fly_together: Callable[[Study, Sequence[Flight]], Sequence[Row]]
+
+
 def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     """Return the columns of a study's rows in order, with types; ``custom``: names of the custom metrics, if known.
 
@@ -88,10 +97,10 @@ def fly_one(study: Study, flight: Flight) -> Row:
 
     Raises FlightError where it is the machine that fails, its disk being full, say: the flight is to be flown again.
     """
-    # A batch has a method that flies all its flights together.
-    if (fly_together := getattr(flight, "fly", None)) is not None:
-        return fly_together(study)  # type: ignore[no-any-return]
     begin = time.perf_counter()
+    if isinstance(flight, Chunk):
+        rows: Any = flight.fly_together(study, flight.flights)
+        return {"flight": flight.number, "rows": rows, "wall_s": time.perf_counter() - begin}
     try:
         scenario = scenario_of(study, flight)
         if study.autopilot is not None:
@@ -101,8 +110,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
             sink = _make_metric_sink(scenario)
             outcome = outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
     except Exception as error:
-        trouble = _find_resource_error(error)
-        if trouble is not None:
+        if (trouble := _find_resource_error(error)) is not None:
             raise FlightError(f"{worker_name()}: {trouble.strerror}") from error
         expected = isinstance(error, (InputError, FlightError))
         reason = str(error) if expected else ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
@@ -216,6 +224,7 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
     """Return the columns of a row that a finished flight determines; ``digest`` is its log's hash."""
     summary, controller = run.summary, run.summary.own_controller
     measured = summary.flat_metrics
+    brought = "; ".join(f"{block.key} {block.name} {block.sha256}" for block in summary.brought)
     return {
         "outcome": summary.outcome,
         "reason": summary.reason,
@@ -233,13 +242,8 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
         "log_sha256": digest,
         "inputs_sha256": inputs_sha256(run),
         "inputs": inputs(run),
-        **({"brought_sha256": _plugin_hashes(run)} if summary.brought else {}),
+        **({"brought_sha256": brought} if brought else {}),
     }
-
-
-def _plugin_hashes(run: Run) -> str:
-    """Return one line per plug-in other than the controller, with its hash."""
-    return "; ".join(f"{block.key} {block.name} {block.sha256}" for block in run.summary.brought)
 
 
 def _column_type(study: Study, key: str) -> type[Value]:

@@ -15,7 +15,7 @@ MAX_LINES = {
     "cosim": 64_742,
     "docs": 1_631,
     "tests": 68_373,
-    "tools/hexjet_batch": 2_937,
+    "tools/hexjet_batch": 2_920,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 443,

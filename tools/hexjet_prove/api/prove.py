@@ -45,7 +45,7 @@ class ProofResult(Result):
         proof = self.proof
         broken = (f"{one.label} {one.says.partition(';')[0]}: {one.broken} of {one.told}" for one in proof.requirements)
         return [
-            *with_referee([proof.sentence], proof.folder / "campaign"),
+            *with_referee([proof.sentence], proof.referee),
             f"requirements, and by how many flights broken: {'; '.join(broken)}",
             *(f"{about}: {text}" for about, text in proof.facts.items()),
             f"not covered: {len(proof.not_covered)} points, which the page lists",

@@ -51,10 +51,10 @@ class SearchResult(Result):
         base = result.study.base()
         flown = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
         if isinstance(result, WorstSearch):
-            return [*with_referee(result.lines(), self.searched.folder), flown, *result.notes, *self.searched.lines()]
+            return [*with_referee(result.lines(), self.searched.referee), flown, *result.notes, *self.searched.lines()]
         notes = [result.engine_note] if result.engine_note else []
         return [
-            *with_referee(answers(result), self.searched.folder),
+            *with_referee(answers(result), self.searched.referee),
             flown,
             result.criterion,
             *notes,
@@ -105,7 +105,7 @@ class RareResult(Result):
 
         result = self.simulated.result
         deciders = [describe_deciders(result)] if result.deciders else []
-        judged = with_referee(describe_result(result), self.simulated.folder)
+        judged = with_referee(describe_result(result), self.simulated.referee)
         return [*judged, *deciders, *self.simulated.lines(), LIMITS_NOTE]
 
     def tables(self) -> list[Table]:

@@ -55,7 +55,7 @@ def write_page(proof: Proof, path: Path) -> None:
         Card("How it is shown", text=campaign, lines=[*shown, *rare]),
         Card("The worst flights, flown again", ("flight", "why", "ended", "margin", "drawn", "again"),
              [_worst_row(one) for one in proof.worst], MARGIN_NOTE, lines=list(_search_rows(proof))),
-        *referee_cards(path.parent / "campaign"),
+        *referee_cards(proof.referee),
         _limits_card(proof),
         Card("What is not known, and where that is from", ("key", "drawn from", "nominal", "flown", "unit"), drawn,
              lines=[f"The probability is over {proof.over}."]),
@@ -70,7 +70,7 @@ def write_page(proof: Proof, path: Path) -> None:
         cards,
         verdict=f"{proof.claim.text}: {DECISION_WORDS[proof.decision]}",
         badge=BADGES[proof.decision],
-        answer=with_referee([proof.sentence], path.parent / "campaign"),
+        answer=with_referee([proof.sentence], proof.referee),
         evidence=[f"{about[:1].upper()}{about[1:]}: {text}" for about, text in proof.facts.items()],
         facts=[(name, str(study[name])) for name in ("scenario", "aircraft", "engine", "controller", "seed")],
     )

@@ -176,6 +176,7 @@ def _evaluate_flights(
             "most_flights": study.draws,
         },
         claim=claim,
+        referee=campaign.referee,
         requirements=proven_requirements(campaign),
         uncertainty=key_rows(study, table),
         over=_describe_draws(evidence),
@@ -187,9 +188,7 @@ def _evaluate_flights(
         axis=_commanded_axis(scenario),
         not_varied=evidence.not_varied,
         not_covered=not_covered(
-            study,
-            [part.says for part in searched.values() if part.result is None],
-            table.not_flown,
+            study, [part.says for part in searched.values() if part.result is None], table.not_flown
         ),
         credibility=list_evidence(evidence),
         repeat=_describe_repetition(out, campaign, request),

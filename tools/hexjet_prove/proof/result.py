@@ -58,6 +58,7 @@ class Proof:
     folder: Path
     study: Mapping[str, Any]  # name, scenario, vehicle and seed
     claim: ClaimResult
+    referee: Mapping[str, Any]  # JSBSim's check of flights on arrays
     requirements: Sequence[ProvenRequirement]
     uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
     over: str  # population of the probability, in words

@@ -59,7 +59,7 @@ def run_rare(
         (f"failure-{place}", int(result.rows[failure.number]["flight"] or 0), True, failure.distance)
         for place, failure in enumerate(likely, 1)
     ]
-    saved = SavedRare(out, result, fly_cases(campaign, cases))
+    saved = SavedRare(out, result, fly_cases(campaign, cases), campaign.referee)
     saved.write(RESULT)
     write_page(saved, out / REPORT)
     return saved

@@ -47,9 +47,9 @@ def write_page(saved: SavedResult[RareResult], path: Path) -> None:
     page = Page(
         "rare failures",
         result.study.name,
-        [*cards, *referee_cards(path.parent)],
+        [*cards, *referee_cards(saved.referee)],
         {"levels": _make_levels_figure(result)},
-        answer=with_referee([sentence(result.sentence)], path.parent),
+        answer=with_referee([sentence(result.sentence)], saved.referee),
         problems=[sentence(line) for line in (result.contradiction, result.seed_note) if line],
         summary=[sentence(line) for line in notes if line],
         facts=list_facts(

@@ -133,7 +133,7 @@ def run_search(
     asked = COMMAND | plan.table()
     campaign, result = run_sampler(study, out, partial(search, plan), workers, resume, progress, asked)
     cases = ((name, _flight(result, point, breaks), breaks, None) for name, point, breaks in _points_to_record(result))
-    saved = SavedSearch(out, result, fly_cases(campaign, cases))
+    saved = SavedSearch(out, result, fly_cases(campaign, cases), campaign.referee)
     saved.write(RESULT)
     write_page(saved, out / REPORT)
     return saved

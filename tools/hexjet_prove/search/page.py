@@ -33,21 +33,20 @@ def write_page(searched: SavedResult[SearchResult], path: Path) -> None:
     facts = [("controller" if len(names) == 1 else "controllers", ", ".join(names))]
     facts += [("seed" if len(seeds) == 1 else "seeds", ", ".join(map(str, seeds)))]
     criterion = [sentence(line) for line in (result.criterion, result.engine_note) if line]
-    several = len(result.plan.spans) > 1
     fine = [f"{line}." for line in (*map(describe_resolution, result.plan.spans), *together_lines(result))]
     cards = [
         Card("The boundary", text=BOUNDARY_NOTE, figure="curve") if "curve" in drawn else None,
         *(Card(span.key.path, text="Green: holds; red: breaks; dotted: where the search starts.", figure=f"key{number}")
           for number, span in enumerate(result.plan.spans) if f"key{number}" in drawn),
-        Card("Each key alone" if several else "Where it breaks", *table(result), " ".join(fine)),
+        Card("Each key alone" if len(result.plan.spans) > 1 else "Where it breaks", *table(result), " ".join(fine)),
         cases_card("The flights that show it", searched, path),
     ]  # fmt: skip
     page = Page(
         "the smallest change that breaks",
         base.name if list_changes(base, flown_parameters(base)) else base.title or base.name,
-        [*cards, *referee_cards(path.parent)],
+        [*cards, *referee_cards(searched.referee)],
         drawn,
-        answer=with_referee(answers(result), path.parent),
+        answer=with_referee(answers(result), searched.referee),
         summary=criterion,
         facts=list_facts(base, result.flights, facts),
         are_figures_linked=False,

@@ -59,6 +59,7 @@ class SavedResult(Generic[A]):
     folder: Path
     result: A
     cases: tuple[Case, ...]
+    referee: Mapping[str, Any]  # JSBSim's check of flights on arrays
 
     @property
     def confirmed(self) -> bool:

@@ -75,7 +75,7 @@ def run_worst(
     kind = "likely" if plan.likely else "worst"
     labels = [re.sub(r"[^A-Za-z0-9_.-]+", "_", short_name(case.controller)) for case in result.cases]
     found = [(f"{at}-{kind}", c.flight, c.fails, c.distance) for at, c in zip(labels, result.cases, strict=True)]
-    saved = SavedWorst(out, result, fly_cases(campaign, found))
+    saved = SavedWorst(out, result, fly_cases(campaign, found), campaign.referee)
     saved.write(RESULT)
     write_page(saved, out / REPORT)
     return saved

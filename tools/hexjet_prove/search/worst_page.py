@@ -50,10 +50,10 @@ def write_page(saved: SavedResult[WorstSearch], path: Path) -> None:
         [
             Card("Which keys matter", titles(result), rows(result), SHARES_NOTE, "places"),
             cases_card("The flight", saved, path),
-            *referee_cards(path.parent),
+            *referee_cards(saved.referee),
         ],
         {"places": _make_places_figure(result)},
-        answer=with_referee([f"{line}." for line in result.lines()], path.parent),
+        answer=with_referee([f"{line}." for line in result.lines()], saved.referee),
         summary=[sentence(note) for note in result.notes],
         facts=list_facts(base, result.flights, [("searched in", result.plan.where)]),
     )
