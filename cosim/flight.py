@@ -195,7 +195,11 @@ def record(
 
 
 def new_folder(parent: Path, name: str) -> Path:
-    """Return the path ``parent/name-001``, or the first number whose folder does not exist."""
+    """Return the path ``parent/name-001``, or the first number whose folder does not exist.
+
+    >>> new_folder(Path("runs"), "hover").name
+    'hover-001'
+    """
     number = 1
     while (folder := parent / f"{name}-{number:03d}").exists():
         number += 1

@@ -167,6 +167,12 @@ class Stepper:
     ) -> Sample:
         """Fly one control step with inputs held.
 
+        >>> with Stepper("hover") as flight:
+        ...     for _ in range(250):
+        ...         sample = flight.step(Command((0.1, 0.0, 0.0), 10.0))
+        ...     flight.time
+        1.0
+
         Parameters
         ----------
         command : Command or None
@@ -293,6 +299,12 @@ class Stepper:
     def restore(self, snapshot: Snapshot) -> Measured:
         """Fly again to a snapshot's step with the same inputs, and return what the sensors measure there.
 
+        >>> with Stepper("hover") as flight:
+        ...     start, first = flight.snapshot(), flight.step()
+        ...     _ = flight.restore(start)
+        ...     flight.step().thrust == first.thrust
+        True
+
         Parameters
         ----------
         snapshot : Snapshot
@@ -345,6 +357,11 @@ class Stepper:
 
     def run(self) -> Run:
         """End the flight here and return its run; ``summary.by_hand`` counts the steps with a program's inputs.
+
+        >>> with Stepper("hover") as flight:
+        ...     _ = flight.step()
+        ...     flight.run().summary.steps
+        1
 
         Raises
         ------

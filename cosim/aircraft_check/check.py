@@ -73,11 +73,9 @@ class AircraftCheck:
 
     @property
     def is_fit(self) -> bool:
-        """Whether no check found a fault."""
         return not any(line.fault for line in self.lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the results for JSON."""
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,

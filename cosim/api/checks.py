@@ -38,7 +38,6 @@ class EngineCheckResult(FolderResult):
 
     @property
     def is_fit(self) -> bool:
-        """Whether no problem was found."""
         return self.check.ok
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -48,7 +47,6 @@ class EngineCheckResult(FolderResult):
         return {"report": page, "json": page.with_name(CHECK_FILES[0])}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet engine check --json`` prints."""
         return self.check.to_dict()
 
     def lines(self) -> list[str]:
@@ -57,7 +55,6 @@ class EngineCheckResult(FolderResult):
         return [f"{self.check.name}: {verdict}", *(f"problem: {problem}" for problem in self.check.problems)]
 
     def tables(self) -> list[Table]:
-        """Return the findings as one table."""
         return [Table("", ("finding", "what it is"), self.check.lines())]
 
     def _figures(self) -> Mapping[str, Any]:
@@ -139,7 +136,6 @@ class MappingResult(Result):
         return self.begun.is_complete
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet engine map --json`` prints."""
         begun = self.begun
         return {
             "fmu": str(begun.archive.path),
@@ -161,6 +157,10 @@ def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
     """Write a mapping file for an engine's FMU: the ports that are found, and what is to be stated of others.
 
     Nothing of the FMU is run.
+
+    >>> from cosim.files import data_folder
+    >>> map_engine(data_folder("fmus") / "edf.fmu", "mine.toml").lines()[0]
+    'found: throttle = throttle, thrust = thrust, start = throttle_start'
 
     Parameters
     ----------
@@ -195,11 +195,9 @@ class AircraftCheckResult(Result):
 
     @property
     def is_fit(self) -> bool:
-        """Whether no check failed."""
         return self.check.is_fit
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet aircraft check --json`` prints."""
         return self.check.to_dict()
 
     def lines(self) -> list[str]:
@@ -230,6 +228,9 @@ def check_aircraft(
     aircraft: str | Path, engine: str | Path | None = None, *, out: str | Path | None = None
 ) -> AircraftCheckResult:
     """Check frames, signs, units, inertia, hover, authority with every engine and without any one, and a flight.
+
+    >>> check_aircraft("hexjet").is_fit
+    True
 
     Parameters
     ----------

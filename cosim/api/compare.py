@@ -70,7 +70,6 @@ class CompareResult(Result):
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet compare --json`` prints."""
         return _to_dict(self.flights, self.compared, self.report)
 
     def lines(self) -> list[str]:

@@ -45,7 +45,6 @@ class IdentifyResult(FolderResult):
         return write(self.identification, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet identify --json`` prints."""
         return self.identification.to_dict()
 
     def lines(self) -> list[str]:

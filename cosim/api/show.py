@@ -318,7 +318,6 @@ def _list_aircraft_numbers(name: str) -> Iterator[Number]:
 
 
 def _list_dead_times(vehicle: Vehicle) -> Iterator[Number]:
-    """Yield the dead time of each identified model."""
     for engine, axes in vehicle.identified.items():
         for axis, model in axes.items():
             late = model.delay_samples * model.sample_time_s
@@ -425,14 +424,10 @@ def _list_leaf_numbers(table: Mapping[str, Any], prefix: str) -> Iterator[Number
             yield from _list_leaf_numbers(value, f"{prefix}{key}.")
         elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
             for number, item in enumerate(value):
-                yield Number(f"{prefix}{key}.{number}", " ".join(_format_leaves(item)), "", "")
+                leaves = (f"{leaf.name}={_format_value(leaf.value)}" for leaf in _list_leaf_numbers(item, ""))
+                yield Number(f"{prefix}{key}.{number}", " ".join(leaves), "", "")
         else:
             yield Number(f"{prefix}{key}", value, _find_unit(key), "")
-
-
-def _format_leaves(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield each value of nested tables as ``KEY=VALUE``."""
-    return (f"{leaf.name}={_format_value(leaf.value)}" for leaf in _list_leaf_numbers(table, ""))
 
 
 def _find_unit(key: str) -> str:

@@ -56,7 +56,6 @@ class SweepResult(Result):
         return fly_again(self.campaign, flight, out)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet sweep --json`` prints."""
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self._summary
 
     def lines(self) -> list[str]:
@@ -134,6 +133,10 @@ def sweep(
     """Fly a scenario many times with what varies drawn for each flight, or a study, or go on with a campaign.
 
     A flight that fails is a row.  What is interrupted goes on with ``resume``.
+
+    >>> swept = sweep("hover", vary=["vehicle.mass_kg=5.4:5.8"], runs=2, settings=["duration_s=0.2"], workers=1)
+    >>> swept.columns["success"]
+    [True, True]
 
     Parameters
     ----------

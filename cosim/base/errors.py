@@ -57,7 +57,11 @@ def describe_error(error: Exception) -> str:
 
 
 def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
-    """Return a clause ``did you mean ...? allowed: ...``; of more than ``max_listed`` names only similar ones."""
+    """Return a clause ``did you mean ...? allowed: ...``; of more than ``max_listed`` names only similar ones.
+
+    >>> nearest("hoover", ["hover", "roll-doublet"])
+    "did you mean 'hover'? allowed: hover, roll-doublet"
+    """
     import difflib
 
     names = sorted(allowed)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 
 def clamp(value: float, limit: float) -> float:
-    """Return ``value``, clamped to ``-limit`` .. ``limit``; NaN stays NaN."""
+    """Return ``value``, clamped to ``-limit`` .. ``limit``; NaN stays NaN.
+
+    >>> clamp(-3.0, 2.0), clamp(1.5, 2.0)
+    (-2.0, 1.5)
+    """
     return limit if value > limit else (-limit if value < -limit else value)
 
 

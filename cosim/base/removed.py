@@ -28,7 +28,6 @@ _COST_BENCHMARK: Final = Removal("the cost of memory and of a campaign", "0.3.0"
 
 
 def _renamed(now: str) -> Removal:
-    """Return the removal record of a command that was renamed."""
     return Removal("an old name", "0.3.0", now)
 
 

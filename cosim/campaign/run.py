@@ -287,7 +287,6 @@ class RepeatedFlight:
 
     @property
     def verdict(self) -> str:
-        """Whether the flight is the same, in words."""
         if not self.comparable:
             return "the first time was not recorded to its end"
         return self.sameness if self.same else "not the same"
@@ -298,6 +297,10 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
 
     ``out`` and ``options`` are those of :func:`cosim.fly`.  Raises InputError if the flight is not finished, or cannot
     be flown now, or is code that the user does not trust; FlightError if it could not be flown then either.
+
+    >>> study = open_study("hover", vary=["vehicle.mass_kg=5.4:5.8"], runs=1, settings=["duration_s=0.2"])
+    >>> fly_again(run_campaign(study, "runs/again", workers=1), 0).sameness
+    'the same, bit for bit'
     """
     row = campaign.row(number)
     need_trust(study_code(campaign.study), f"{campaign.folder}: flight {number}")

@@ -172,7 +172,6 @@ class Store:
 
     @cached_property
     def flights(self) -> Sequence[Flight]:
-        """All flights of the study."""
         return flights(self.study)
 
     def key(self, flight: Flight) -> str:
@@ -266,7 +265,6 @@ class Store:
         self.flush()
 
     def _count_row(self, row: Row) -> None:
-        """Note the row of a finished flight, and count it."""
         self.done[str(row[KEY])] = row if self._kept is None else {name: row[name] for name in self._kept} or _EMPTY_ROW
         self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
 

@@ -90,7 +90,6 @@ class TerminalProgress(Progress):
         return f"; {kept}: {self._goes_on.format(folder=self._folder)} goes on"
 
     def begin(self, folder: Path) -> None:
-        """Store the folder of the results, to name it on Ctrl-C."""
         self._folder = folder
 
     def note(self, text: str) -> None:

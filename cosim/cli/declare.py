@@ -206,7 +206,7 @@ class Command:
         names = tuple(self.options.get(name, f"--{base}").split())
         # The parameter's name in Python is accepted too.
         names = tuple(dict.fromkeys((*names, f"--{base}", f"--{name.replace('_', '-')}")))
-        is_argument = parameter.kind is not parameter.KEYWORD_ONLY and not self._is_option(parameter)
+        is_argument = parameter.kind is not parameter.KEYWORD_ONLY and name != "out" and name not in self.options
         metavar = self.metavars.get(name) or _METAVARS.get(name) or _TYPE_PLACEHOLDERS.get(kind, "CHOICE")
         unit = name.rpartition("_")[2]
         metavar = unit.upper() if kind is float and unit in ("s", "hz", "mb") else metavar
@@ -219,10 +219,6 @@ class Command:
             name, () if is_argument else names, kind, repeats or several, pairs, metavar, "",
             None if required else default, required, limits,
         )  # fmt: skip
-
-    def _is_option(self, parameter: inspect.Parameter) -> bool:
-        """Return whether a positional parameter is an option: ``out``, or one with a name in ``options``."""
-        return parameter.name == "out" or parameter.name in self.options
 
     @property
     def rows(self) -> list[Option]:
@@ -441,7 +437,6 @@ class _CompleteArguments(dict[str, Any]):
 
 
 def _import_function(name: str) -> Callable[..., Any]:
-    """Return the function called ``module:name``."""
     module, _, function = name.partition(":")
     found: Callable[..., Any] = getattr(import_module(module), function)
     return found

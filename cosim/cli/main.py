@@ -71,7 +71,7 @@ def run(words: list[str]) -> int:
         return WRONG_INPUT
     first, *others = words
     if first == "__complete":
-        _print_completions(words)
+        _make_completion_app()(words, exit_on_error=False)
     elif first in ("-h", "--help"):
         _note_taken_names()
         echo(describe())
@@ -83,7 +83,7 @@ def run(words: list[str]) -> int:
         _install_completion(first.partition("=")[2] or next(iter(others), ""))
     elif first.startswith("-"):
         raise InputError(f"No such option {first!r} (hexjet --help)")
-    elif table.is_collection_alone(words):
+    elif table.is_collection(first) and (not others or others[0] in ("-h", "--help")):
         echo(describe_collection(first), err=not others)
         return DONE if others else WRONG_INPUT
     else:
@@ -126,11 +126,6 @@ def _note_taken_names() -> None:
         if name in table.NATIVE or name in {each.partition(" ")[0] for each in table.NATIVE}:
             package = entries[0].dist.name if entries[0].dist else "an installed package"
             note(f"{name} of {package} is not reached: hexjet has that command")
-
-
-def _print_completions(words: list[str]) -> None:
-    """Print the words that may follow, for a shell's completion script."""
-    _make_completion_app()(words, exit_on_error=False)
 
 
 def _make_completion_app() -> Any:

@@ -94,11 +94,6 @@ def is_collection(name: str) -> bool:
     return name in _COLLECTIONS or any(each.startswith(f"{name} ") for each in added())
 
 
-def is_collection_alone(words: list[str]) -> bool:
-    """Return whether words ask for the help of a collection."""
-    return is_collection(words[0]) and (len(words) == 1 or words[1] in ("-h", "--help"))
-
-
 def find(words: list[str]) -> tuple[str, list[str]]:
     """Return the name of a command line's command, and the words after it.  Raises InputError if there is none."""
     first = words[0]

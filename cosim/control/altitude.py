@@ -57,7 +57,6 @@ class AltitudeController:
             self._lead.set_poles(lead)
 
     def reset(self) -> None:
-        """Reset the integral to zero."""
         self._integral = 0.0
         self._started = False
         self._old_gains: AltitudeGains | None = None

@@ -22,7 +22,11 @@ from cosim.spec.vehicle import RateGains, RateModel
 
 
 def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
-    """Return points z on the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
+    """Return points z on the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample.
+
+    >>> print(np.angle(grid(6, lowest=0.01)).round(3))
+    [0.01  0.177 0.524 1.833 3.142]
+    """
     angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
     return np.asarray(np.exp(1j * angles))
 
@@ -32,6 +36,14 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
 
     Those of a state predictor do, being finite sums over past commands and a fast observer; so the transform is exact.
     Raises InputError for one whose response does not end.
+
+    >>> from cosim.loops import PREDICTORS
+    >>> vehicle, _ = load_vehicle("hexjet")
+    >>> model = vehicle.identified["edf-as-flown"]["roll"]
+    >>> make = lambda: PREDICTORS["state"].predictor(model, vehicle.control.predictor)
+    >>> of_rate, _ = impulse_response(make, model)(grid(4))
+    >>> print(abs(of_rate).round(3))
+    [0.998 0.689 0.273]
     """
     of_rate = _record_impulse_response(predictor(), model, (1.0, 0.0))
     of_command = _record_impulse_response(predictor(), model, (0.0, 1.0))
@@ -69,7 +81,13 @@ def _evaluate_z_transform(taps: Array, z: Complex) -> Complex:
 
 
 def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
-    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID at ``z``; ``step`` in s."""
+    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID at ``z``; ``step`` in s.
+
+    >>> gains = RateGains(p=2.0, i=1.0, d=0.1, d_filter_s=0.01, integral_limit=1.0)
+    >>> error, feedback = pid_response(gains, 0.004, grid(4))
+    >>> print(f"{error[-1].real:.3f}, {feedback[-1].real:.3f}")  # at half the sampling rate
+    2.002, 8.333
+    """
     weight = step / (gains.d_filter_s + step)
     difference = 1.0 - 1.0 / z
     of_slope = gains.d * weight * difference / (step * (1.0 - (1.0 - weight) / z))

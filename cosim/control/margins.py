@@ -79,6 +79,11 @@ def crossings(loop: Complex, omega: Array, step: float = 0.0) -> tuple[Array, Ar
 
     The factors that put it on -1 and ``omega`` there; then at every gain of 1 the angle [rad, 0 to 2 pi] down to -1,
     and ``omega`` there.  A last point at half the sampling rate, ``omega step = pi``, is on the real axis itself.
+
+    >>> omega = np.geomspace(0.1, 100.0, 2000)
+    >>> _, at, _, _ = crossings(4.0 / (1j * omega) * np.exp(-0.1j * omega), omega)
+    >>> print(f"{at[0]:.3f} rad/s")  # pi / 2 over the delay
+    15.708 rad/s
     """
     sampled = bool(step) and len(omega) > 0 and omega[-1] * step >= pi * (1.0 - 1e-9)
     at, part = _sign_changes(loop.imag[:-1] if sampled else loop.imag)
@@ -188,6 +193,9 @@ def delayed_margins(
 
 def proper_fraction(numerator: ArrayLike, denominator: ArrayLike, dt: float, delay: float) -> tuple[Array, Array]:
     """Return the coefficients of a plant without leading zeros, highest power first.
+
+    >>> proper_fraction([0.0, 1.0], [0.0, 1.0, 2.0], dt=0.01, delay=0.0)
+    (array([1.]), array([1., 2.]))
 
     Parameters
     ----------

@@ -189,7 +189,6 @@ class RateController:
         )
 
     def reset(self) -> None:
-        """Return all axes to rest."""
         for axis in (self._roll, self._pitch, self._yaw):
             axis.reset()
 

@@ -44,7 +44,6 @@ class CheckReport:
 
     @property
     def ok(self) -> bool:
-        """Whether no problem was found."""
         return not self.problems
 
     def to_dict(self) -> dict[str, Any]:

@@ -164,7 +164,6 @@ def release_host(host: EngineHost) -> None:
 
 @atexit.register
 def end_idle() -> None:
-    """End the process that waits."""
     while _idle:
         _idle.pop().end()
 
@@ -222,7 +221,6 @@ class IsolatedBank:
 
     @property
     def host(self) -> EngineHost:
-        """Process that runs the engines."""
         if self._host is None:
             raise EngineError("the engines were freed before")
         return self._host
@@ -316,7 +314,6 @@ def _json_answer(good: bool, answer: Any) -> bytes:
 
 
 def _double_answer(values: Sequence[float]) -> bytes:
-    """Return an answer of doubles, packed as binary."""
     return b"s" + struct.pack(f"<{len(values)}d", *values)
 
 

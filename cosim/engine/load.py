@@ -91,4 +91,5 @@ def _make_flame_out_law(source: EngineSource) -> FlameOutLaw | None:
         return MODELLED
     if source.engine is not None:
         return make_flame_out_law(source.engine.flame_out) if source.engine.flame_out else None
-    return source.mapping.flame_out.make_law() if source.mapping.flame_out else None
+    stated = source.mapping.flame_out
+    return make_flame_out_law(stated.model_dump(exclude_none=True)) if stated else None

@@ -300,7 +300,6 @@ class EngineChain:
         return _ClosedThrottle() if law is None or law.is_electric else _Rundown(law, self._step, cold)
 
     def begin_fault(self, fault: EngineFault) -> None:
-        """Begin ``fault`` at the next step."""
         self._acting.append(fault)
         for jet in fault.jet:
             i = jet - 1

@@ -73,7 +73,6 @@ class Links:
 
     @property
     def urls(self) -> list[str]:
-        """URLs of the links with the actual ports."""
         return [
             endpoint._replace(port=port or endpoint.port).url
             for endpoint, port in zip(self.endpoints, self.link.ports, strict=True)
@@ -185,7 +184,6 @@ def find_files(metadata: Mapping[str, File], log_store: LogStore, path: str) -> 
 
 
 def make_vehicle_constants(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:
-    """Return the constant data of a vehicle for telemetry."""
     vehicle, sensors = info.vehicle, info.vehicle.sensors
     return VehicleConstants(
         info.geodesy,

@@ -247,7 +247,6 @@ class ParameterWriter:
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Saved parameters by name."""
         return self._values
 
     def save(self, values: dict[str, float]) -> None:

@@ -121,7 +121,6 @@ class SessionFlight:
         self.simulation.close()
 
     def close_record(self) -> None:
-        """Close the autopilot's record."""
         if self.pilot_record is not None:
             with suppress(FlightError):
                 self.pilot_record.close()

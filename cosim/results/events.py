@@ -177,7 +177,6 @@ def _fault_acts_on(fault: Fault, kind: str, name: str) -> bool:
 
 
 def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
-    """Return whether a fault acts at any time between ``start`` and ``end``."""
     end_s = None if fault.duration_s is None else fault.start_s + fault.duration_s
     half = 0.5 * step
     return (end is None or fault.start_s < end - half) and (end_s is None or end_s > start + half)

@@ -248,6 +248,9 @@ def overshoot(error: Array, size: float) -> Any:
     """Return how far a response runs past its target, in percent of the step's size; None without a number.
 
     ``error`` is target minus response, one value a row; ``size`` is the step's, in the same unit.
+
+    >>> overshoot(np.array([1.0, 0.2, -0.1, 0.0]), size=1.0)
+    10.0
     """
     past = _peak(-error * np.sign(size))
     return None if past is None else _to_plain(np.maximum(100.0 * past / abs(size), 0.0))
@@ -257,6 +260,9 @@ def settling_time(error: Array, size: float, step_s: float) -> Any:
     """Return the time [s] from a step until the error stays within 5 % of its size.
 
     None if the last row is outside.
+
+    >>> settling_time(np.array([1.0, 0.2, -0.04, 0.0]), size=1.0, step_s=0.01)
+    0.02
     """
     outside, rows = ~(np.abs(error) <= SETTLING_BAND * abs(size)), error.shape[-1]
     settled = np.max(np.where(outside, np.arange(1, rows + 1), 0), axis=-1, initial=0)

@@ -130,6 +130,9 @@ class Run:
     def table(self, *names: str) -> Any:
         """Return the log as a ``pandas.DataFrame``, one row a control step, the time [s] as its index.
 
+        >>> fly("hover", settings={"duration_s": 0.2}).table()["altitude_m"].shape
+        (50,)
+
         Parameters
         ----------
         *names : str

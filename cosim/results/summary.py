@@ -376,7 +376,11 @@ def _evaluate(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that a run depends on, by name: Python and the packages that make its numbers."""
+    """Return the versions that a run depends on, by name: Python and the packages that make its numbers.
+
+    >>> sorted(versions())
+    ['fmpy', 'hexjet-cosim', 'jsbsim', 'numpy', 'pyarrow', 'python', 'scipy']
+    """
     return dict(_read_versions())
 
 

@@ -124,7 +124,6 @@ class ModelAgreement:
 
     @property
     def note(self) -> str:
-        """Note on the difference for a flight with the model."""
         where = f" {self.state}" if self.state else ""
         return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
 

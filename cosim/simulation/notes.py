@@ -13,7 +13,6 @@ MAX_LOW_M = 300.0
 
 
 def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
-    """Return notes on settings of turbulence and tank that have no effect."""
     return [*note_incomplete_turbulence(scenario), *note_missing_fuel_flow(vehicle, engines)]
 
 

@@ -224,7 +224,6 @@ class Airframe:
         return [self._property(f"contact/unit[{unit}]/WOW").get_double_value for unit, other in kinds if other == kind]
 
     def _property(self, name: str) -> Property:
-        """Return a property of JSBSim by its name."""
         return self._jsbsim.node(name)
 
     def _set_property(self, name: str, value: float) -> None:

@@ -110,7 +110,6 @@ class Executive:
         raise FlightError("JSBSim could not start from the initial state")
 
     def flight_error(self, error: Exception) -> FlightError:
-        """Return the FlightError for an exception of JSBSim in flight."""
         return FlightError(str(self._make_error(str(error))))
 
     def explain_not_finite(self) -> InputError:

@@ -218,13 +218,11 @@ def _child(root: ET.Element, tag: str) -> ET.Element:
 
 
 def _ensure_child(parent: ET.Element, tag: str, name: str) -> ET.Element:
-    """Return the child element of this tag and name, added if missing."""
     element = parent.find(f"{tag}[@name='{name}']")
     return element if element is not None else ET.SubElement(parent, tag, name=name)
 
 
 def _ensure_location(element: ET.Element) -> ET.Element:
-    """Return the element with a location, by default the origin."""
     location = element if element.tag == "location" else element.find("location")
     if location is None:
         location = ET.SubElement(element, "location", unit="IN")
@@ -294,7 +292,6 @@ def _element_number(element: ET.Element | None, model: Path) -> float:
 
 
 def _inches_per_unit(location: ET.Element, model: Path) -> float:
-    """Return how many inches the unit of a location is."""
     unit = location.get("unit", "IN").upper()
     if unit not in _INCHES_BY_UNIT:
         label = f"location {location.get('name', '')}".strip()

@@ -67,7 +67,6 @@ class Propulsion:
 
     @property
     def tilt(self) -> PerServo:
-        """Servo positions, rad."""
         return self._load.tilt
 
     @tilt.setter

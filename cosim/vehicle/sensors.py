@@ -258,7 +258,6 @@ class FaultySensors:
         self._faults.append((fault, last))
 
     def end(self, fault: SensorFault) -> None:
-        """End ``fault`` from the next sample on."""
         self._faults = [entry for entry in self._faults if entry[0] is not fault]
 
     def reset(self, state: State) -> Measured:
@@ -294,7 +293,6 @@ def _repeat(measured: Measured, sensor: str, last: Measured) -> Measured:
 
 
 def _offset(measured: Measured, fault: SensorBias) -> Measured:
-    """Return the measurement with the bias of a fault added to its sensor."""
     x, y, z = fault.vector
     if fault.sensor == "gyro":
         return measured._replace(rate=_add(measured.rate, fault.vector))

@@ -29,7 +29,6 @@ class Tank:
 
     @property
     def empty(self) -> bool:
-        """Whether all fuel is burnt."""
         return self.burnt >= self.mass
 
     def burn(self, flows: PerJet) -> bool:

@@ -39,7 +39,11 @@ def note_lines(notes: Iterable[str]) -> list[str]:
 
 
 class Table(NamedTuple):
-    """Table of a result: title, column heads and cells, all as texts."""
+    """Table of a result: title, column heads and cells, all as texts.
+
+    >>> show("edf").tables()[0].columns
+    ('number', 'value', 'unit', 'meaning')
+    """
 
     title: str
     columns: Sequence[str]
@@ -87,7 +91,6 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """The result in one sentence."""
         return next(iter(self.lines()), "")
 
     def table(self) -> Any:

@@ -130,6 +130,11 @@ def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[
     """Write a file completely or leave it unchanged; ``content`` may be an iterator of pieces.
 
     Raises OSError, or ``failure`` with file and reason in a line.
+
+    >>> path = Path("limits.txt")
+    >>> write_whole(path, b"5 deg")
+    >>> read_text(path)
+    '5 deg'
     """
     with map_os_errors(failure, path) if failure else nullcontext(), replace_on_success(path) as temporary:
         pieces = [content] if isinstance(content, (str, bytes)) else content

@@ -38,6 +38,10 @@ def temporary(prefix: str) -> Iterator[Path]:
     """Yield a new folder below :func:`scratch`, deleted after the block or with the process.
 
     Raises InputError where there is no place for one.
+
+    >>> with temporary("mine-") as folder:
+    ...     folder.parent == scratch()
+    True
     """
     folder = Path(tempfile.mkdtemp(prefix=prefix, dir=scratch()))
     try:

@@ -139,6 +139,11 @@ def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
     """Convert a TOML table to the pydantic ``model``; ``where`` names its source in errors, unless empty.
 
     Raises InputError: one line with the key, the value and what is allowed.
+
+    >>> class Wheel(Model):
+    ...     radius_m: float
+    >>> validate(Wheel, {"radius_m": 0.2}, "wheel.toml")
+    Wheel(radius_m=0.2)
     """
     try:
         return model.model_validate(data)
@@ -214,7 +219,11 @@ def split_key(key: str) -> list[str]:
 
 
 def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
-    """Return ``NAME=NUMBER`` texts as a table of finite numbers.  Raises InputError that names ``option``."""
+    """Return ``NAME=NUMBER`` texts as a table of finite numbers.  Raises InputError that names ``option``.
+
+    >>> parse_numbers(["mass_kg=5.6"], "settings")
+    {'mass_kg': 5.6}
+    """
     numbers = {}
     for text in texts:
         ((name, number),) = parse_values([text]).items()
@@ -283,7 +292,8 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         name = str(first["loc"][-1])
         if (removed := describe_removed(name)) is not None:
             return f"{key}: {removed}"
-        return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
+        allowed = sorted({allowed for table in _find_tables(model, first["loc"]) for allowed in table.model_fields})
+        return f"unknown key {key!r}; {nearest(name, allowed)}{rest}"
     if kind == "missing":
         unknown = [".".join(_file_keys(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]
         return f"{key} is missing{_guess_typo(key, unknown) or rest}"
@@ -347,10 +357,11 @@ def _file_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[
     that it tried.
     """
     names = {submodel.__name__ for submodel in _collect_models(model)}
+    kind = location[2:3] if location[:1] in {("command",), ("disturbance",), ("fault",)} else ()
     return [
         str(part)
         for before, part in zip((None, *location), location, strict=False)
-        if not (isinstance(before, int) and isinstance(part, str) and _is_kind_of_entry(location, part))
+        if not (isinstance(before, int) and isinstance(part, str) and part in kind)
         and not (isinstance(part, str) and (part in names or part.startswith(("function-", "literal["))))
     ]
 
@@ -363,15 +374,6 @@ def _collect_models(model: type[BaseModel]) -> set[type[BaseModel]]:
             models |= new
             waiting += new
     return models
-
-
-def _is_kind_of_entry(location: tuple[int | str, ...], part: str) -> bool:
-    return location[0] in ("command", "disturbance", "fault") and location.index(part) == 2
-
-
-def _allowed_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the allowed keys of the table that contains ``location``."""
-    return sorted({name for table in _find_tables(model, location) for name in table.model_fields})
 
 
 def _find_tables(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:

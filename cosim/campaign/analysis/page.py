@@ -109,7 +109,8 @@ def make_page(campaign: Campaign) -> Page:
     claims = [] if claim is None else [f"{line}." for line in claim.lines()]
     answers = [_success_sentence(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)]
     told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
-    pages = [_unfinished_card()] if not table.flight.size else [
+    unfinished = Card("Flights", lines=["No flight is finished yet: there is nothing to show."])
+    pages = [unfinished] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
         Card("Outcomes of the flights", figure="outcomes", is_half=True),
         success_card(table, named, fractions, STOPPED_NOTE if claims else INTERVAL_NOTES.get(study.design, "")),
@@ -137,10 +138,6 @@ def make_page(campaign: Campaign) -> Page:
         facts=head_rows(campaign, table),
         are_figures_linked=False,
     )
-
-
-def _unfinished_card() -> Card:
-    return Card("Flights", lines=["No flight is finished yet: there is nothing to show."])
 
 
 def _render_stability_map() -> Markup:
@@ -290,7 +287,6 @@ def _format_value(value: Any) -> str:
 
 
 def describe_correlation(correlation: Correlation) -> str:
-    """Describe one requested correlation."""
     return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
 

@@ -381,15 +381,11 @@ def _parameter_keys(path: str, source: EngineSource, values: Mapping[str, float]
             f"{path}.{variable.name}",
             "int" if whole else "float",
             round(nominal) if whole else nominal,
-            _parameter_unit(variable.name, variable.unit),
+            unit_of(variable.name) if variable.unit in (None, "", "1") else variable.unit,
             -inf if low is None else low,
             inf if high is None else high,
             text="; ".join(filter(None, (variable.description, known))),
         )
-
-
-def _parameter_unit(name: str, unit: str | None) -> str:
-    return unit if unit and unit != "1" else unit_of(name)
 
 
 def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) -> Iterator[Key]:

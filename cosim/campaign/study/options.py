@@ -51,6 +51,10 @@ def open_study(
     ``99.9%@95%``, at which the study stops; without a ``design`` its draws are random, and without ``runs`` it has ten
     times as many as the claim needs at least; an empty one leaves out the study's.  An engine that states its
     uncertainty is drawn by it unless ``nominal_engine``.  Raises InputError.
+
+    >>> study = open_study("hover", vary=["vehicle.mass_kg=5.4:5.8"], controllers=["smith", "baseline"], runs=3)
+    >>> study.runs, study.controllers
+    (3, ['smith', 'baseline'])
     """
     trust_named_code([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)

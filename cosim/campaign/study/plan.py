@@ -74,7 +74,6 @@ def flights(study: Study) -> Sequence[Flight]:
 
 
 def flight_count(study: Study) -> int:
-    """Return how many flights ``study`` has."""
     return study.draws * len(controllers(study))
 
 

@@ -261,7 +261,6 @@ class ClaimTest:
             course.close()
 
     def verdict(self) -> Verdict:
-        """Return the result so far."""
         bound = self._worst.lower_end() if self.decision == "open" else self._worst.claim.probability
         interval = (self._worst.interval()[0], self._best.interval()[1])
         return Verdict(self.decision, self.flights, self.failures, bound, interval, self.not_flown)
@@ -313,7 +312,6 @@ class StoppingRule:
         return {name: self._waiting.pop(number) for name, number in zip(self._controllers, numbers, strict=True)}
 
     def _count(self, successes: Mapping[str, bool | None]) -> None:
-        """Count one draw."""
         if self.claim.pair is None:
             for name, success in successes.items():
                 self.tests[name].add(success is True, success is not False)

@@ -102,7 +102,7 @@ class Study(Model):
         if self.design != "grid":
             assert self.runs is not None
             return self.runs
-        return self.repeats * prod(_count_levels(vary) for vary in self.vary)
+        return self.repeats * prod(vary.levels or 1 if vary.values is None else len(vary.values) for vary in self.vary)
 
     @property
     def tried(self) -> list[str]:
@@ -295,7 +295,6 @@ class Study(Model):
 
     @model_validator(mode="after")
     def _check_autopilot(self) -> Study:
-        """Refuse controllers together with an autopilot."""
         if self.autopilot is not None and self.controllers:
             raise ValueError(
                 f"controllers: {self.autopilot.name} flies in their place, with the gains of the scenario's "
@@ -475,10 +474,6 @@ def _check_names(study: Study, where: str) -> None:
         checked.add(vary.key)
     if repeated := first_repeated([case.name for case in study.case]):
         raise InputError(f"{where}: case {repeated!r} is there twice")
-
-
-def _count_levels(vary: Vary) -> int:
-    return len(vary.values) if vary.values is not None else vary.levels or 1
 
 
 def _check_engine_conflicts(study: Study) -> None:

@@ -338,7 +338,6 @@ def _fly(
 
 
 async def _end_idle() -> None:
-    """End the worker's idle processes."""
     remote.end_idle()
 
 

@@ -139,7 +139,6 @@ def with_autopilot(
 
 
 def custom_metric_names(study: Study) -> list[str]:
-    """Return the names of the custom metrics that a study's rows have."""
     return [name for metric in load_metrics(study.base()) for name in metric.names]
 
 

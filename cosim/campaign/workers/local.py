@@ -189,7 +189,6 @@ class _WaitingFlights:
         self._first.extendleft(reversed(list(flights)))
 
     def count_loss(self, flight: Flight) -> int:
-        """Count a process lost with this flight, and return the count."""
         self._losses[flight.number] += 1
         return self._losses[flight.number]
 

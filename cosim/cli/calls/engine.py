@@ -54,10 +54,8 @@ class ControllerCheckResult(Result):
         return dict(self.found)
 
     def lines(self) -> list[str]:
-        """Return the verdict in one line."""
         return [f"{self.found['controller']}: {'fit to fly' if self.is_fit else 'not fit to fly'}"]
 
     def tables(self) -> list[Table]:
-        """Return the findings as one table."""
         texts = {key: ", ".join(each) if isinstance(each, list) else str(each) for key, each in self.found.items()}
         return [Table("", ("finding", "what it is"), list(texts.items()))]

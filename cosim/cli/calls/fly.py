@@ -29,7 +29,6 @@ class RepeatedResult(FlightResult):
         return super().to_dict() | {"flight": again.number, "same": again.same, "otherwise": again.otherwise}
 
     def lines(self) -> list[str]:
-        """Return the lines of the flight, and whether it repeated exactly."""
         first, *others = super().lines()
         return [first, f"flight {self.repeated.number}: {self.repeated.verdict}", *self.repeated.otherwise, *others]
 

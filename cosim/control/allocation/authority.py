@@ -97,7 +97,6 @@ class Reach:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether an upper bound is known."""
         return self._hull is not None
 
     def without(self, lost: Sequence[int]) -> Reach:

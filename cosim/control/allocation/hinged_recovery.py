@@ -75,7 +75,6 @@ class HingedRecovery(EffectivenessAllocator):
         super().__init__(model)
 
     def reset(self) -> None:
-        """Start with all engines healthy and hinges at rest."""
         self._reported: list[float] = []  # N; empty while all engines run
         self._rising = [0.0] * self._jets  # slopes of the reported thrusts, N/s
         self._carrying: list[float] = []  # thrusts and servos that balance lift

@@ -66,7 +66,6 @@ class ThrustMap:
         return self.fraction(total / len(self.stations))
 
     def throttle(self, fractions: PerJet) -> PerJet:
-        """Return one throttle per station."""
         if self.identity:
             return fractions
         low, span, stations = self.low, self.span, self.stations

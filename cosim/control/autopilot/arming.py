@@ -34,7 +34,6 @@ class Arming:
         self.since = 0
 
     def arm(self, k: int, flying: bool) -> None:
-        """Arm the vehicle, standing or flying."""
         self.armed = True
         self.engines = EngineState.FLY if flying else EngineState.IDLE
         self.flew = flying

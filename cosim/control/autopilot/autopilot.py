@@ -84,7 +84,6 @@ class Autopilot(FlightState):
         return self.envelope.shape(command)._replace(collective=self._limit_fall(k, command.collective))
 
     def _update_estimates(self, k: int, measured: Measured, report: Report) -> None:
-        """Update the estimates from the sensors and the engines' report."""
         self._report_starts(k, report)
         self.k, self.report = k, report
         is_standing = not self.is_flying()

@@ -37,5 +37,9 @@ def lean_from_acceleration(acceleration: Pair, yaw: float) -> Pair:
 
 
 def wrap(angle: float) -> float:
-    """Return an angle [rad] wrapped into [-pi, pi)."""
+    """Return an angle [rad] wrapped into [-pi, pi).
+
+    >>> round(wrap(4.0), 4)
+    -2.2832
+    """
     return angle - 2.0 * pi * ((angle + pi) // (2.0 * pi))

@@ -28,7 +28,6 @@ def accept(text: str = "") -> Answer:
 
 
 def refuse(result: Result, text: str) -> Answer:
-    """Return the answer to a request that is refused, with the reason."""
     return Answer(False, result, text)
 
 

@@ -77,7 +77,6 @@ class Loops:
         self._added_delay = DelayLine(added_delay)
 
     def reset(self) -> None:
-        """Reset all loops at the start of a flight."""
         self.attitude.reset()
         self.altitude.reset()
         self.rate.reset()
@@ -182,7 +181,6 @@ class Selector:
         self._flying = self.laws[-1]
 
     def reset(self) -> None:
-        """Begin a flight."""
         self._flying = self.laws[-1]
         for law in self.laws:
             law.idle()

@@ -65,7 +65,6 @@ class _EngineResponse:
         return self.predicted + (self._twice * self.slope + second_derivative) / self._square
 
     def record_command(self, value: float) -> None:
-        """Store the command that was sent."""
         if self._delay:
             self._commands.append(value)
             del self._commands[0]

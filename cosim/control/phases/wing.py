@@ -126,7 +126,6 @@ class WingFlight(FlightLaw):
         self.reset()
 
     def reset(self) -> None:
-        """Start without a speed set-point."""
         self.is_flying = False
         self._integral = 0.0
         self._setpoint = 0.0

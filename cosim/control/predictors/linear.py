@@ -31,7 +31,13 @@ def model_response(model: RateModel, z: Complex) -> Complex:
 
 
 def delayed_response(model: RateModel, z: Complex) -> Complex:
-    """Return the identified response at ``z`` with its delay of ``n + f`` samples, by the modified z-transform."""
+    """Return the identified response at ``z`` with its delay of ``n + f`` samples, by the modified z-transform.
+
+    >>> model = load_vehicle("hexjet")[0].identified["edf-as-flown"]["roll"]
+    >>> z = np.exp(np.array([0.1j]))
+    >>> print(np.angle(model_response(model, z) / delayed_response(model, z)).round(6), 0.1 * model.delay_samples)
+    [2.5] 2.5
+    """
     n = int(model.delay_samples)
     f = model.delay_samples - n
     if not f:

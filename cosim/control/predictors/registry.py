@@ -64,6 +64,9 @@ class PredictorSpec:
     model is None where the vehicle states none and ``needs_model`` is false.  Raises InputError for an unsuitable one.
     ``response`` and ``space`` are the same as a linear system, for a design: ``P_y`` and ``P_u`` for any ``|z| >= 1``.
     A design needs the first; without the second it finds responses in time from the first.
+
+    >>> [(parameter.name, parameter.unit) for parameter in PREDICTORS["filtered-smith"].parameters]
+    [('filter_s', 's')]
     """
 
     name: str

@@ -25,7 +25,12 @@ class NoPredictor:
 
 
 class DelayLine:
-    """``z^-n``: the input of ``samples`` updates ago, 0 before that."""
+    """``z^-n``: the input of ``samples`` updates ago, 0 before that.
+
+    >>> line = DelayLine(2)
+    >>> [line.update(value) for value in (1.0, 2.0, 3.0)]
+    [0.0, 0.0, 1.0]
+    """
 
     def __init__(self, samples: int) -> None:
         self.samples = samples
@@ -87,6 +92,11 @@ class DelayedModel:
     the held input of this step for the last ``1 - f`` of it and to that of the step before until then,
     ``c (s + (1 - s) / z) / (z - p)``, ``s = (p^(1-f) - 1) / (p - 1)`` (the modified z-transform of the mode).
     Raises InputError where a fraction meets poles that are equal or not above 0.
+
+    >>> model = load_vehicle("hexjet")[0].identified["edf-as-flown"]["roll"]
+    >>> delayed, prompt = DelayedModel(model), rate_model(model)
+    >>> model.delay_samples, [delayed.update(1.0) for _ in range(26)][-1] == prompt.update(1.0)
+    (25.0, True)
     """
 
     def __init__(self, model: RateModel) -> None:
@@ -154,7 +164,6 @@ class FilteredSmithPredictor:
         self.reset()
 
     def reset(self) -> None:
-        """Return models and filter to rest."""
         self.now.reset()
         self.then.reset()
         if self.rest:

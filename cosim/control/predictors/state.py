@@ -70,6 +70,12 @@ class DoubleIntegratorObserver:
     ``beta_1 = 2 w``, ``beta_2 = w^2``: both poles at ``-w``.  The command enters as printed, ``B = (0, 1)``: in the
     unit of the command, which is nothing beside the slope of the rate, so this is a differentiator in effect.
     Discretised exactly for measurement and command held over the step.
+
+    >>> observer = DoubleIntegratorObserver(bandwidth=50.0, step=0.004)
+    >>> for k in range(500):
+    ...     (rate, slope), _ = observer.update(0.004 * k, 0.0, (0.0, 0.0))
+    >>> print(f"{slope:.2f} rad/s^2")
+    1.00 rad/s^2
     """
 
     def __init__(self, bandwidth: float, step: float) -> None:

@@ -51,7 +51,6 @@ from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import PortMap
 from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.units import find_unit
-from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
 from cosim.spec.file_kind import MAPPING, check_kind
 
 
@@ -110,9 +109,6 @@ class _FlameOutTable(Model):
         if not self.electric and None in numbers:
             raise ValueError("state thrust_left, run_down_s, exponent and relight_s, or electric = true")
         return self
-
-    def make_law(self) -> FlameOutLaw:
-        return make_flame_out_law(self.model_dump(exclude_none=True))
 
 
 def flatten(table: object) -> object:

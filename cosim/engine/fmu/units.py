@@ -109,7 +109,6 @@ def find_unit(name: str, quantity: Quantity) -> tuple[float, float] | None:
 
 
 def is_unit_of(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
-    """Return whether a declared unit is one of this quantity."""
     if name is None:
         return False
     if base is None:

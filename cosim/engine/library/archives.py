@@ -40,7 +40,6 @@ C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
 
 
 def list_engines(engines: Path) -> list[str]:
-    """Return the names of the engines in the folder ``engines``."""
     return sorted(path.parent.name for path in engines.glob("*/engine.toml"))
 
 

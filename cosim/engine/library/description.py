@@ -17,7 +17,6 @@ def _to_c_literal(value: float | None, default: str) -> str:
 
 
 def _table_row(v: VariableDefinition) -> str:
-    """Return a variable's row in the C table."""
     kind = f'"{v.name}", {v.causality.upper()}, {"INTEGER" if v.integer else "REAL"}, offsetof(Variables, {v.name})'
     limits = f"{_to_c_literal(v.min, '-HUGE_VAL')}, {_to_c_literal(v.max, 'HUGE_VAL')}, {_to_c_literal(v.start, '0.0')}"
     return f"    {{{kind}, {limits}}}"
@@ -90,7 +89,6 @@ def _add_head(root: ElementTree.Element, engine: EngineDefinition) -> ElementTre
 
 
 def _identity(v: VariableDefinition) -> dict[str, str]:
-    """Return the XML attributes that identify a variable."""
     return {
         "name": v.name,
         "valueReference": str(v.reference),

@@ -108,7 +108,6 @@ CUSTOM, AUTO, GUIDED, STABILIZE, MANUAL_INPUT, ARMED = 1, 4, 8, 16, 64, 128
 
 
 def custom_mode(mode: Mode, personality: Personality) -> int:
-    """Return the field custom_mode of HEARTBEAT."""
     if personality == "ardupilot":
         return _COPTER_MODES[mode]
     main, sub = _PX4_MODES[mode]
@@ -116,7 +115,6 @@ def custom_mode(mode: Mode, personality: Personality) -> int:
 
 
 def base_mode(mode: Mode, armed: bool) -> int:
-    """Return the field base_mode of HEARTBEAT."""
     flags = MANUAL_INPUT | STABILIZE if mode in STICK_MODES else STABILIZE | GUIDED | AUTO
     return CUSTOM | flags | (ARMED if armed else 0)
 

@@ -133,7 +133,6 @@ class TelemetryState:
 
     @property
     def height_above_home(self) -> float:
-        """Estimated height above home [m]."""
         return self.altitude - (self.status.home.altitude if self.status.home else 0.0)
 
     @property

@@ -340,7 +340,6 @@ class MavlinkVehicle:
             self._report_unusable(commands.ORIGIN_FIXED, client.peer)
 
     def _refuse_follow_me(self, message: Message, client: Client) -> None:
-        """Report that follow-me is not supported."""
         self._report_unusable(FOLLOW_ME_REFUSED, client.peer)
 
 

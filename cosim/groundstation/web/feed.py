@@ -72,7 +72,6 @@ class RowConverter:
 
 
 def describe_state(snapshot: Snapshot) -> dict[str, Any]:
-    """Return the state of the flight in a snapshot for the page."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
     estimate = status.seen or snapshot.measured
     sample = snapshot.sample

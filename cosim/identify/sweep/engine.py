@@ -45,6 +45,10 @@ def identify_engine(
     The delay counts as whole where it is within 0.05 samples of it.  An engine that breathes does so in the standard
     atmosphere at sea level.  Raises InputError for an engine, a band or an
     amplitude that does not serve, or an FMU that fails on the way.
+
+    >>> found = identify_engine("edf")
+    >>> [f"{pole:.3f}" for pole in found.chosen.model.poles], found.refused
+    (['0.875'], [])
     """
     engine = name if isinstance(name, EngineSpec) else load_engine(name, parameters or {}, step)
     room = min(throttle, 1.0 - throttle)

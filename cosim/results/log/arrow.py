@@ -113,7 +113,6 @@ class ParquetLog(Columnar):
 
     @contextmanager
     def keep_open(self) -> Iterator[None]:
-        """Keep the file open while columns are read one by one."""
         if self._file is not None:
             yield
             return

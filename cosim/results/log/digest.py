@@ -33,7 +33,6 @@ class Digest:
             column.update(values)
 
     def hexdigest(self) -> str:
-        """Return the digest of the rows so far."""
         total = sha256()
         for name, column in self._columns:
             total.update(name.encode() + b"\0" + column.digest())
@@ -75,7 +74,6 @@ class DigestSink:
         self._kept.append(table[self._indices])
 
     def hexdigest(self) -> str:
-        """Return the digest of everything that was recorded."""
         return self._digest.hexdigest()
 
     def log(self) -> Log:

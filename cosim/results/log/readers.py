@@ -49,5 +49,4 @@ def read_flight_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
 
 @cache
 def _readers() -> tuple[LogReader, ...]:
-    """Return the readers of all packages that are there."""
     return tuple(entry.load() for entry in list_tools(GROUP))

@@ -76,12 +76,10 @@ class Columnar(NamedColumns[Array]):
         return nullcontext()
 
     def _read(self, names: Sequence[str]) -> dict[str, Array]:
-        """Read the named columns all at once and return them."""
         blocks = list(self.blocks(tuple(names)))
         return {name: np.concatenate([np.empty(0), *[part[name] for part in blocks]]) for name in names}
 
     def keys(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Return the columns' names."""
         return self.columns
 
     def __iter__(self) -> Iterator[str]:

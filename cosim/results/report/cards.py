@@ -42,7 +42,6 @@ class Card(NamedTuple):
 
     @property
     def figures(self) -> Sequence[str]:
-        """Names of the figures that the card shows."""
         return [name for name in ([self.figure] if isinstance(self.figure, str) else self.figure) if name]
 
     @property
@@ -67,7 +66,11 @@ def _choose_alignment(cells: Sequence[str], max_number: int = 30, min_wrapped: i
 
 @dataclass(frozen=True)
 class Page:
-    """Page with the result at its head, cards below, and the origin of the numbers at its foot."""
+    """Page with the result at its head, cards below, and the origin of the numbers at its foot.
+
+    >>> page = Page("drag", "hexjet", [Card("Speeds", ("m/s", "N"), [("5", "1.2")])], answer=["1.2 N at 5 m/s"])
+    >>> page.write(Path("drag.html"))
+    """
 
     # The kind of result ("margins measured in flight"), and the vehicle, engine or scenario that it is of.
     kind: str
@@ -112,7 +115,11 @@ def coloured(text: str, colour: str) -> Markup:
 
 
 def link(text: str, address: str) -> Markup:
-    """Return a text that leads to an address, relative to the page; the text alone where the address is empty."""
+    """Return a text that leads to an address, relative to the page; the text alone where the address is empty.
+
+    >>> print(link("the run", "runs/one/report.html"))
+    <a href="runs/one/report.html">the run</a>
+    """
     return Markup('<a href="{}">{}</a>').format(address, text) if address else escape(text)
 
 

@@ -97,7 +97,13 @@ def _refuse_unknown_marks(path: Path, names: Iterable[str], marked: Mapping[str,
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
-    """Return a table in Markdown, its first ``left`` columns aligned to the left and the others to the right."""
+    """Return a table in Markdown, its first ``left`` columns aligned to the left and the others to the right.
+
+    >>> print(table(["key", "value"], [["mass", "5.6"]]), end="")
+    | key | value |
+    | --- | ---: |
+    | mass | 5.6 |
+    """
     rules = ["---" if n < left else "---:" for n in range(len(columns))]
     return "".join(f"{line}\n" for line in (row(columns), row(rules), *map(row, rows)))
 

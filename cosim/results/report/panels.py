@@ -44,16 +44,12 @@ class Panel(NamedTuple):
     least_span: float = 0.0  # smallest span, so noise fills no panel
 
 
-def _setpoint_trace(column: str) -> Trace:
-    return Trace(column, "set-point", GREY, "dash", 1.5, is_staircase=True)
-
-
 def _tracking_panel(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
     """Return the panel of a set-point and the quantity that follows it, measured and true; columns end with ``si``."""
     traces = [
         Trace(f"{name}_measured_{si}", "measured", ORANGE, width=1.2),
         Trace(f"{name}_{si}", "true", BLUE),
-        _setpoint_trace(f"{name}_setpoint_{si}"),
+        Trace(f"{name}_setpoint_{si}", "set-point", GREY, "dash", 1.5, is_staircase=True),
     ]
     return Panel(name.capitalize(), unit, traces, scale, least_span)
 

@@ -51,7 +51,11 @@ def axis_name(letter: str, number: int) -> str:
 
 
 def share(position: int, count: int, gap: float, *, from_top: bool = True) -> tuple[float, float]:
-    """Return begin and end, 0 to 1, of the n-th of several panels, which are ``gap`` apart."""
+    """Return begin and end, 0 to 1, of the n-th of several panels, which are ``gap`` apart.
+
+    >>> share(0, 2, gap=0.1)
+    (0.55, 1.0)
+    """
     size = (1.0 - gap * (count - 1)) / count
     low = (count - 1 - position if from_top else position) * (size + gap)
     return round(low, 6), round(low + size, 6)

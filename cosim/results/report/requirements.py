@@ -39,7 +39,7 @@ def margins_over_time(log: Log, summary: Summary) -> list[MarginOverTime]:
         name = f"margin_{result.source}_{result.name}" if name in found else name
         if result.decided_at_s is not None and not flight.metrics.keys() >= set(result.requirement.names):
             meaning = f"margin of {result.decided_by or result.formula}: positive kept, negative broken; not in the log"
-            column = Column(name, _unit_or_empty(result), "", meaning)
+            column = Column(name, "" if result.unit == "1" else result.unit, "", meaning)
             found[name] = MarginOverTime(result, column, partial(_margin_values, flight, result))
     return list(found.values())
 
@@ -145,7 +145,3 @@ def deciding_events(summary: Summary) -> list[Event]:
         for result in chosen
         if result.decided_at_s is not None
     ]
-
-
-def _unit_or_empty(result: RequirementResult) -> str:
-    return "" if result.unit == "1" else result.unit

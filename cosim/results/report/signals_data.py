@@ -136,7 +136,6 @@ class FlightData(NamedTuple):
 
 
 def describe_run(run: Run, label: str, colour: str, events: Sequence[Event]) -> FlightData:
-    """Return the data of a run that its page draws, with its events."""
     summary, vehicle = run.summary, read_vehicle(run)
     return FlightData(
         run.log, label, colour, summary.step_s, events, vehicle, jets_m=summary.jets_m, reach=summary.reach

@@ -84,7 +84,6 @@ class _Projection:
         ET.SubElement(self.root, "circle", {"class": kind, "cx": f"{x:g}", "cy": f"{y:g}", "r": f"{radius:g}"})
 
     def polygon(self, kind: str, corners: Sequence[tuple[float, float]]) -> None:
-        """Draw a polygon with corners in px."""
         points = " ".join(f"{x:g},{y:g}" for x, y in corners)
         ET.SubElement(self.root, "polygon", {"class": kind, "points": points})
 

@@ -23,6 +23,9 @@ _DASHES = ("solid", "dash", "dot", "dashdot")  # line styles of several runs
 def plot(runs: Run | Sequence[Run], *columns: Run | str) -> Any:
     """Plot columns of a run, or of several, over time.
 
+    >>> type(plot(fly("hover", settings={"duration_s": 0.2}))).__name__
+    'Figure'
+
     Parameters
     ----------
     runs : Run or sequence of Run

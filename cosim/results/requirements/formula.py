@@ -71,7 +71,6 @@ class Quantity:
         return 0.0
 
     def values(self, signals: Signals) -> Array:
-        """Return the quantity in every row."""
         raise NotImplementedError
 
 

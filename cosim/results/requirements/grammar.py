@@ -134,7 +134,6 @@ class _Parser:
         self._token = self._read_token()
 
     def read(self) -> Formula:
-        """Return the formula of the whole text."""
         start = self._token.start
         formula = self._require_formula(self._parse_implication(), start)
         if self._token.kind != "end":

@@ -86,7 +86,6 @@ class Requirement(Record):
 
     @property
     def parsed(self) -> ParsedFormula:
-        """Parsed formula.  Raises InputError."""
         return parse_formula(self.formula)
 
     @property

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def stated_requirements(scenario: Scenario) -> list[Requirement]:
-    """Return the requirements of a scenario's ``[[require]]``."""
     return [
         Requirement(name=entry.name, formula=entry.formula, scale=entry.scale, reason=entry.reason)
         for entry in scenario.require

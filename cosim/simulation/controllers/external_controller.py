@@ -118,7 +118,6 @@ class ExternalController:
         return all(answers) if answers else None
 
     def close(self) -> None:
-        """Free the blocks."""
         for block in self._blocks:
             if hasattr(block, "close"):
                 block.close()

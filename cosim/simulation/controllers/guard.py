@@ -222,7 +222,6 @@ class GuardedController(Guarded):
         return self._store(self._check(self._guard.call("update", self.block.update, command, measured, applied)))
 
     def _store(self, answer: Actuation) -> Actuation:
-        """Store an answer as the last commands with its signals, and return it."""
         self._throttle, self._tilt = answer.throttle, answer.tilt
         self.signals = self._control_signals(answer.throttle)
         return answer

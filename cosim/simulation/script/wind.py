@@ -32,7 +32,6 @@ class FieldWind:
         return (wind[0] + x, wind[1] + y, wind[2] + z)
 
     def add_wind(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
-        """Return the disturbance of step ``k`` with the field's wind added."""
         time = k * self._step
         north, east, _ = state.position
         height = state.altitude

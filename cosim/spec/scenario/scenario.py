@@ -237,6 +237,9 @@ class Scenario(Model):
     def load(cls, name: str | Path, settings: str | Sequence[str] | Mapping[str, object] = ()) -> Self:
         """Return the validated scenario of a name or a file; for changes see :meth:`replace`.
 
+        >>> Scenario.load("hover", settings={"engine": "edf", "duration_s": 1.0}).steps
+        250
+
         Parameters
         ----------
         name : str or Path
@@ -361,6 +364,9 @@ class Scenario(Model):
         """Return a validated copy with changed values.
 
         Code named in the changes is trusted (:func:`cosim.trust`), because the caller names it.
+
+        >>> Scenario.load("hover").replace(**{"vehicle.mass_kg": 6.0}).vehicle
+        {'mass_kg': 6.0}
 
         Parameters
         ----------

@@ -77,7 +77,6 @@ class StepErrors(Model):
 
 @cache
 def measured_errors(aircraft: str) -> StepErrors | None:
-    """Return the measured step errors of a shipped vehicle, or None."""
     path = data_folder("aircraft") / "substeps.toml"
     table = read_toml(path).get(aircraft)
     return None if table is None else validate(StepErrors, table, f"{path}: {aircraft}")

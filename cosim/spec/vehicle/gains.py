@@ -62,7 +62,6 @@ class ScheduledGains(Model):
 
     @property
     def lead(self) -> EngineLead | None:
-        """Lead at this level, if stated."""
         if self.natural_rad_s is None or self.pole_rad_s is None:
             return None
         return EngineLead(natural_rad_s=self.natural_rad_s, damping=self.damping, pole_rad_s=self.pole_rad_s)

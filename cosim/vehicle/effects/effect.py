@@ -15,7 +15,6 @@ _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZER
 
 
 def add_vectors(a: Vector3, b: Vector3) -> Vector3:
-    """Return the sum of two vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 

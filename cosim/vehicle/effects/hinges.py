@@ -45,7 +45,6 @@ class _TurnedMass:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the angle at rest."""
         self.angle = self.rest
         self.speed = self.acceleration = 0.0
         self.cosine = self.sine = 0.0
@@ -78,7 +77,6 @@ class HingeReactions(Effect):
         self.is_active = any(part.inertia or part.mass for part in self._parts)
 
     def reset(self) -> None:
-        """Start with all hinges at rest."""
         for part in self._parts:
             part.reset()
 

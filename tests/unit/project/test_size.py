@@ -12,17 +12,17 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_403,
-    "cosim": 64_742,
+    "cosim": 64_741,
     "docs": 1_631,
     "tests": 68_373,
     "tools/hexjet_batch": 2_920,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
     "tools/hexjet_gym": 443,
-    "tools/hexjet_identify": 10_460,
+    "tools/hexjet_identify": 10_456,
     "tools/hexjet_laws": 586,
     "tools/hexjet_paper": 4_508,
-    "tools/hexjet_prove": 6_469,
+    "tools/hexjet_prove": 6_464,
     "tools/hexjet_sitl": 3_339,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.

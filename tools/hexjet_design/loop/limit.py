@@ -214,7 +214,6 @@ class Plant(InvertedPlant):
             raise InputError(f"{channel.name}: {samples} samples are too few for a limit; its delay is {self.late}")
 
     def angle_of_setpoint(self, y: Array) -> Array:
-        """Return the angle after a unit step of the set-point."""
         return np.asarray(lfilter([0.5, 0.5], [1.0, -1.0], self.delayed(y, self.late + self.shift), axis=0))
 
     def angle_of_load(self, acts: Array, late: int = 0) -> Array:
@@ -227,7 +226,6 @@ class Plant(InvertedPlant):
         return np.asarray(lfilter(numerator, self.denominator, integrals, axis=0))
 
     def noise_responses(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return the command's responses to scaled impulses of noise: gyro by ``t``, gyro by ``y``, and angle."""
         t, y = (np.concatenate([each, np.zeros((UNIFORM_DELAYS * self.late, *each.shape[1:]))]) for each in (t, y))
         late = self.angle_late + self.shift - self.rate_late
         of_rate = self.channel.rate_noise

@@ -43,7 +43,6 @@ class MarginsResult(FolderResult):
         return write(self.measured, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet margins --json`` prints."""
         return self.measured.to_dict() | ({} if self.kept is None else {"kept": self.kept})
 
     def lines(self) -> list[str]:
@@ -109,6 +108,9 @@ def margins(
     A multisine is added between the controller and its actuators while the vehicle holds still; what passes before and
     behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.  Every
     margin is judged by docs/judging.md, and the worst is named.
+
+    >>> margins("hover", ["roll"], periods=3).verdict
+    'margins of smith on hexjet, engine edf-as-flown'
 
     Parameters
     ----------

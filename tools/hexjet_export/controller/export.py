@@ -51,7 +51,6 @@ class ControllerExport(Result):
 
     @property
     def folder(self) -> Path:
-        """The folder that holds the files."""
         return self.exported.folder
 
     @property
@@ -60,7 +59,6 @@ class ControllerExport(Result):
         return None if self.exported.measured is None else self.exported.measured.same
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet export controller --json`` prints."""
         return asdict(self.exported) | {"folder": str(self.exported.folder)}
 
     def lines(self) -> list[str]:
@@ -91,6 +89,9 @@ def export_controller(
     """Write a controller as C99 with parameters, test vectors and test program, and as FMI 2.0 and 3.0 FMUs.
 
     The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.
+
+    >>> "controller.c" in export_controller("hover", settings={"duration_s": 0.2}, fmus=False).files
+    True
 
     Parameters
     ----------

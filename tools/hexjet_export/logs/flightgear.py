@@ -56,7 +56,6 @@ class FlightGear:
             self._socket.sendto(pack_state(sample, self._map), self._to)
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
 

@@ -124,7 +124,6 @@ class ExportedFlight:
 
     @property
     def jet_numbers(self) -> range:
-        """The jets' numbers, from 1."""
         return range(1, self.jets + 1)
 
     def read_per_jet(self, name: str) -> PerJet:

@@ -52,7 +52,6 @@ class _ImporterSocket:
             raise _DisconnectedError from None
 
     def refuse(self, error: object) -> None:
-        """Report an error to the importer."""
         line = " ".join(str(error).split())
         self.send(struct.pack("=d", -1.0) + line.encode("utf-8", "replace")[:1000] + b"\n")
 

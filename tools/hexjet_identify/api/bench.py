@@ -38,6 +38,15 @@ def identify_bench(
     identification.json and, of a thrust in N, an engine with its uncertainty.  With ``engine`` the parameters of that
     one are fitted instead: a turbine and its ECU.
 
+    >>> import numpy as np
+    >>> from scipy.signal import lfilter
+    >>> times, noise = np.arange(0.0, 15.0, 0.01), np.random.default_rng(1).normal(0.0, 0.02, 1500)
+    >>> throttle = 0.3 + 0.2 * (times % 3.0 > 1.5)
+    >>> rows = np.stack([times, throttle, lfilter([0.0, 2.0], [1.0, -0.9], throttle) + noise], axis=1)
+    >>> np.savetxt("bench.csv", rows, delimiter=",", header="time_s,throttle,thrust_N", comments="")
+    >>> identify_bench("bench.csv").verdict
+    'explained to 0.11 % of the range, 27 of 27 times within 10 %'
+
     Parameters
     ----------
     *logs : str or Path

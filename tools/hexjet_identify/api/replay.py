@@ -44,7 +44,6 @@ class ReplayResult(FolderResult):
         return write(self.replayed, folder)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet replay --json`` prints."""
         return self.replayed.to_dict()
 
     def lines(self) -> list[str]:

@@ -51,7 +51,6 @@ class EngineForm(Form):
 
     @property
     def label(self) -> str:
-        """Name of the form in tables."""
         return self.choices.engine
 
     @property
@@ -69,7 +68,6 @@ class EngineForm(Form):
         return np.array(low), np.array(high)
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return the finite-difference step of each of ``x``."""
         return 1e-3 * np.array([0.1, *self.start[1:]])
 
     def columns(self, problem: Problem, x: Array) -> Array:

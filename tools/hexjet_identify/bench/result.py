@@ -64,7 +64,6 @@ class BenchIdentifyResult(FolderResult):
         return write_with_engine(folder, found.to_dict(), page(found), texts, archive)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet engine from-bench --json`` prints."""
         return self.identification.to_dict()
 
     def lines(self, most: int = 3) -> list[str]:

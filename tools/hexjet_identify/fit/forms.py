@@ -66,17 +66,14 @@ class Lags(Form):
 
     @property
     def label(self) -> str:
-        """Name of the form in tables."""
         return ("static line alone", "delay and one lag", "delay and two lags")[self.count]
 
     def limits(self, problem: Problem) -> tuple[Array, Array]:
-        """Return the least and the greatest of each of ``x``."""
         longest = max(float(log.times[-1] - log.times[0]) for log in problem.logs)
         low, high = [0.0, np.log(0.05 * problem.step), 0.0], [problem.max_delay, np.log(longest), 0.95]
         return np.array(low[: max(2, 1 + self.count)]), np.array(high[: max(2, 1 + self.count)])
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return the finite-difference step of each of ``x``."""
         return np.array([max(0.02 * problem.step, 1e-4 * float(np.exp(x[1]))), 1e-4, 1e-4][: max(2, 1 + self.count)])
 
     def columns(self, problem: Problem, x: Array) -> Array:
@@ -97,7 +94,6 @@ class Lags(Form):
         return linear[: len(problem.knots)]
 
     def total(self, x: Array) -> float:
-        """Return delay and lags together, s."""
         return sum(self.natural(x).values())
 
     def natural(self, x: Array) -> dict[str, float]:
@@ -180,7 +176,6 @@ class Poles(Form):
 
     @property
     def label(self) -> str:
-        """Name of the form in tables."""
         count = self.lags + 1 if self.is_engine else self.lags
         return f"{count} lag" if count == 1 else f"{count} lags"
 
@@ -193,7 +188,6 @@ class Poles(Form):
         return low, high
 
     def widths(self, problem: Problem, x: Array) -> Array:
-        """Return the finite-difference step of each of ``x``."""
         return 1e-3 * np.concatenate([[50.0 * problem.step, max(x[1], 0.1)], np.maximum(x[2:], 1e-3)])
 
     def columns(self, problem: Problem, x: Array) -> Array:
@@ -211,7 +205,6 @@ class Poles(Form):
         return columns
 
     def total(self, x: Array) -> float:
-        """Return delay and lags together, s."""
         return self.without_pole(x) + (1.0 / float(x[1]) if self.is_engine else 0.0)
 
     def without_pole(self, x: Array) -> float:

@@ -67,7 +67,6 @@ class LogIdentifyResult(FolderResult):
         return write_with_engine(folder, self.to_dict(), page(found), texts, archive)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet identify log --json`` prints."""
         return self.identification.to_dict(self._step_s)
 
     def lines(self) -> list[str]:

@@ -312,7 +312,6 @@ class ValidateResult(FolderResult):
         return paths
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet replay --model --json`` prints."""
         return self.validation.to_dict()
 
     def lines(self) -> list[str]:

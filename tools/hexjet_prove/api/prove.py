@@ -35,7 +35,6 @@ class ProofResult(Result):
         return self.proof.decision
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet prove --json`` prints."""
         return self.proof.to_json()
 
     def lines(self) -> list[str]:

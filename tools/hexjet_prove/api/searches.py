@@ -38,7 +38,6 @@ class SearchResult(Result):
         return self.searched.confirmed
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet search --json`` prints."""
         return self.searched.to_json()
 
     def lines(self) -> list[str]:
@@ -95,7 +94,6 @@ class RareResult(Result):
         return self.simulated.confirmed
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet search --rare --json`` prints."""
         return self.simulated.to_json()
 
     def lines(self) -> list[str]:
@@ -148,6 +146,9 @@ def search(
     progress: Progress | None = None,
 ) -> SearchResult:
     """Find the smallest change that breaks a controller, the worst case of a study, or its most likely failure.
+
+    >>> search("hover", vary=["vehicle.mass_kg=5:9"], budget=20, settings={"duration_s": 0.2}, workers=1).verdict
+    'smith: vehicle.mass_kg holds from 5.525 to the end, 9 kg.'
 
     Parameters
     ----------

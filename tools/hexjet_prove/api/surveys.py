@@ -35,7 +35,6 @@ class SurveyResult(SweepResult):
         self.survey = survey
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the command prints as JSON."""
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self.survey.to_dict()
 
     def lines(self) -> list[str]:
@@ -72,6 +71,9 @@ def faults(
     """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
 
     Leaves a campaign with a case for each fault, place and start; the same again goes on where it was stopped.
+
+    >>> faults(kinds=["gyro bias"], controllers=["smith"], workers=1).verdict
+    'hexjet: smith holds 2 of 2 flights'
 
     Parameters
     ----------

@@ -31,7 +31,6 @@ class Plan:
     seeds_vary: bool = True
 
     def table(self) -> dict[str, Any]:
-        """Return the plan as a table."""
         return {**asdict(self.budget), "seeds_vary": self.seeds_vary}
 
 

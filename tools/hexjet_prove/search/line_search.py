@@ -32,7 +32,6 @@ class Scan:
 
     @property
     def start_breaks(self) -> bool:
-        """Whether the start fails."""
         return self.breaks[0]
 
     @property

@@ -117,7 +117,6 @@ class DescentResult:
 
     @property
     def fails(self) -> bool:
-        """Whether the point fails."""
         return self.margin < 0.0
 
     @property

@@ -94,7 +94,6 @@ class Prober:
         return PointResult(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
 
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
-        """Return the flight of a point with a seed."""
         drawn = self._engine if seed != self.seeds[0] else None
         engine = {} if drawn is None else drawn.draw_by_name(str(seed))
         return Flight(number, number // len(self.seeds), point.controller, seed, engine | dict(point.values))

@@ -59,7 +59,6 @@ class Plan:
         return Point.of(controller, values)
 
     def table(self) -> dict[str, Any]:
-        """Return the plan as a table of TOML."""
         keys = [
             {"key": span.key.path, "unit": span.key.unit}
             | {name: getattr(span, name) for name in ("low", "high", "start", "points", "tolerance", "logarithmic")}

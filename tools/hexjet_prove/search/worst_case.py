@@ -46,7 +46,6 @@ class WorstPlan:
     seed: int = 1  # seed of the search itself
 
     def table(self) -> dict[str, Any]:
-        """Return the plan as a table of TOML."""
         return {
             "search": "likely" if self.likely else "worst",
             "within": "ranges" if self.within is None else self.within,

@@ -251,7 +251,6 @@ class FailsafeFlight:
         return inf if self.table.trip_m_s is None else self.table.trip_m_s
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
-        """Return the verdict on the flight."""
         on_ground = self.simulation.state.on_ground
         if self.refused:
             return Verdict.REFUSED

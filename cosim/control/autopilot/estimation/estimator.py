@@ -197,7 +197,6 @@ class Estimator:
 
     @property
     def has_attitude(self) -> bool:
-        """Whether the attitude sensor is trusted."""
         return self._attitude_repeats < _MAX_REPEATS and not self._has_jumped
 
     @property
@@ -212,7 +211,6 @@ class Estimator:
 
     @property
     def has_height(self) -> bool:
-        """Whether the barometer is trusted."""
         return self._height_age < _MAX_REPEATED_S and not self._is_implausible
 
     @property
@@ -222,7 +220,6 @@ class Estimator:
 
     @property
     def has_force(self) -> bool:
-        """Whether the accelerometer is trusted."""
         return self._force_age < _MAX_REPEATED_S
 
     @property
@@ -244,7 +241,6 @@ class Estimator:
 
     @property
     def quality(self) -> EstimateQuality:
-        """How reliable the estimates are."""
         (position_deviation, speed), (height, climb) = self._position.deviation, self.vertical.deviation
         lean, has_position = sqrt(self._angle.vv), self.has_position
         # m/s, one standard deviation: a less certain speed is not reported as valid, as PX4's COM_VEL_FS_EVH does.

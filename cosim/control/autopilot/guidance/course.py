@@ -137,7 +137,6 @@ class Course:
         return height_setpoint
 
     def descend(self, position: Pair | None = None) -> Command:
-        """Return the command to descend to the ground here, or at ``position``."""
         self.landing = self.descending = True
         guide = self.guide
         lean = guide.towards(position, self.speed) if position else guide.at_velocity((0.0, 0.0))

@@ -110,16 +110,12 @@ class CollectiveFloor:
         self.reset()
         self._last = collective
 
-    def allowed_descent(self, height: float, end: float) -> float:
-        """Return the rate of descent [m/s] allowed at a height [m] above the ground; ``end``: that at the ground."""
-        return descent_rate(height, self._braking, self._late, end)
-
     def apply(self, collective: float, height: float, sink: float, end: float, upright: float, weight: float) -> float:
         """Return ``collective``, or the larger one that avoids a hard landing, without jumps.
 
         ``upright``: cosine of the lean; ``weight``: as a share of that at the start.
         """
-        v = self.allowed_descent(height, end)
+        v = descent_rate(height, self._braking, self._late, end)
         slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
         k = self._k
         up = max(0.0, sink) * slope + k * (sink - v) + self._trim

@@ -22,7 +22,6 @@ class Circle:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the last circle."""
         self.orbit: Orbit | None = None
         self._turned = 0.0  # angle flown around the centre, rad
         self._bearing: float | None = None  # rad, in the last step; None: before it

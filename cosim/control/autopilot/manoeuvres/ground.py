@@ -31,7 +31,6 @@ class TakeOff:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the last take-off."""
         self.height: float | None = None  # requested height, m above home
 
     def check_height(self, height: float | None, watch: FailsafeMonitor) -> float:
@@ -51,7 +50,6 @@ class TakeOff:
         return height
 
     def begin(self, k: int) -> None:
-        """Begin the take-off at the present position."""
         self._landmarks.ground = self._estimates.altitude
         self._landmarks.take_off_position = self._estimates.fix.position
         self._course.guide.reset()

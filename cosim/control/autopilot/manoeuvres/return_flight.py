@@ -20,7 +20,6 @@ class ReturnFlight:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the last return."""
         self._phase = _CLIMB
         self._to: Pair | None = None  # landing place: home or a rally point
 

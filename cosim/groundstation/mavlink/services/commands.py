@@ -308,7 +308,6 @@ def _report_modes(command: MavCommand, context: Context) -> Plan:
 
 
 def _make_request_handler(name: str) -> Handler:
-    """Return the handler of a command that requests the message ``name``."""
     number = float(BY_NAME[name].id)
     return lambda command, context: _request_message(command._replace(params=(number, *command.params[1:])), context)
 

@@ -120,7 +120,6 @@ class FileService(Service):
         return any(state.burst for state in self._clients.values())
 
     def forget(self, peer: Peer) -> None:
-        """Close the files of a disconnected peer."""
         for client in [client for client in self._clients if client.peer == peer]:
             del self._clients[client]
 

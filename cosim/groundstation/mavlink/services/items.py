@@ -315,7 +315,6 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> rq.FenceUpload:
 
 
 def from_fence(zones: Sequence[rq.FenceZone], geodesy: Geodesy) -> list[Item]:
-    """Convert a fence to mission items."""
     items = []
     for zone in zones:
         circle = zone.kind in _CIRCLE_ZONES.values()

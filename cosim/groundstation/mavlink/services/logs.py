@@ -125,7 +125,6 @@ class LogStore:
         return self._search is not None
 
     def _add_found_runs(self, now: float) -> None:
-        """Add the runs found by a completed search to the list of logs."""
         if self._search is None or self._search.is_alive():
             return
         self._search, self._last_search = None, now
@@ -248,7 +247,6 @@ class LogService(Service):
         return bool(self._downloads or self._lists or self._store.is_converting)
 
     def forget(self, peer: Peer) -> None:
-        """Drop lists and downloads of a disconnected peer."""
         for store in (self._lists, self._downloads):
             for client in [client for client in store if client.peer == peer]:
                 store.pop(client)
@@ -287,7 +285,6 @@ class _Download:
         self._buffer, self._buffer_at = b"", at  # read from disk in larger parts
 
     def next(self) -> Message:
-        """Return the next LOG_DATA message."""
         start = self.at - self._buffer_at
         if start + MAX_DATA_BYTES > len(self._buffer):
             self._buffer, self._buffer_at, start = self._file.read(self.at, 100 * MAX_DATA_BYTES), self.at, 0

@@ -118,7 +118,6 @@ class MissionService(Service):
         self._now = 0.0
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """Return the answers to one message."""
         self._now = now
         kind = message.get_type()
         if kind == "MISSION_SET_CURRENT":
@@ -163,7 +162,6 @@ class MissionService(Service):
         return self._upload is not None
 
     def forget(self, peer: Peer) -> None:
-        """Drop the unfinished upload of a disconnected peer."""
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
@@ -285,7 +283,6 @@ class MissionService(Service):
         return wire.MAVLink_mission_request_int_message(client.system, client.component, at, upload.mission_type)
 
     def _cancel_upload(self, message: Message, client: Client) -> None:
-        """Drop an upload that its sender cancels."""
         upload = self._upload
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None

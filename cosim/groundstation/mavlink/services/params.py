@@ -64,7 +64,6 @@ class ParameterService(Service):
         self._lists = {client: (0, pace) for client, (_, pace) in self._lists.items()}
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
-        """Return the answers to one message."""
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
@@ -98,7 +97,6 @@ class ParameterService(Service):
         return bool(self._lists)
 
     def forget(self, peer: Peer) -> None:
-        """Drop the lists of a disconnected peer."""
         self._lists = {client: state for client, state in self._lists.items() if client.peer != peer}
 
     def hash(self) -> int:

@@ -33,7 +33,6 @@ class Client(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Name of the client for messages."""
         return f"{self.peer.name} {self.system}/{self.component}"
 
 

@@ -68,7 +68,6 @@ class Link(Hub):
 
     @property
     def ports(self) -> list[int]:
-        """Local port of each endpoint, or 0."""
         return [getattr(channel, "port", 0) for channel in self._channels]
 
     def start(self, handler: FrameHandler) -> None:
@@ -104,7 +103,6 @@ class Link(Hub):
         self.log_sent(packed)
 
     def send(self, peer: Peer, packed: Message, priority: Priority = Priority.ANSWER) -> None:
-        """Send a message to one station."""
         peer.send(packed, priority)
         self.log_sent(packed)
 

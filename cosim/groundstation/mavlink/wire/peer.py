@@ -152,7 +152,6 @@ class Peer:
 
     @property
     def waiting_bytes(self) -> int:
-        """Number of queued bytes."""
         return len(self._frame) + self._waiting + sum(map(self._frame_bytes, self._telemetry.values()))
 
     @property
@@ -161,7 +160,6 @@ class Peer:
         return self._waiting > LIMITS.pause_bytes
 
     def _frame_bytes(self, packed: Message) -> int:
-        """Return the bytes of a message's frame, with its signature."""
         return frame_size(packed) + self.signature
 
     def blocked_seconds(self, now: float) -> float:

@@ -60,7 +60,6 @@ class Signing:
         packer.signing.secret_key, packer.signing.link_id, packer.signing.sign_outgoing = self._key, link, True
 
     def make_time_stamp(self) -> int:
-        """Return the time stamp of the next frame."""
         self._last = max(self._last + 1, self._current_ticks())
         return self._last
 

@@ -38,7 +38,6 @@ class TelemetryLog:
             self._write(self._packer.pack_frame(packed))
 
     def write_received(self, raw: bytes) -> None:
-        """Write a received frame unchanged."""
         self._write(raw)
 
     def flush(self) -> None:

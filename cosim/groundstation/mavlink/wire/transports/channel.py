@@ -122,7 +122,6 @@ class ReadGate:
         link.watch(item, ready)
 
     def pause(self) -> None:
-        """Stop reading for now."""
         if self._open:
             self._open = False
             self._link.refused["flood"] += 1
