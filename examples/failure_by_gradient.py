@@ -18,7 +18,7 @@ numbers, fly_numbers = make_flight([Scenario.load("roll-doublet").replace(**sett
 xp = numbers.xp
 
 
-def margin(z, sharp=3000.0):
+def margin(z, sharp=30000.0):
     """Return how far roll stays within its limit [rad]; ``sharp``: of the smooth maximum over the steps."""
     inertia, thrust = 1.0 + 0.1 * z[0], 1.0 + 0.05 * z[1]
     flown = numbers.flown
@@ -53,4 +53,6 @@ found = search(
     workers=1,
     out="runs/failure-by-gradient",
 )
-print("by search:", found.lines()[0])
+case = found.to_dict()["found"][0]
+place = [round(each["place"], 2) for each in case["effects"]]
+print(f"by search: {case['distance']:.2f} standard deviations, {case['flights']} flights, at {place}")

@@ -70,7 +70,26 @@ class CompareResult(Result):
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        return _to_dict(self.flights, self.compared, self.report)
+        from cosim.results.report.comparison import inputs_between
+
+        runs = []
+        for flight in self.flights:
+            summary = None if flight.run is None else flight.run.summary
+            identity = (
+                {}
+                if summary is None
+                else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
+                | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
+                | {"metrics": summary.flat_metrics}
+            )
+            runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | identity)
+        differences = [
+            pair._asdict()
+            | {"signals": {s.name: s._asdict() for s in pair.signals}}
+            | {"inputs": {key: [first, second] for key, first, second in inputs_between(self.flights[0], flight)}}
+            for pair, flight in zip(self.compared, self.flights[1:], strict=True)
+        ]
+        return {"runs": runs, "differences": differences, "page": None if self.report is None else str(self.report)}
 
     def lines(self) -> list[str]:
         """Return a line for each flight, for its difference from the first, and for each input that differs."""
@@ -268,30 +287,6 @@ def _shift_times(flights: Sequence[ComparedFlight], shifts: Mapping[str, float])
             raise InputError(f"compare: shift: {letter}={by:g}: is not one of {allowed} = a number of seconds")
         moved[index] = shift_times(moved[index], by)
     return moved
-
-
-def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], page: Path | None) -> dict[str, Any]:
-    """Return the comparison as data for JSON, in SI units."""
-    from cosim.results.report.comparison import inputs_between
-
-    runs = []
-    for flight in flights:
-        summary = None if flight.run is None else flight.run.summary
-        identity = (
-            {}
-            if summary is None
-            else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
-            | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
-            | {"metrics": summary.flat_metrics}
-        )
-        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | identity)
-    differences = [
-        pair._asdict()
-        | {"signals": {s.name: s._asdict() for s in pair.signals}}
-        | {"inputs": {key: [first, second] for key, first, second in inputs_between(flights[0], flight)}}
-        for pair, flight in zip(compared, flights[1:], strict=True)
-    ]
-    return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
 
 
 def describe_flight(flight: ComparedFlight) -> str:

@@ -5,16 +5,5 @@ from hexjet_batch.make import REFUSED, read_flight
 from hexjet_batch.numbers import Numbers, stack
 from hexjet_batch.stages.step import Inputs, Outputs, State, start, step
 
-__all__ = [
-    "REFUSED",
-    "BatchFlight",
-    "Inputs",
-    "Numbers",
-    "Outputs",
-    "State",
-    "fly_batch",
-    "read_flight",
-    "stack",
-    "start",
-    "step",
-]
+__all__ = ["REFUSED", "BatchFlight", "Inputs", "Numbers", "Outputs", "State", "fly_batch", "read_flight", "stack",
+           "start", "step"]  # fmt: skip

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from math import degrees
+from collections.abc import Iterator, Mapping, Sequence
+from math import degrees, inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,16 +13,19 @@ import numpy as np
 from cosim.api.call import Progress, Result, Table, check_types
 from cosim.api.call.choices import apply_choices
 from cosim.api.flights import fly
-from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import write_files
 from cosim.commands import Command
-from cosim.pages import BLUE, ORANGE, Card, Page, beneath, panels, trace
+from cosim.pages import Card
+from cosim.results.comparison import ComparedFlight, LogComparison, compare_with_first
+from cosim.results.log.recorder import MemoryLog
+from cosim.results.log.tables import TIME
 from cosim.results.metrics import flatten, flight_metrics
+from cosim.results.report.comparison import write_comparison
+from cosim.results.run import Run
 from cosim.results.wording import DIGITS, metric
 from cosim.spec.scenario import Scenario
-from hexjet_batch.fly import fly_batch
-from hexjet_batch.log import FlightLog
+from hexjet_batch.fly import BatchFlight, fly_batch
 
 PLACE = ("north_m", "east_m", "altitude_m")  # columns of the position
 # Of every sample: the columns of a quantity, its unit and what the two may differ by.
@@ -66,10 +69,19 @@ class CheckResult(Result):
         That of each metric.
     """
 
-    def __init__(self, scenario: Scenario, endings: tuple[str, str], logs: tuple[Any, Any]) -> None:
-        self.scenario, self.endings, self._logs = scenario, endings, logs
-        self.samples: list[Difference] = []
-        self.metrics: list[Difference] = []
+    def __init__(self, scenario: Scenario, flight: BatchFlight, run: Run) -> None:
+        assert flight.ending is not None
+        self.scenario, self.endings = scenario, (flight.ending.outcome, run.outcome)
+        there, here = run.log, flight.log
+        described = tuple(column for column in there.described if column.name in here.columns)
+        names = [column.name for column in described]
+        time = scenario.step_s * np.arange(len(here))
+        log = MemoryLog([np.stack([time, *map(here.__getitem__, names)])], (TIME, *names), described)
+        self.flights = ComparedFlight("A: JSBSim", there, run), ComparedFlight("B: batch", log)
+        (self.compared,) = compare_with_first(self.flights)
+        self.samples = list(find_differences(self.compared, *self.flights))
+        numbers = flatten(flight_metrics(here, scenario.step_s, run.summary.reach))
+        self.metrics = compare_metrics(numbers, run.summary.flat_metrics)
         self.files = {}
 
     @property
@@ -79,13 +91,13 @@ class CheckResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet batch check --json`` prints."""
-        both = {"samples": self.samples, "metrics": self.metrics}
         return {
             "scenario": self.scenario.name,
             "same": self.is_same,
             "outcomes": self.endings,
             "jsbsim_runs": self.scenario.substeps,
-            **{name: [one._asdict() for one in found] for name, found in both.items()},
+            "samples": [one._asdict() for one in self.samples],
+            "metrics": [one._asdict() for one in self.metrics],
         }
 
     def lines(self) -> list[str]:
@@ -93,9 +105,8 @@ class CheckResult(Result):
         outcome, other = self.endings
         if outcome != other:
             return [f"not the same flight: {outcome} by the batch, {other} by JSBSim"]
-        off = [
-            f"{one.label} by {one.apart:.2g} {one.unit}" for one in (*self.samples, *self.metrics) if not one.is_within
-        ]
+        found = (*self.samples, *self.metrics)
+        off = [f"{one.label} by {one.apart:.2g} {one.unit}" for one in found if not one.is_within]
         by = f"JSBSim at {self.scenario.substeps} runs a step"
         return [f"not as {by}: {', '.join(off)}" if off else f"the same flight as by {by}, {outcome}"]
 
@@ -109,23 +120,9 @@ class CheckResult(Result):
         """Write the page and its numbers.  Raises FlightError if a file cannot be written."""
         self.files = {"report": folder / "report.html", "json": folder / "check.json"}
         write_files({self.files["json"]: json.dumps(self.to_dict(), indent=2) + "\n"})
-        s, (here, there), curves = self.scenario, self._logs, []
-        for panel, (name, factor) in enumerate(
-            (("roll_rad", degrees(1.0)), ("pitch_rad", degrees(1.0)), ("altitude_m", 1.0))
-        ):
-            time = s.step_s * np.arange(len(there[name]))
-            curves += [
-                trace("JSBSim", ORANGE, time, factor * there[name], panel, **beneath(ORANGE)),
-                trace("batch", BLUE, time[: len(here[name])], factor * here[name], panel),
-            ]
-        layout = panels(560, "t [s]", ["roll [deg]", "pitch [deg]", "height [m]"], log=False)
-        cards = [Card("Both flights", figure="flight")]
-        cards += [Card(table.title, table.columns, table.rows, is_half=True) for table in self.tables()]
-        verdict, badge = ("the same", "met") if self.is_same else ("not the same", "unmet")
-        heading = f"{s.name}: {s.controller} on {s.aircraft}, engine {s.engine}"
-        figures = {"flight": {"data": curves, "layout": layout}}
-        page = Page("a batch beside JSBSim", heading, cards, figures, verdict, badge, self.lines())
-        page.write(self.files["report"])
+        tables = [Card(table.title, table.columns, table.rows, is_half=True) for table in self.tables()]
+        cards = [Card("A batch beside JSBSim", lines=self.lines()), *tables]
+        write_comparison(self.flights, [self.compared], self.files["report"], cards)
 
 
 @check_types()
@@ -177,30 +174,25 @@ def check(
     if flight.ending is None:
         raise InputError(f"scenario {flown.name}: {flight.reason}: not flown in a batch; fly it without batch")
     run = fly(flown, report=False)
-    there = {name: np.asarray(run.log[name]) for name in flight.log.columns}
-    result = CheckResult(flown, (flight.ending.outcome, run.outcome), (flight.log, there))
-    result.samples = compare_samples(flight.log, there)
-    numbers = flatten(flight_metrics(flight.log, flown.step_s, run.summary.reach))
-    result.metrics = compare_metrics(numbers, run.summary.flat_metrics)
+    result = CheckResult(flown, flight, run)
     if out is not None:
         result.write(Path(out))
     return result
 
 
-def compare_samples(here: FlightLog, there: Mapping[str, Array]) -> list[Difference]:
-    """Return the largest difference of each quantity; of a place 0.5 % of the way flown is allowed too."""
-    moves = [np.diff(there[name]) for name in PLACE]
+def find_differences(compared: LogComparison, there: ComparedFlight, here: ComparedFlight) -> Iterator[Difference]:
+    """Yield the largest difference of each quantity; of a place 0.5 % of the way flown is allowed too."""
+    moves = [np.diff(there.log[name]) for name in PLACE]
     way = float(np.sum(np.sqrt(sum(move * move for move in moves))))
-    found = []
+    signals = {signal.name: signal for signal in compared.signals}
     for names, unit, allowed in QUANTITIES:
         factor, allowed = (1.0, max(allowed, 0.005 * way)) if unit == "m" else (degrees(1.0), allowed)
         for name in names:
-            rows = min(len(here[name]), len(there[name]))
-            apart = factor * np.abs(here[name][:rows] - there[name][:rows])
-            at = int(np.argmax(apart))
-            ends = [float(factor * column[at]) for column in (here[name], there[name])]
-            found.append(Difference(metric(name).label, unit, ends[0], ends[1], float(apart[at]), allowed))
-    return found
+            signal = signals[name]
+            row = np.searchsorted(there.log[TIME], signal.largest_s or 0.0)
+            batch, jsbsim = (float(factor * flight.log[name][row]) for flight in (here, there))
+            apart = inf if signal.largest is None or signal.alone else factor * signal.largest
+            yield Difference(metric(name).label, unit, batch, jsbsim, apart, allowed)
 
 
 def compare_metrics(here: Mapping[str, float | None], there: Mapping[str, float | None]) -> list[Difference]:
@@ -211,7 +203,7 @@ def compare_metrics(here: Mapping[str, float | None], there: Mapping[str, float 
         if value is None and own is None:
             continue
         ends = [None if number is None else said.factor * number for number in (own, value)]
-        apart = np.inf if ends[0] is None or ends[1] is None else abs(ends[0] - ends[1])
+        apart = inf if ends[0] is None or ends[1] is None else abs(ends[0] - ends[1])
         allowed = max(0.005 * abs(ends[1] or 0.0), 10.0 ** -DIGITS[name])
         found.append(Difference(said.label, said.unit, ends[0], ends[1], apart, allowed))
     return found

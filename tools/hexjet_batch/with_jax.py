@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
 from hexjet_batch.fly import prepare
 from hexjet_batch.numbers import Numbers
@@ -17,7 +18,9 @@ from hexjet_batch.stages.step import Outputs, start, step
 try:
     import jax
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(f"hexjet_batch.with_jax needs {error.name}: pip install jax", name=error.name) from None
+    if error.name != "jax":
+        raise
+    raise ModuleNotFoundError("hexjet_batch.with_jax needs jax, which is not installed: pip install jax") from None
 
 
 def make_flight(scenarios: Sequence[Scenario]) -> tuple[Numbers, Callable[[Numbers], Outputs]]:
@@ -26,8 +29,10 @@ def make_flight(scenarios: Sequence[Scenario]) -> tuple[Numbers, Callable[[Numbe
     What it returns has a row a step and a column a flight.  Replace any number by one that JAX traces, such as
     ``numbers.replace(attitude=...)``, inside a function that ``jax.jit``, ``jax.grad`` or ``jax.vmap`` takes; delays
     must stay what they are.  Noise is drawn beforehand, by the generators of the scenarios' seeds.  Raises InputError
-    for what a batch does not cover.
+    for what a batch does not cover, and for no scenario.
     """
+    if not scenarios:
+        raise InputError("scenarios = []: a batch has at least 1 flight")
     jax.config.update("jax_enable_x64", True)
     xp, (numbers, script, noise, heights, _, _, begin) = jax.numpy, prepare(scenarios)
     rows = [

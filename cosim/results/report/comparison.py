@@ -46,10 +46,12 @@ METRICS_NOTE = (
 )
 
 
-def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path) -> None:
+def write_comparison(
+    flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path, more: Sequence[Card] = ()
+) -> None:
     """Write the page of flights that :func:`cosim.results.comparison.compare_with_first` compared.
 
-    Raises FlightError if the file cannot be written.
+    ``more``: cards that come first.  Raises FlightError if the file cannot be written.
     """
     summaries = [None if flight.run is None else flight.run.summary for flight in flights]
     with_run = [summary for summary in summaries if summary is not None]
@@ -65,6 +67,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
     colours = [run_colour(number) for number in range(len(flights))]
     named = [coloured(flight.label, colour) for flight, colour in zip(flights, colours, strict=True)]
     cards = [
+        *more,
         *[Card(title, text=text, figure=name, is_half=name in ("first", "attitude", "height", "track"))
           for name, title, text in STRIPS if name in strips],
         _metrics_card(summaries, named),

@@ -83,9 +83,6 @@ def test_a_study_that_is_not_covered_is_refused_by_name(tmp_path: Path, changes:
     with pytest.raises(InputError, match=named):
         run_campaign(study(**changes), tmp_path / "c", Here())  # type: ignore[arg-type]
     assert not (tmp_path / "c").exists()
-
-
-def test_batches_of_nothing_are_refused() -> None:
     with pytest.raises(InputError, match="together = 0: at least 1 flight"):
         BatchWorkers(Here(), 0)  # type: ignore[arg-type]
 

@@ -170,7 +170,7 @@ def test_what_is_lost_is_terminated_and_worth_nothing() -> None:
     env = HexJetEnv(lost, render_mode="ansi")
     env.reset(seed=0)
     assert env.render() == "0.000 s: roll 0.0, pitch 0.0, yaw 0.0 deg, height 10.00 m, throttles" + " 0.45" * 6
-    _, reward, terminated, truncated, info = env.step(env.action_space.high)
+    terminated = False
     while not terminated:
         _, reward, terminated, truncated, info = env.step(env.action_space.high)
     assert not truncated
@@ -206,18 +206,18 @@ def test_what_cannot_be_is_one_line() -> None:
     with pytest.raises(InputError, match=r"vary: step_s = 0\.002: must stay 0\.004"):
         other.reset()
     other.close()
-    with pytest.raises(InputError, match="act = 'throttle': allowed: actuators, attitude, rates"):
-        HexJetEnv(act="throttle")
-    with pytest.raises(InputError, match="hold = 0: must be a whole number from 1"):
-        HexJetEnv(hold=0)
-    with pytest.raises(InputError, match="render_mode = 'human': must be None or 'ansi'"):
-        HexJetEnv(render_mode="human")
     rates = [{"kind": "step", "signal": "rate_p_deg_s", "start_s": 0.0, "amplitude": 1.0}]
-    with pytest.raises(InputError, match=r"commands rate_p_deg_s; an environment takes one that commands attitude and"):
-        HexJetEnv(QUICK.replace(command=rates))
     place = [{"kind": "place", "start_s": 0.0, "north_m": 1.0}]
-    with pytest.raises(InputError, match="commands a place"):
-        HexJetEnv(QUICK.replace(command=place))
+    wrong: dict[str, dict[str, Any]] = {
+        "act = 'throttle': allowed: actuators, attitude, rates": {"act": "throttle"},
+        "hold = 0: must be a whole number from 1": {"hold": 0},
+        "render_mode = 'human': must be None or 'ansi'": {"render_mode": "human"},
+        "commands rate_p_deg_s; an environment takes one that commands att": {"scenario": QUICK.replace(command=rates)},
+        "commands a place": {"scenario": QUICK.replace(command=place)},
+    }
+    for said, given in wrong.items():
+        with pytest.raises(InputError, match=said):
+            HexJetEnv(**given)
     env = HexJetEnv(QUICK)
     env.reset(seed=0)
     for action in (np.zeros(3), np.full(8, nan)):
@@ -229,9 +229,9 @@ def test_what_cannot_be_is_one_line() -> None:
         assert 0.0039 < time_on_target(flight, sample, sample.command) <= 0.004
 
 
-def test_without_the_extra_it_says_which_one() -> None:
-    script = "import sys; sys.modules['gymnasium'] = None\nimport hexjet_gym"
+@pytest.mark.parametrize(("ours", "extra"), [("hexjet_gym", "gymnasium"), ("hexjet_batch.with_jax", "jax")])
+def test_without_the_extra_it_says_which_one(ours: str, extra: str) -> None:
+    script = f"import sys; sys.modules['{extra}'] = None\nimport {ours}"
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
-    assert answer.stderr.splitlines()[-1] == (
-        "ModuleNotFoundError: hexjet_gym needs gymnasium, which is not installed: pip install gymnasium"
-    )
+    said = f"ModuleNotFoundError: {ours} needs {extra}, which is not installed: pip install {extra}"
+    assert answer.stderr.splitlines()[-1] == said

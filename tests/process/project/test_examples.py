@@ -22,8 +22,8 @@ SAYS = {
     "own_engine": r"Mine\.fmu: 25\.00 N at throttle 1\nsix of it: completed.*\none of it at station 3: completed",
     "own_controller": r"Ahead +completed.*\nAhead, half believed +completed.*\nsmith +completed.*\nbaseline",
     "campaign": r"smith +\d of 6 succeed: .*\nbaseline +\d of 6 succeed: .*\nflight \d+ with \w+: .*\nmass factor .*\nthe same log again, bit for bit: True",
-    "gains_by_gradient": r"cost 0\.0\d+ with .* own gains, 0\.0\d+ after 20 gradients\nby gradient: .*\nthe vehicle's own",
-    "failure_by_gradient": r"by gradient: \d\.\d\d standard deviations, \d flights, .*\nby search: smith: the most likely failure found is \d",
+    "gains_by_gradient": r"the vehicle's own: .* cost 0\.0\d+\nby gradient: .*, cost 0\.0\d+\nby design: .*, cost 0\.0\d+",
+    "failure_by_gradient": r"by gradient: 2\.2\d standard deviations, \d flights, .*\nby search: 2\.2\d standard deviations, \d+ flights, at",
     "c_export": r"350 steps of the flight: the same bits\nvoid ours_reset\(.*\nvoid ours_step\(",
 }
 

@@ -32,9 +32,7 @@ def log(step: float, rows: int, **columns: Any) -> MemoryLog:
 
 
 def only(first: MemoryLog, second: MemoryLog) -> Signal:
-    (pair,) = compare_with_first([ComparedFlight("A", first), ComparedFlight("B", second)])
-    (signal,) = pair.signals
-    return signal
+    return compare_with_first([ComparedFlight("A", first), ComparedFlight("B", second)])[0].signals[0]
 
 
 def test_a_difference_is_known_by_its_size_its_root_mean_square_and_its_first_step() -> None:
@@ -167,8 +165,6 @@ def test_where_nothing_reads_logs_a_line_says_so(tmp_path: Path, monkeypatch: py
 
 
 def test_the_command_compares_runs_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import json
-
     for name in "ab":
         flown(50, tmp_path / name)
     a, b = str(tmp_path / "a"), str(tmp_path / "b")

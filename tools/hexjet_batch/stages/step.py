@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
 from hexjet_batch.numbers import Numbers, is_absent, limit
 from hexjet_batch.stages.airframe import Mass, Motion, air_at, change_mass, drag_of, mass_with, move
 from hexjet_batch.stages.delays import make_ring, push
@@ -87,7 +88,12 @@ class Outputs(NamedTuple):
 
 
 def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
-    """Return flights at rest with their engines settled at the throttle that holds the vehicle up."""
+    """Return flights at rest with their engines settled at the throttle that holds the vehicle up.
+
+    Raises InputError where numbers, motion, heights or inputs are of different numbers of flights.
+    """
+    if len(sizes := _count_flights((n, motion, height, inputs)) - {1}) > 1:
+        raise InputError(f"arrays of {', '.join(map(str, sorted(sizes)))} flights: those of a batch have one length")
     xp, zero, fuel = n.xp, 0.0 * motion.position[0], n.flown.fuel
     burnt = zero if fuel is None else (1.0 - fuel.share) * fuel.mass_kg + zero
     hover, throttle = hold_up(n, burnt)
@@ -105,6 +111,13 @@ def start(n: Numbers, motion: Motion, height: Any, inputs: Inputs) -> State:
     )  # fmt: skip
     engines, report = n.engine.kind.start(n.engine, _to_engines(n, throttle), _air(n, s, inputs.wind))
     return s._replace(engines=engines, spin=_spin(n, report, tilt))
+
+
+def _count_flights(value: Any) -> set[int]:
+    """Return the lengths of the arrays over flights."""
+    if isinstance(value, (Numbers, tuple)):
+        return set().union(*map(_count_flights, vars(value).values() if isinstance(value, Numbers) else value))
+    return {len(value)} if getattr(value, "ndim", 0) == 1 else set()
 
 
 def hold_up(n: Numbers, burnt: Any) -> tuple[Any, Any]:
