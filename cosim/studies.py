@@ -15,6 +15,7 @@ from cosim.campaign.folder import ASKED, CASES, REFEREE, STUDY, is_campaign
 from cosim.campaign.run import (
     Progress,
     choose_workers,
+    count_processors,
     fly_again,
     open_workers,
     refuse_changes,

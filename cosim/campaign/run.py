@@ -21,7 +21,7 @@ from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, case_of, flight_of, flights, scenario_of, stopping_rule
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
-from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, outcome_row, verdict_of, with_autopilot
+from cosim.campaign.workers.flight_row import Row, hash_inputs, inputs, outcome_row, verdict_of, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly_watched as fly
@@ -338,7 +338,7 @@ def _explain_differences(row: Row, run: Run) -> list[str]:
     ]
     if not differences and row.get("autopilot"):
         differences = ["its autopilot is a program with threads of its own, which may answer in another order"]
-    if not differences and row["inputs_sha256"] != inputs_sha256(run):
+    if not differences and row["inputs_sha256"] != hash_inputs(inputs(run), run.scenario):
         differences = ["the numbers of the aircraft or of an engine are others"]
     ended = f"it ended {run.outcome}, {run.reason}; then {row['outcome']}, {row['reason']}"
     return [

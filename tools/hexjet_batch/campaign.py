@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -32,6 +31,7 @@ from cosim.studies import (
     Row,
     Study,
     Workers,
+    count_processors,
     failed_row,
     fly_one,
     outcome_row,
@@ -73,14 +73,14 @@ def check(study: Study) -> None:
 class BatchWorkers:
     """Flies a study's flights on arrays, in the processes of other workers.
 
-    ``together``: flights of one chunk, by default those whose logs, of some 25 columns, come to ``memory_gb``, at most
-    4096.  A chunk with which three processes were lost is flown by JSBSim, flight by flight.
+    ``together``: flights of one chunk, by default those whose logs, of some 25 columns, come to a processor's share of
+    ``memory_gb``, at most 4096.  A chunk with which three processes were lost is flown by JSBSim, flight by flight.
     """
 
-    def __init__(self, workers: Workers, together: int | None = None, memory_gb: float = 0.8) -> None:
+    def __init__(self, workers: Workers, together: int | None = None, memory_gb: float = 3.0) -> None:
         if together is not None and together < 1:
             raise InputError(f"together = {together}: at least 1 flight")
-        self._workers, self._together, self._bytes = workers, together, 1e9 * memory_gb
+        self._workers, self._together, self._bytes = workers, together, 1e9 * memory_gb / count_processors()
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.studies.Workers`."""
@@ -103,7 +103,7 @@ def _chunks(flights: Iterable[Flight], most: int, least: int = 500) -> Iterator[
 
     ``least``: flights to which a chunk is not cut, as the overhead of a step is that of as many then.
     """
-    waiting, processors = iter(flights), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    waiting, processors = iter(flights), count_processors()
     while found := list(islice(waiting, most * processors)):
         size = min(most, max(least, ceil(len(found) / processors)))
         for first in range(0, len(found), size):
@@ -145,7 +145,7 @@ def _fly(study: Study, flights: Sequence[Flight], scenarios: Mapping[int, Scenar
     return rows
 
 
-def _measure(group: Group, together: int = 16) -> Iterator[tuple[int, Metrics]]:
+def _measure(group: Group, together: int = 32) -> Iterator[tuple[int, Metrics]]:
     """Yield index in the group and metrics of each flight that the batch itself judges.
 
     ``together``: flights that are measured at once, so that their columns stay in the cache.

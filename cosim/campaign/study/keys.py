@@ -23,7 +23,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import merge, split_key
+from cosim.base.storage.toml import merge, set_path, split_key
 from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
@@ -133,17 +133,13 @@ def with_values(scenario: Scenario, values: Mapping[str, Value]) -> Scenario:
         scenario, values = _select_parameters(scenario, values)
     _refuse_conflicting_changes(scenario, values)
     changes, values = _add_file_values(scenario, values)
+    where, drawn = f"scenario {scenario.name}", dict[str, Any]()
     for path, value in values.items():
-        *tables, last = split_key(path)
-        change: dict[str, Any] = {last: value}
-        for part in reversed(tables):
-            change = {part: change}
-        changes = merge(changes, change)
-    table = scenario.stated("json") | {"expect": []}
-    if values.get("engine", scenario.engine) != scenario.engine:
-        table["stations"] = {}
-    where = f"scenario {scenario.name}"
-    return Scenario.from_table(merge(table, changes), scenario.folder, where, scenario.origin or scenario)
+        set_path(drawn, split_key(path), value, where)
+    is_new_engine = values.get("engine", scenario.engine) != scenario.engine
+    kept = scenario.model_copy(update={"expect": []} | ({"stations": {}} if is_new_engine else {}))
+    table = merge(kept.stated("json"), merge(changes, drawn), kept)
+    return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
 
 
 def _add_aircraft_engine(scenario: Scenario, values: Mapping[str, Value]) -> Mapping[str, Value]:

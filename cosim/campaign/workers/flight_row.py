@@ -128,11 +128,10 @@ def with_autopilot(
     """
     autopilot = study.autopilot_of(case)
     run, flown = autopilot.fly(scenario, study.folder, folder, page)
-    digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
     row = outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
-        "inputs_sha256": digest,
+        "inputs_sha256": hash_inputs(inputs(run), scenario),
         "autopilot": autopilot.name,
     }
     return row | flown, run
@@ -213,16 +212,15 @@ def inputs(run: Run) -> str:
     return json.dumps({"versions": summary.versions, "sha256": files}, sort_keys=True)
 
 
-def inputs_sha256(run: Run) -> str:
+def hash_inputs(files: str, scenario: Scenario) -> str:
     """Return the hash of :func:`inputs` and of every number that the aircraft and the engines flew with."""
-    scenario = run.scenario
-    return hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([files, scenario.model_dump_json()]).encode()).hexdigest()
 
 
 def outcome_row(study: Study, run: Run, digest: str) -> Row:
     """Return the columns of a row that a finished flight determines; ``digest`` is its log's hash."""
     summary, controller = run.summary, run.summary.own_controller
-    measured = summary.flat_metrics
+    measured, files = summary.flat_metrics, inputs(run)
     brought = "; ".join(f"{block.key} {block.name} {block.sha256}" for block in summary.brought)
     return {
         "outcome": summary.outcome,
@@ -239,8 +237,8 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
         "controller_sha256": None if controller is None else controller.sha256,
         "controller_repeatable": None if controller is None else controller.repeatable,
         "log_sha256": digest,
-        "inputs_sha256": inputs_sha256(run),
-        "inputs": inputs(run),
+        "inputs_sha256": hash_inputs(files, run.scenario),
+        "inputs": files,
         **({"brought_sha256": brought} if brought else {}),
     }
 

@@ -9,6 +9,7 @@ guarded main part.
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import pickle
 import shutil
@@ -292,6 +293,8 @@ def serve(descriptor: int, folder: str) -> None:
     os.set_inheritable(descriptor, False)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_parent()
+    # A batch holds thousands of scenarios without circles, through which the collector would look again and again.
+    gc.set_threshold(200_000, 20, 100)
     Thread(target=_exit_with_parent, args=(descriptor, folder), daemon=True).start()
     with suppress(EOFError, OSError):  # the other end is closed
         _serve_flights(Connection(descriptor), folder)

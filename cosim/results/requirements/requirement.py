@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -91,7 +92,7 @@ class Requirement(Record):
     @property
     def names(self) -> list[str]:
         """Names of the signals in the formula, as written."""
-        return list(dict.fromkeys(name for part in self.parsed.formula.comparisons for name in part.names))
+        return list(_names_of(self.formula))
 
     @property
     def unit(self) -> str:
@@ -133,7 +134,7 @@ class Requirement(Record):
 
     def _is_for_whole_flight(self, flight: FlightSignals) -> bool:
         """Return whether the formula uses only whole-flight metrics, which are equal in all rows."""
-        return flight.metrics.keys() >= set(self.names) and not list(self.parsed.formula.events)
+        return flight.metrics.keys() >= _names_of(self.formula).keys() and not any(self.parsed.formula.events)
 
     def _assess_failed(self, assessment: Assessment, lost: FailedFlight) -> Assessment:
         """Return the assessment of a failed flight: not met, with a lower margin the earlier it failed."""
@@ -144,20 +145,26 @@ class Requirement(Record):
         return replace(assessment, margin=most, kept=False, decided_at_s=lost.end_s, note=note)
 
 
+@lru_cache(1024)
+def _names_of(formula: str) -> dict[str, None]:
+    """Return the names of the signals in a formula, in its order."""
+    return dict.fromkeys(name for part in parse_formula(formula).formula.comparisons for name in part.names)
+
+
 def limit_requirements(limits: Mapping[str, float], needed: Iterable[str] = ()) -> list[Requirement]:
     """Return a requirement for each limit of a metric; of those ``needed`` a flight must have a value."""
-    needed = set(needed)
-    return [
-        Requirement(name=name, formula=_limit_formula(name, most), source="limits", need=name in needed)
-        for name, most in limits.items()
-    ]
+    wanted, items = set(needed), limits.items()
+    return [_make_requirement(name, _limit_formula(name, most), "limits", name in wanted) for name, most in items]
 
 
 def range_requirements(ranges: Mapping[str, Range], source: Source) -> list[Requirement]:
     """Return a requirement for each allowed range of a metric, of ``[[expect]]`` or of ``[success]``."""
-    return [
-        Requirement(name=name, formula=_range_formula(name, allowed), source=source) for name, allowed in ranges.items()
-    ]
+    return [_make_requirement(name, _range_formula(name, allowed), source) for name, allowed in ranges.items()]
+
+
+@lru_cache(1024)
+def _make_requirement(name: str, formula: str, source: Source, need: bool = True) -> Requirement:
+    return Requirement(name=name, formula=formula, source=source, need=need)
 
 
 def _range_formula(name: str, allowed: Range) -> str:
@@ -191,16 +198,7 @@ class RequirementResult(Record):
     @classmethod
     def of(cls, assessment: Assessment) -> RequirementResult:
         requirement = assessment.requirement
-        return cls(
-            **requirement.model_dump(exclude={"scale"}),
-            margin=assessment.margin,
-            unit=requirement.unit,
-            kept=assessment.kept,
-            decided_at_s=assessment.decided_at_s,
-            decided_by=assessment.decided_by,
-            note=assessment.note,
-            scale=requirement.divisor,
-        )
+        return cls(**vars(requirement) | vars(assessment) | {"unit": requirement.unit, "scale": requirement.divisor})
 
     @property
     def requirement(self) -> Requirement:

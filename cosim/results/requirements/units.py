@@ -5,6 +5,7 @@ A table instead of a library of units: a log has a dozen units, and the names of
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import pi
 
 from cosim.base.errors import InputError
@@ -73,5 +74,6 @@ def factor_between(unit: str, other: str) -> float:
     return 1.0 if unit == other else factor / other_factor
 
 
+@lru_cache(1024)
 def _ending_of(name: str) -> str:
     return next((ending for ending in _LONGEST_FIRST if name.endswith(ending) and ending != "_1"), "")

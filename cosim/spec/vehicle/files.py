@@ -124,7 +124,7 @@ def load_vehicle(
     if overrides:
         stated = _default_bank_inertia(overrides)
         key = (*key, repr(overrides))
-        vehicle = _vehicles.get(key, lambda: (tables, validate(Vehicle, merge(tables, stated), where)))[1]
+        vehicle = _vehicles.get(key, lambda: (tables, validate(Vehicle, merge(tables, stated, vehicle), where)))[1]
     return vehicle, path.parent
 
 

@@ -337,7 +337,7 @@ def test_the_library_leaves_the_garbage_collector_alone() -> None:
         if isinstance(node, ast.Attribute) and node.attr in ("set_threshold", "disable", "freeze")
         and isinstance(node.value, ast.Name) and node.value.id == "gc"
     ]  # fmt: skip
-    assert set(calls) == {"cli/start.py", "groundstation/session.py"}
+    assert set(calls) == {"campaign/workers/local.py", "cli/start.py", "groundstation/session.py"}
 
 
 def test_a_test_has_a_folder_by_what_it_needs() -> None:

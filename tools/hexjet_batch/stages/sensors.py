@@ -39,7 +39,7 @@ class Noise:
     AHRS, three of the accelerometer, by a generator of their own.  ``most``: steps of flights drawn at once.
     """
 
-    def __init__(self, seeds: Sequence[int], with_force: bool, most: int = 2**16) -> None:
+    def __init__(self, seeds: Sequence[int], with_force: bool, most: int = 2**17) -> None:
         self._sets, self._block = [], max(4, min(64, most // len(seeds)))
         for key, draws in enumerate((13, 3) if with_force else (13,)):
             generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,))) for seed in seeds]
