@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-_LIBRARY_KINDS = {  # by option or argument
+_LIBRARY_KINDS = {  # kinds of names that complete an option
     "aircraft": ("aircraft",), "controller": ("controllers",), "engine": ("engines",), "from": ("aircraft",),
     "scenario": ("scenarios",), "name": ("scenarios", "studies", "engines", "aircraft", "controllers"),
 }  # fmt: skip

@@ -133,7 +133,7 @@ def axis_limits(
 def _judge_settling(
     axis: AxisLimitInputs, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float
 ) -> float | None:
-    """Return the limit of settling time (s); None if no step is undisturbed, or only disturbed ones are late.
+    """Return the limit of settling time (s); None without an undisturbed step, or if disturbed steps alone are late.
 
     A step of which 5 % are below the noise floor is settled within that floor.
     """

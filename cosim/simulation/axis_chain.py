@@ -76,12 +76,12 @@ def compute_axis_fractions(vehicle: Vehicle, allocator: Allocator, index: int) -
     total = sum(abs(arm) for arm in arms)
     if not total:
         return AxisFractions([0.0] * jets, [0.0] * len(list_servos(vehicle)), [])
-    moves = [] if vehicle.servo else thrust_moves(vehicle, index)
+    moves = [] if vehicle.servo else thrust_per_acceleration(vehicle, index)
     return AxisFractions([abs(arm) / total for arm in arms], [0.0] * len(list_servos(vehicle)), moves)
 
 
-def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
-    """Return the change of each thrust per rad/s^2 about an axis, N, if thrusts alone give it equally."""
+def thrust_per_acceleration(vehicle: Vehicle, index: int) -> list[float]:
+    """Return what each jet adds in thrust per rad/s^2 about an axis [N s^2/rad], all by the same amount."""
     arms = levers(vehicle, index)
     per_newton = vehicle.inertia_kg_m2[index] / sum(abs(arm) for arm in arms)
     return [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
@@ -93,7 +93,7 @@ def thrust_momentum_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step:
     if vehicle.servo is not None or not any(levers(vehicle, index)):
         return 0.0
     hover = [vehicle.mass_kg * GRAVITY / jets] * jets
-    return rotor_momentum_lead(vehicle, [engine] * jets, hover, thrust_moves(vehicle, index), step)[index]
+    return rotor_momentum_lead(vehicle, [engine] * jets, hover, thrust_per_acceleration(vehicle, index), step)[index]
 
 
 def list_servos(vehicle: Vehicle) -> list[Servo | Hinge | Surface]:

@@ -44,7 +44,7 @@ from cosim.vehicle.model_trial import check_model_loads
 RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0  # of second order
 ADAMS_BASHFORTH_3: Final = 4.0  # of third order
-BUSS_2: Final = 7.0  # exact for a constant rate
+BUSS_2: Final = 7.0  # exact at a constant angular rate
 INTEGRATION_METHOD_NAMES: Final = {  # in summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",

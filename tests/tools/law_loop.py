@@ -28,7 +28,7 @@ from cosim.spec.scenario import Scenario
 from hexjet_design import design as make
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels
-from hexjet_design.loop.closed_loop import WINDOW_PACES
+from hexjet_design.loop.closed_loop import WINDOW_TIME_SCALES
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
 LOST = 1e3  # times the impulse: the loop runs away
@@ -101,7 +101,7 @@ class LawLoop:
 
     def __init__(self, channel: Channel, law: RateLoop, gain_1_s: float, seconds: float = 0.0) -> None:
         self.channel, self._law, self._gain = channel, law, gain_1_s
-        self.samples = ceil((seconds or WINDOW_PACES * channel.slowness_s) / channel.step)
+        self.samples = ceil((seconds or WINDOW_TIME_SCALES * channel.slowness_s) / channel.step)
         self._load = self._run(load=SMALL)
 
     def _run(self, **impulse: float) -> Record:

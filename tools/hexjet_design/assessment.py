@@ -110,7 +110,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
 
 
 def margins(closed: ClosedLoop) -> LeastMargins:
-    """Return a loop's least margins: of lag and lead the smaller one, of which a lead is negative."""
+    """Return a loop's smallest margins; that of phase is the lag, or the lead as a negative number if it is smaller."""
     loop = closed.margins
     lag, lead = loop.phase_deg, loop.phase_lead_deg
     turns = [turn for turn in (lag, None if lead is None else -lead) if turn is not None]

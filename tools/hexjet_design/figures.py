@@ -181,9 +181,9 @@ def _sensitivity_figure(loops: list[tuple[str, str, ClosedLoop, bool]], design: 
 def _step_figure(
     loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign, points: int = 1500, times: float = 25.0
 ) -> Figure:
-    """Draw the step responses over ``times`` the pace of the channel."""
+    """Draw the step responses over ``times`` the time scale of the channel."""
     data: list[Figure] = []
-    end = times * axis_design.channel.pace_s
+    end = times * axis_design.channel.time_scale_s
     for label, colour, loop, stable in loops:
         if not stable:
             continue

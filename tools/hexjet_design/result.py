@@ -164,7 +164,7 @@ def detail_lines(design: Design) -> list[str]:
         if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
     lines.append(_describe_saturation(design))
-    lines += _level_lines(design)
+    lines += _describe_fuel_levels(design)
     checks = [
         (axis, f"{'stable' if fine else 'NOT stable'} for {check}")
         for axis, axis_design in design.axes.items()
@@ -209,14 +209,14 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
 
 
 def _delay_words(channel: Channel) -> str:
-    """Return a channel's delay, and its pace if low-frequency delay is meaningless."""
+    """Return a channel's delay, and its time scale if low-frequency delay is meaningless."""
     delay = f"all delay {1e3 * channel.slowness_s:.4g} ms at low frequency"
-    if channel.pace_s == channel.slowness_s:
+    if channel.time_scale_s == channel.slowness_s:
         return delay
     why = f"rotors that hinges turn lead by {1e3 * channel.lead_s:.3g} ms"
     if channel.lead_s <= 0.0:
         why = "a slow pole has a zero beside it"
-    return f"{delay} and {1e3 * channel.pace_s:.4g} ms where a loop is closed: {why}"
+    return f"{delay} and {1e3 * channel.time_scale_s:.4g} ms where a loop is closed: {why}"
 
 
 def _model_lines(design: Design) -> list[str]:
@@ -299,8 +299,8 @@ def _limit_lines(roll: AxisDesign, negligible_percent: float = 3.0) -> list[str]
     return [f"{reached}, limited most by {most}: {', '.join(limits)}"]
 
 
-def _level_lines(design: Design) -> list[str]:
-    """Describe the effect of burnt fuel on the loops, and of the schedule."""
+def _describe_fuel_levels(design: Design) -> list[str]:
+    """Return lines on what burnt fuel does to the loops, and on the gain schedule against it."""
     if not design.levels:
         return []
     least = design.levels[-1]

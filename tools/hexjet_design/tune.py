@@ -25,7 +25,7 @@ MAX_EVALUATIONS = 200  # of a simplex search
 # Largest relative excess over the requirements of a tuning at which a further search may begin.
 MAX_EXCESS = 0.02
 ROUNDING_POINTS = 1500  # frequencies to round numbers
-MIN_GAIN = 1e-6  # of the objective, for another digit
+MIN_DROP = 1e-6  # of the cost, to change a digit
 MAX_PASSES = 1000  # rounds over all numbers
 # The search keeps requirements by this relative margin, for what lies between its frequencies.
 SEARCH_MARGIN = 0.004
@@ -47,7 +47,7 @@ class TuningResult:
 class TuningBounds:
     """Logarithmic search ranges of ``K tau``, ``p k tau``, ``i / p tau``, ``d / (p tau)`` and the predictor.
 
-    ``tau`` is the channel's pace (its delay at low frequency, mostly) and ``k`` its gain there, so the same box fits
+    ``tau`` is the channel's time scale (mostly its delay at low frequency) and ``k`` its gain there, so one box fits
     every vehicle.  With a lead its poles come last, over the engine's, and ``tau`` is what they leave.
     """
 
@@ -62,7 +62,7 @@ class TuningBounds:
     ) -> None:
         self._channel, self._model, self._fixed = channel, model, fixed
         self._lead = lead
-        tau = channel.pace_s
+        tau = channel.time_scale_s
         ends = [(0.05, 3.0), (0.1, 6.0), (0.003, 1.0), (0.003, 3.0)]
         self._spec = PREDICTORS[controller]
         self._own = self._spec.parameters if predictor else ()
@@ -73,7 +73,7 @@ class TuningBounds:
             ends.append((1.0, max(1.1, min(10.0, most))))
         if channel.name == "altitude":
             ends[3] = (0.0, 0.0)  # its controller has no derivative
-        self._tau, self._gain, self._size = tau, channel.paced_gain, len(ends)
+        self._tau, self._gain, self._size = tau, channel.gain_at_time_scale, len(ends)
         self.free = [k for k, (low, high) in enumerate(ends) if high > low]
         self.low = np.array([log(ends[k][0]) for k in self.free])
         self.high = np.array([log(ends[k][1]) for k in self.free])
@@ -212,7 +212,7 @@ def tune_digits(
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
-                if (value := cost(trial)) < best - MIN_GAIN:
+                if (value := cost(trial)) < best - MIN_DROP:
                     values, best, moved = trial, value, True
         if not moved:
             break
@@ -248,7 +248,7 @@ def _tune_integers(channel: Channel, start: Tuning, need: Requirements) -> Tunin
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
-            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_GAIN:
+            if all(1 <= trial[name] <= firmware.max_gain for name in way) and (value := cost(trial)) < best - MIN_DROP:
                 values, best, moved = trial, value, True
         if not moved:
             break

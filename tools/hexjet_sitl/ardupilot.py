@@ -57,7 +57,7 @@ _RATE_SETTLING_FRAMES = 2400
 # Transmitter channel that is high while the vehicle's GNSS fails: RC16_OPTION 65, with which ArduPilot has no fix.
 GNSS_CHANNEL = 16
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # channel 5 selects the mode, 7 arms
-_SERVO_PACKETS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by magic: rate, count, pulses
+_SERVO_PACKETS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by first field: rate, count, pulses
 _STICK_PACKET = Struct("<16H")  # sixteen pulses [us]
 # JSON of one state between two line ends; ArduPilot's parser needs a blank after a comma, and none after a colon.
 _STATE_LINE = (

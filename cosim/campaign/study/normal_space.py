@@ -55,9 +55,9 @@ class NormalSpace:
         side = iter(range(len(varied)))
         for vary in study.vary:
             if vary.uncertainty and engine is not None:
-                self._maps.append(partial(_make_engine_columns, engine, len(varied)))
+                self._maps.append(partial(_invert_engine, engine, len(varied)))
             else:
-                self._maps.append(partial(_make_key_column, inverse(vary, study.key(vary.key)), next(side)))
+                self._maps.append(partial(_invert_key, inverse(vary, study.key(vary.key)), next(side)))
 
     def values(self, points: Array) -> list[dict[str, Value]]:
         """Return the values of the varied keys at each of ``points``, an array of shape (n, dimension).
@@ -77,11 +77,11 @@ class NormalSpace:
         return Draw(number, seed, self.values(np.atleast_2d(point))[0])
 
 
-def _make_key_column(to_values: Callable[[Array], list[Value]], side: int, quantiles: Array) -> list[list[Value]]:
-    return [to_values(quantiles[:, side])]
+def _invert_key(inverse: Callable[[Array], list[Value]], side: int, quantiles: Array) -> list[list[Value]]:
+    return [inverse(quantiles[:, side])]
 
 
-def _make_engine_columns(engine: EngineDraw, first: int, quantiles: Array) -> list[list[Value]]:
+def _invert_engine(engine: EngineDraw, first: int, quantiles: Array) -> list[list[Value]]:
     return engine.values(quantiles[:, first:])
 
 

@@ -96,7 +96,7 @@ class Hull:
         if result.status == 2:
             nothing = np.zeros(self._angles.shape[1])
             return Bound(-inf, np.zeros(self._thrusts.shape[1]), nothing, nothing)
-        assert result.status == 0, result.message  # bounded, because corner weights are
+        assert result.status == 0, result.message  # weights of corners are bounded
         weights = result.x
         thrust, angles = weights @ self._thrusts, weights @ self._angles
         spread = np.sqrt(np.maximum(weights @ self._angles**2 - angles**2, 0.0))

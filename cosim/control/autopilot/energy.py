@@ -155,7 +155,7 @@ class Energy:
         return self._parameters["HJ_FUEL_LOW"] / 100.0
 
     def describe_shortage(self, seconds: float, position: Pair, altitude: float) -> str:
-        """Return why energy does not suffice for ``seconds`` to a position and home; empty: it does."""
+        """Return why energy does not suffice to fly for ``seconds`` to a position and then home, or an empty string."""
         if self.remaining is None or not self.burn:
             return ""
         need = self.burn * (seconds + (1.0 + self.margin) * self.return_time(position, altitude))

@@ -24,7 +24,7 @@ from cosim.simulation.script.command_script import make_sweep as chirp
 
 MAX_SETTLING_S = 60.0  # for the thrust to come to rest
 SETTLING_BAND = exp(-pi / sqrt(3.0))  # overshoot of poles with damping 0.5
-BAND_FACTORS = (0.1, 10.0)  # automatic band over the corner
+BAND_FACTORS = (0.1, 10.0)  # band's ends over the corner frequency
 
 
 def identify_engine(

@@ -110,7 +110,7 @@ def _compile_program(columns: tuple[Column, ...]) -> Program:
 
 
 class _Compiler:
-    """Collects the nodes of a sample and the reads that fetch the columns' sources from them."""
+    """Makes a program: nodes, the parts of a sample to visit, and reads, what is copied from them into columns."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, tuple[int, int, int]] = {}  # node, its parent, index in the parent

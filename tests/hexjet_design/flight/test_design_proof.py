@@ -503,7 +503,7 @@ def test_an_engine_with_a_zero_beside_a_slow_pole_is_designed_for(name: str, mad
     roll = made.axes["roll"]
     assert roll.after is not None
     # the fast part of each alone: its lags that no zero takes away, its dead time, the gyro and a hold
-    assert 0.02 < roll.channel.pace_s < 0.25
+    assert 0.02 < roll.channel.time_scale_s < 0.25
     assert (roll.channel.slowness_s > 2.0) if name == "creeps" else (roll.channel.slowness_s < 0.0)
     assert proving._check_loops_with_engine(made, made.engine_dynamics).reason == ""
     for flight, table in flying.flight_tables(made).items():

@@ -118,7 +118,7 @@ class Channel:
         return (0.5 + self.transport_samples) * self.step + self.lag_s
 
     @cached_property
-    def pace_s(self) -> float:
+    def time_scale_s(self) -> float:
         """Return the time scale of a loop, s, above 0, by which searches are scaled.
 
         That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
@@ -128,19 +128,19 @@ class Channel:
         over it does.
         """
         turned = self._radian_lag_s() if self.identified is None else self.slowness_s
-        # The low-frequency delay is the pace if the two differ by less than this factor; a single lag has 0.64.
+        # The low-frequency delay is the time scale if the two differ by less than this factor; a single lag has 0.64.
         min_ratio = 0.5
         return self.slowness_s if min_ratio < turned / max(self.slowness_s, MIN_POLE) < 1.0 / min_ratio else turned
 
     @property
-    def paced_gain(self) -> float:
-        """Return the plant's gain at the frequency of the pace, in the unit of the gain at rest.
+    def gain_at_time_scale(self) -> float:
+        """Return the plant's gain at the frequency 1 / time_scale_s, in the unit of the gain at rest.
 
         That is the gain at rest itself where the lags are all that is between the two.
         """
-        if self.pace_s == self.slowness_s:
+        if self.time_scale_s == self.slowness_s:
             return self.gain
-        s, gain = 1j / self.pace_s, self.gain
+        s, gain = 1j / self.time_scale_s, self.gain
         for pole in self.actuator.dynamics.poles:
             gain /= abs(1.0 - s / pole)
         for zero in self.actuator.dynamics.zeros:
@@ -149,10 +149,10 @@ class Channel:
 
     @property
     def longest_s(self) -> float:
-        """Return the longest response time, s: of the slowest pole, or the pace if longer."""
-        if self.pace_s == self.slowness_s:
-            return self.pace_s
-        return max([self.pace_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
+        """Return the longest response time, s: of the slowest pole, or the time scale if longer."""
+        if self.time_scale_s == self.slowness_s:
+            return self.time_scale_s
+        return max([self.time_scale_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
 
     def _radian_lag_s(self) -> float:
         """Return 1 / w [s], w the lowest frequency at which command to rate, without its integral, lags by 1 rad."""
@@ -422,11 +422,11 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
-    # With a zero near an engine's pole, the lead skips poles slower than this times the channel's pace.
+    # With a zero near an engine's pole, the lead skips poles slower than this times the channel's time scale.
     led_within = 3.0
-    if channel.pace_s != channel.slowness_s:
+    if channel.time_scale_s != channel.slowness_s:
         # A zero near a slow pole cancels it, so that nothing is left to lead.
-        poles = [pole for pole in poles if abs(pole) * channel.pace_s * led_within >= 1.0]
+        poles = [pole for pole in poles if abs(pole) * channel.time_scale_s * led_within >= 1.0]
     if not poles:
         return None
     slowest, *others = poles

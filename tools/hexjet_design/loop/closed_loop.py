@@ -28,7 +28,7 @@ from hexjet_design.loop.channel import Channel, angles
 from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
-WINDOW_PACES = 50.0  # length of time responses in paces
+WINDOW_TIME_SCALES = 50.0  # length of time responses in time scales
 # Length of time responses in time constants of the slowest response, of which 5 % then remains.
 WINDOW_RESPONSES = 3.0
 # Largest fraction of a response that remains one period later and wraps around: as small as rounding.
@@ -60,7 +60,7 @@ class FrequencyGrid:
 
 def window_s(channel: Channel) -> float:
     """Return the length of the time responses of a channel, s."""
-    return max(WINDOW_PACES * channel.pace_s, WINDOW_RESPONSES * channel.longest_s)
+    return max(WINDOW_TIME_SCALES * channel.time_scale_s, WINDOW_RESPONSES * channel.longest_s)
 
 
 class ClosedLoop:
@@ -158,7 +158,7 @@ class ClosedLoop:
 
     @cached_property
     def steps(self) -> Steps:
-        """Unit steps of set-point and load over :data:`WINDOW_PACES` times the channel's pace, exactly."""
+        """Unit steps of set-point and load over :data:`WINDOW_TIME_SCALES` times the channel's time scale, exactly."""
         channel = self.points.channel
         samples = ceil(window_s(channel) / channel.step)
         if self.tuning.firmware is not None or not self.tuning.has_space:

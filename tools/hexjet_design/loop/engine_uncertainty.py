@@ -151,7 +151,7 @@ def engine_tolerances(
 ) -> EngineTolerances:  # fmt: skip
     """Return the requirements with the tolerances that they do not state taken from the engine's uncertainty.
 
-    They are :data:`~cosim.engine.fmu.uncertainty.MAX_SIGMA` deviations at the frequency of each channel's pace, the
+    They are :data:`~cosim.engine.fmu.uncertainty.MAX_SIGMA` deviations at 1 / ``time_scale_s`` of each channel, the
     largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with
     all stated, the requirements are as they were.  ``inertia``: the least of the gain, which is thrust over inertia;
     three deviations of 5 % of the second, as in a replay, of which no engine log tells.  Raises InputError as a flight.
@@ -161,7 +161,7 @@ def engine_tolerances(
     if spec.uncertainty is None or not unstated or not acting:
         return EngineTolerances(need)
     sensitivity = EngineSensitivity(scenario, vehicle, spec)
-    found = [(plant, *sensitivity.covariances(1.0 / (2.0 * pi * plant.pace_s))) for plant in acting]
+    found = [(plant, *sensitivity.covariances(1.0 / (2.0 * pi * plant.time_scale_s))) for plant in acting]
     of_one = [
         (plant, MAX_SIGMA * np.sqrt(np.diag(common + single)), common + single) for plant, common, single in found
     ]
@@ -196,7 +196,7 @@ def _engine_spread(
 ) -> tuple[dict[str, float], str]:
     """Return the deviation of one engine in the proof if not stated, and words on its origin.
 
-    It is the table's spread, in gain or in delay over the channel's pace; a table that states none was made of one
+    It is the table's spread, in gain or in delay over the channel's time scale; a table without one was made of one
     engine, which says nothing of six.  ``unknown_spread``: of gain and lag between engines of which one alone was
     measured, as without a table.
     """
@@ -207,7 +207,7 @@ def _engine_spread(
             "; it gives no engine-to-engine spread, so the proof assumes "
             f"{100.0 * unknown_spread:.0f} % of gain and lag (engine_spread)"
         )
-    ends = [MAX_SIGMA * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
+    ends = [MAX_SIGMA * np.sqrt(np.diag(single)) / (1.0, plant.time_scale_s) for plant, _, single in found]
     spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MAX_TOLERANCES["gain_tolerance"])
     return {"engine_spread": spread}, f"; by its spread one engine is off by {100.0 * spread:.3g} % in the proof"
 

@@ -38,7 +38,7 @@ JUDGED = {
     UNSTABLE_ENGINES: ("unstable draws", "", 1.0, 0),
     CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
-WITH_MAXIMUM = ("peak_sensitivity", UNSTABLE_ENGINES)  # others have a minimum of their magnitude
+JUDGED_BY_MAXIMUM = ("peak_sensitivity", UNSTABLE_ENGINES)  # others by a minimum
 COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")  # heads of the table of judgements
 
 
@@ -70,7 +70,7 @@ class JudgedMargin(NamedTuple):
         if self.band is None or self.limit is None or self.worst is None:
             return -1 if self.band is None else BANDS.index(self.band), 0.0
         larger, smaller = abs(self.limit), abs(self.worst)
-        if self.margin in WITH_MAXIMUM:
+        if self.margin in JUDGED_BY_MAXIMUM:
             larger, smaller = smaller, larger
         return BANDS.index(self.band), larger / smaller if smaller else inf * larger if larger else 0.0
 
@@ -145,7 +145,7 @@ def _judge_margin(measured: AxisMargins, name: str, value: float, worst: float) 
     limit, known, source = _find_limit(name, measured)
     band = None
     if limit is not None:
-        sign = -1.0 if name in WITH_MAXIMUM else 1.0
+        sign = -1.0 if name in JUDGED_BY_MAXIMUM else 1.0
         is_kept = [sign * (abs(worst) - abs(each)) >= 0.0 for each in (limit, limit if known is None else known)]
         band = ENOUGH if is_kept[0] else NARROW if is_kept[1] else TOO_LITTLE
     return JudgedMargin(measured.axis, name, value, worst, limit, known, band, source)

@@ -272,7 +272,7 @@ def _stays_up(response: Response) -> bool:
     octave = float(size[abs(hertz - 0.5 * hertz[-1]).argmin()])
     # If |L| falls to no less than this in the band's last octave, measure up to half the control rate.
     min_fall = 0.7
-    min_gain = 0.01  # |L| at the band's end: 40 dB gain margin
+    min_gain = 0.01  # |L| at the band's end, 40 dB below 1
     return bool(size[-1] > min_gain and size[-1] > min_fall * octave)
 
 

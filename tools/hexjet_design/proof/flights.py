@@ -215,10 +215,10 @@ def _strongest_lever(vehicle: Vehicle) -> int:
 
 
 def _engine_lag(design: Design) -> float:
-    """Return the engine's lag where a loop is closed, s: of an engine with a slow zero no more than the loop's pace."""
+    """Return the engine's lag where a loop is closed, s; with a slow zero at most the loop's time scale."""
     channel = design.axes["altitude" if design.axes["roll"].channel.is_by_servo else "roll"].channel
     lag = design.engine_dynamics.lag_s
-    return lag if 0.0 < lag <= channel.pace_s else channel.pace_s
+    return lag if 0.0 < lag <= channel.time_scale_s else channel.time_scale_s
 
 
 def _fly_with_design(design: Design, name: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:

@@ -45,9 +45,9 @@ class Table:
     columns: dict[str, Array]
     times: Array
     name: str
-    unit: str  # of the time in the file
+    unit: str  # unit of the file's time
     units: dict[str, str] = field(default_factory=dict)
-    left_out: Sequence[str] = ()  # being no numbers
+    left_out: Sequence[str] = ()  # columns that are not numbers
     remarks: list[str] = field(default_factory=list)
 
 

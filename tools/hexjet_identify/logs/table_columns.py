@@ -30,7 +30,7 @@ class TableColumns:
     # Names of those numbers that are dates, in seconds.
     dates: list[str] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
-    left_out: Sequence[str] = ()  # being no numbers
+    left_out: Sequence[str] = ()  # columns that are not numbers
     remarks: list[str] = field(default_factory=list)
 
 

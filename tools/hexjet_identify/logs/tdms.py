@@ -14,7 +14,7 @@ from hexjet_identify.logs.flight_log import Channel, FlightLog, numbers
 from hexjet_identify.logs.table import SECONDS_PER_UNIT, TIME_NAMES, plain_name, time_unit, unit_in_name
 
 # Properties in which a channel's unit may be.
-UNITS = ("unit_string", "NI_UnitDescription", "unit", "units")
+UNIT_KEYS = ("unit_string", "NI_UnitDescription", "unit", "units")
 STEP, OFFSET = "wf_increment", "wf_start_offset"  # s from row to row, and of the first
 
 
@@ -46,7 +46,7 @@ def read(path: Path) -> FlightLog:
                 left_out.append(name)
                 continue
             unit = next(
-                (str(each.properties[key]) for key in UNITS if each.properties.get(key)), unit_in_name(each.name)
+                (str(each.properties[key]) for key in UNIT_KEYS if each.properties.get(key)), unit_in_name(each.name)
             )
             channels[name] = Channel(times, numbers(each[:]), unit)
     if not channels:
@@ -68,5 +68,5 @@ def _read_times(channel: Any, stamps: Any | None) -> Array | None:
         return None
     if np.issubdtype(stamps.dtype, np.datetime64):
         return np.asarray((stamps[:] - stamps[0]) / np.timedelta64(1, "ns") * 1e-9)
-    unit = next((str(stamps.properties[key]) for key in UNITS if stamps.properties.get(key)), "")
+    unit = next((str(stamps.properties[key]) for key in UNIT_KEYS if stamps.properties.get(key)), "")
     return np.asarray(SECONDS_PER_UNIT[time_unit(stamps.name, unit)] * numbers(stamps[:]))

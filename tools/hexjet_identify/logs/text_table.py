@@ -25,7 +25,7 @@ DATES = ("%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%Y/%m/%
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 _MISSING_MARKS = ("", "nan", "-nan", "inf", "-inf", "+inf", "null", "none", "n/a", "na", "-")
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T].*)?|\d{1,2}:\d{2}:\d{2}.*")
-_FRACTION = re.compile(r"(:\d{2})[.,](\d+)")
+_SECOND_FRACTION = re.compile(r"(:\d{2})[.,](\d+)")
 _CONTROL_CHARACTERS = re.compile(r"[\x00-\x08\x0e-\x1f]")
 
 
@@ -175,8 +175,8 @@ def _parse_date(text: str, layout: str) -> float | None:
         if not layout:
             moment = datetime.fromisoformat(text.replace(",", "."))
             return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        fraction = _FRACTION.search(text)
-        since_epoch = datetime.strptime(_FRACTION.sub(r"\1", text), layout).replace(tzinfo=UTC)
+        fraction = _SECOND_FRACTION.search(text)
+        since_epoch = datetime.strptime(_SECOND_FRACTION.sub(r"\1", text), layout).replace(tzinfo=UTC)
         start = datetime(1900, 1, 1, tzinfo=UTC) if layout == DATES[-1] else datetime(1970, 1, 1, tzinfo=UTC)
         return (since_epoch - start).total_seconds() + (float(f"0.{fraction.group(2)}") if fraction else 0.0)
     except (ValueError, OverflowError):

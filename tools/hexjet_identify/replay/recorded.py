@@ -26,13 +26,13 @@ NED: Final = ("north", "east", "down")
 MIN_DURATION_S: Final = 2.0
 # PX4's outputs, in microseconds.
 PX4_OUTPUTS: Final = "actuator_outputs"
-MICROSECONDS: Final = (1000.0, 2000.0)  # pulses of throttle 0 and 1
+PULSE_RANGE_US: Final = (1000.0, 2000.0)  # pulses of throttle 0 and 1
 # Values of throttle 0 and 1, by the kind of log or by the topic.
 THROTTLE_RANGES: Final = {
-    PX4_OUTPUTS: MICROSECONDS,
+    PX4_OUTPUTS: PULSE_RANGE_US,
     "Crazyflie": (0.0, 65535.0),
-    "ArduPilot DataFlash": MICROSECONDS,
-    "MAVLink telemetry log": MICROSECONDS,
+    "ArduPilot DataFlash": PULSE_RANGE_US,
+    "MAVLink telemetry log": PULSE_RANGE_US,
     "Betaflight blackbox": (48.0, 2047.0),
 }
 # A table with these columns, or a log with topics of this prefix, was written by this program.

@@ -38,10 +38,10 @@ STEADY_S = 10.0
 SLOW_M_S, SLOW_S = 0.3, 1.0  # slower for this long: it holds
 MAX_SETTLING_S = 60.0  # then the failure comes at any speed
 MAX_FLIGHT_S = 180.0  # three descents from 30 m
-MAX_S_PER_METRE = 4.0  # of height: slower than any vehicle
+MAX_S_PER_METRE = 4.0  # no vehicle climbs or descends so slowly
 DISARMED_S = 10.0  # flown on after disarming
 MAX_HOLD_RADIUS_M = 1.5  # as for a waypoint (HJ_ACC_RADIUS)
-MAX_HOLD_HEIGHT_M = 0.4  # height error; it ends a climb too
+MAX_HOLD_HEIGHT_ERROR_M = 0.4  # a climb ends within it too
 MAX_HOLD_S = 60.0  # s of holding that are watched
 
 
@@ -289,7 +289,7 @@ class HoldTarget:
     def margin(self) -> float:
         """Return the smaller margin of distance and height to the limits of holding, m."""
         distance, height_error = self.deviation()
-        return min(self._within - distance, MAX_HOLD_HEIGHT_M - abs(height_error))
+        return min(self._within - distance, MAX_HOLD_HEIGHT_ERROR_M - abs(height_error))
 
     def is_held(self) -> bool:
         """Return whether the vehicle is in HOLD, slow, and near its position and height."""

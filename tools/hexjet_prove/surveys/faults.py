@@ -46,7 +46,7 @@ class Case(NamedTuple):
     settings: Mapping[str, Any] = {}
 
     def name(self, start: str) -> str:
-        """Return the name that the case has in the study with a start."""
+        """Return the case's name in a study: fault, place and how the flight starts."""
         return "-".join(re.findall(r"\w+", f"{self.kind} {self.place} {start}"))
 
     def settings_from(self, start: str) -> dict[str, Any]:

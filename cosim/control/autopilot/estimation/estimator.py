@@ -192,7 +192,7 @@ class Estimator:
 
     @property
     def lift(self) -> float | None:
-        """Specific force upwards over gravity; None without an accelerometer."""
+        """Specific force upwards divided by gravity; None without an accelerometer."""
         return (self._lift + self.vertical.u.real) / GRAVITY if self.has_force else None
 
     @property
