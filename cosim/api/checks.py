@@ -218,7 +218,7 @@ class AircraftCheckResult(Result):
         lines = [(line.name, line.text, line.fault) for line in self.check.lines]
         meaning = _MOMENTS_NOTE if self.check.is_exact else f"{_MOMENTS_NOTE} {_BOUNDS_NOTE}"
         return [
-            Table("", ("check_types", "what it is", "fault"), lines),
+            Table("", ("check", "what it is", "fault"), lines),
             Table(meaning, ("engine out", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
         ]
 

@@ -222,7 +222,7 @@ def _is_older_search(folder: Path) -> bool:
 def _make_scenario_table(
     study: Study, resolved: Scenario, simulation: Simulation, sources: dict[str, Path | bytes]
 ) -> dict[str, Any]:
-    """Return the resolved scenario as a table; values that belong to a varied aircraft or engine stay unresolved."""
+    """Return the resolved scenario as a table; values of varied aircraft, engines or sensors stay unresolved."""
     base = study.base()
     data = resolved.model_dump(mode="json", exclude_none=True) | {
         "controller": base.controller if split_file_name(base.controller) is None else BASELINE.name,
@@ -237,11 +237,10 @@ def _make_scenario_table(
         for number, station in stations.items():
             if "engine" in station:
                 station["engine"] = names[id(simulation.stations[int(number) - 1])]
-        data |= {
-            "engine": names[id(simulation.engine)],
-            "engine_parameters": base.engine_parameters,
-            "stations": stations,
-        }
+        engine = names[id(simulation.engine)]
+        data |= {"engine": engine, "engine_parameters": base.engine_parameters, "stations": stations}
+    if "sensors" in changed:
+        data["vehicle"]["sensors"] = base.vehicle.get("sensors", {})
     if "aircraft" in swapped:
         data["vehicle"] = base.vehicle
         if "step_s" not in base.model_fields_set:

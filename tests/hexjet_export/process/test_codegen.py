@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,11 +12,10 @@ import pytest
 from command_tools import Hexjet
 from exported_controllers import CASES, CC, HEXJET, LOOPS, STRICT, driven, made, scenario, written
 from long_cases import long_after, long_case
-from places import DESIGNS, DOCS, TOOLS
+from places import DESIGNS, TOOLS
 
 from cosim import fly
 from cosim.base.errors import InputError
-from cosim.cli.main import main
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.build import build
 from hexjet_export.controller import measure
@@ -331,22 +329,6 @@ def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], messag
     assert message in done.err
     assert done.err.count("\n") == 1
     assert not (tmp_path / "new").exists()
-
-
-def page() -> str:
-    return (DOCS / "export.md").read_text(encoding="utf-8")
-
-
-def test_the_first_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = page().partition("##")[0].splitlines()
-    export, compile_and_run = (line.strip() for line in lines if line.startswith("    "))
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main([*shlex.split(export)[1:], "--set", "duration_s=0.4", "--no-fmu"])
-    assert ended.value.code == 0
-    done = subprocess.run(["sh", "-c", compile_and_run], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "100 steps, 0 numbers differ" in done.stdout
 
 
 def test_every_built_in_predictor_has_a_c_form() -> None:

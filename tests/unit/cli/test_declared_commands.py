@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -91,6 +92,7 @@ def test_every_option_has_a_text_and_the_name_that_python_has(name: str) -> None
         if option.names and option in command.declared:
             assert f"--{option.argument.replace('_', '-')}" in option.names
     assert f"hexjet {name} {command.example}" in command.help(80)
+    command.read(shlex.split(command.example.partition(" > ")[0]))
     assert bool("--trust" in names) == command.runs_code
 
 

@@ -156,15 +156,3 @@ def test_flying_takes_the_versions_that_are_tested() -> None:
     names = {line.partition("==")[0] for line in flying}
     assert {"jsbsim", "numpy", "pyarrow", "mypy", "setuptools"} <= names
     assert not names & {"pytest", "playwright", "mavproxy", "pandas", "sphinx"}
-
-
-def test_what_the_documentation_imports_is_there() -> None:
-    """A name that a page shows a user is public, whatever room it stands in."""
-    imports = {
-        (page.name, module, name.strip().partition(" as ")[0])
-        for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-        for module, names in re.findall(r"^from (cosim[\w.]*) import (\w[\w, ]*)$", page.read_text("utf-8"), re.M)
-        for name in names.split(",")
-    }
-    assert ("campaigns.md", "cosim.campaign", "run_campaign") in imports
-    assert [each for each in sorted(imports) if not hasattr(__import__(each[1], fromlist=[each[2]]), each[2])] == []

@@ -1,6 +1,6 @@
-"""The documentation's site (docs/README.md is its contents): its reference has everything, its links lead somewhere, its pages' commands exist.
+"""The documentation's site (docs/README.md is its contents): its reference has everything, and its links lead somewhere.
 
-That Sphinx builds it without a warning is a long test of its own, and so is the tutorial as written.
+That Sphinx builds it without a warning is a long test of its own; test_pages.py runs the commands of pages.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import re
 import runpy
-import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -163,29 +162,6 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
         *(":target:", "../live/flight.html", "```", "[c](../index.md#install)"),
     ]
     assert (tmp_path / "docs" / "pictures" / "page-flight.png").is_file()
-
-
-def commands(page: Path) -> Iterator[str]:
-    """The calls of hexjet in blocks of a page without a language, without what is said of them behind three blanks."""
-    blocks = re.findall(
-        r"^```(?:sh)?\n(.*?)^```|((?:^ {4}\S.*\n)+)", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
-    )
-    for line in "\n".join(fenced or indented for fenced, indented in blocks).replace("\\\n", " ").splitlines():
-        if found := re.match(r" *(?:\$ )?(?:\.venv/bin/)?hexjet (?!goes)(.*)", line):
-            for command in found[1].split(" && hexjet "):
-                yield re.split(r" {3,}(?!-)| > | && ", command)[0]
-
-
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
-def test_the_commands_of_a_page_exist(page: Path) -> None:
-    """Every one with its options, as the command line reads them; nothing is flown."""
-    for command in commands(page):
-        name, words = table.find(shlex.split(command, comments=True))
-        table.load(name).read(words)
-
-
-def test_there_are_commands_on_pages() -> None:
-    assert sum(len(list(commands(page))) for page in DOCS.glob("*.md")) > 100
 
 
 @pytest.mark.long

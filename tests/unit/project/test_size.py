@@ -12,9 +12,9 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_403,
-    "cosim": 64_739,
+    "cosim": 64_738,
     "docs": 1_631,
-    "tests": 68_373,
+    "tests": 68_365,
     "tools/hexjet_batch": 2_919,
     "tools/hexjet_design": 8_191,
     "tools/hexjet_export": 3_787,
@@ -28,7 +28,7 @@ MAX_LINES = {
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
 MAX_CONSTANTS = 278
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
-MAX_PAGE_WORDS = 54_941
+MAX_PAGE_WORDS = 54_938
 MAX_TABLE_WORDS = 19_689
 
 _CONSTANT = re.compile(r"^[_A-Z][A-Z0-9_]* *(: *[^=]+)?= *-?[0-9.]")

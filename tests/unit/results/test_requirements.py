@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -263,15 +262,6 @@ def test_a_row_has_the_margins() -> None:
 def test_a_study_refuses_what_its_flights_would() -> None:
     with pytest.raises(InputError, match="require bad: unknown event 'gust ends'"):
         study(require=[{"name": "bad", "formula": 'after("gust ends", roll_deg < 3)'}])
-
-
-def test_the_examples_of_the_page_run() -> None:
-    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
-    for table in tables:
-        Scenario.model_validate({"name": "page", "duration_s": 120.0} | table)
-    check_expected(Scenario.load("roll-doublet").replace(require=tables[-1]["require"]))
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    exec(program, {})
 
 
 def test_a_formula_that_looks_at_the_first_row_alone_is_noted() -> None:
