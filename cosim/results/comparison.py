@@ -79,6 +79,7 @@ def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
 
 
 def compare_with_first(flights: Sequence[ComparedFlight]) -> list[LogComparison]:
+    """Return how the log of each further flight differs from the first one's."""
     return [_compare_pair(flights[0], other) for other in flights[1:]]
 
 

@@ -181,7 +181,6 @@ class Simulation:
         disturbance: Disturbance,
         health: PerJet,
     ) -> Sample:
-        """Return all signals of step ``k``, for the observers."""
         propulsion = self.propulsion
         return _SAMPLE(
             k,

@@ -57,7 +57,6 @@ def make_levels(
 
 
 def meets_requirements(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
-    """Return whether a tuning keeps the requirements on a channel."""
     return is_acceptable(fine_loop(channel, tuning), need)
 
 

@@ -71,6 +71,7 @@ def _is_stable(channel: Channel, tuning: Tuning) -> bool:
 
 
 def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
+    """Return why the first axis without a controller has none, in a line, or an empty string."""
     for axis, axis_design in axes.items():
         if axis_design.why_not:
             return f"{axis}: no controller at the limit keeps the requirements: {axis_design.why_not}"

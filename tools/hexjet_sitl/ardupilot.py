@@ -52,8 +52,6 @@ START_TIMING = StartTiming(
     before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, stick_moves_heading=True
 )
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports; 3 and 4 are for GNSS
-# ArduPilot's frame rate starts at 1200 Hz and approaches SIM_RATE_HZ by about one per frame.
-_RATE_SETTLING_FRAMES = 2400
 # Transmitter channel that is high while the vehicle's GNSS fails: RC16_OPTION 65, with which ArduPilot has no fix.
 GNSS_CHANNEL = 16
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # channel 5 selects the mode, 7 arms
@@ -178,9 +176,12 @@ class ArduPilot(Autopilot):
             command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
         return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
 
-    def _check_rate(self, rate: int) -> None:
-        """Raise FlightError if ArduPilot's frame rate, once settled, differs from the flight's."""
-        if self.counts.frames == _RATE_SETTLING_FRAMES and abs(rate * self._step - 1.0) > 0.01:
+    def _check_rate(self, rate: int, settled: int = 2400) -> None:
+        """Raise FlightError if ArduPilot's frame rate differs from the flight's when ``settled`` frames were exchanged.
+
+        It starts at 1200 Hz and approaches SIM_RATE_HZ by about one per frame.
+        """
+        if self.counts.frames == settled and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
                 f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"

@@ -35,7 +35,6 @@ class AutopilotTable(Model):
 
     @model_validator(mode="after")
     def _refuse_foreign_options(self) -> AutopilotTable:
-        """Refuse options that the autopilot does not have."""
         owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
         for key, owners in owned.items():
             if getattr(self, key) and self.name not in owners:

@@ -162,7 +162,6 @@ def _is_installed(path: Path, top: str) -> bool:
 
 @cache
 def _installed_folders() -> frozenset[Path]:
-    """Return the folders where Python and its packages are installed."""
     paths = get_paths()
     user = [site.getusersitepackages()] if site.ENABLE_USER_SITE else []
     names = [*(paths[name] for name in ("stdlib", "platstdlib", "purelib", "platlib")), *site.getsitepackages(), *user]

@@ -17,7 +17,6 @@ from typing import Final
 from cosim.base.errors import InputError
 
 _LENGTH_PREFIX: Final = struct.Struct("<I")  # length before each message
-_READ_BYTES: Final = 65536  # bytes of one read
 # Interval between calls of ``watch`` while nothing arrives.
 _WATCH_INTERVAL_S: Final = 0.25
 
@@ -116,11 +115,11 @@ class Pipes:
         self._rest = data[count:]
         return data[:count]
 
-    def _read_available(self, end: float | None) -> bytes:
-        """Return the available bytes, waiting for the first."""
+    def _read_available(self, end: float | None, most: int = 65536) -> bytes:
+        """Return the available bytes, at the ``most`` so many, waiting for the first."""
         if end is not None:
             self._wait_until_ready(self._poll, end)
-        data = os.read(self._reader, _READ_BYTES)
+        data = os.read(self._reader, most)
         if not data:
             raise EOFError
         return data

@@ -385,7 +385,6 @@ def _parameter_keys(path: str, source: EngineSource, values: Mapping[str, float]
 
 
 def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) -> Iterator[Key]:
-    """Yield the keys of the engine at each station: the choice of engine, and its parameters."""
     names = tuple(list_engine_names())
     for number in range(1, jets + 1):
         station = scenario.stations.get(str(number))

@@ -97,7 +97,6 @@ def open_study(
 
 
 def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
-    """Return whether the engine's uncertainty is drawn by default."""
     keys = [table.get("key", "") for table in data["vary"] if isinstance(table, dict)]
     if UNCERTAIN_KEY in keys or data.get("nominal_engine"):
         return False

@@ -72,6 +72,7 @@ class RowConverter:
 
 
 def describe_state(snapshot: Snapshot) -> dict[str, Any]:
+    """Return what the page shows of a step, by the names of its script; numbers that are not finite are None."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
     estimate = status.seen or snapshot.measured
     sample = snapshot.sample

@@ -180,7 +180,6 @@ def _convert_stream(stream: Path, parquet: Path) -> int:
 
 
 def _log_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
-    """Open a Parquet file for the numbers of a log."""
     import pyarrow.parquet as pq
 
     encoding = dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT")

@@ -42,6 +42,7 @@ def make_cascade(
     stations: Sequence[EngineSpec],
     plugged: ExternalController | None,
 ) -> Cascade:
+    """Return the built-in cascade; ``plugged`` has a user's loops.  Raises InputError if engines cannot hover."""
     step = scenario.step_s
     gains = vehicle.control
     thrust_map, hover = make_thrust_map(vehicle, engine, stations)

@@ -36,7 +36,6 @@ NEWTONS_PER_UNIT = {
     "lbf": 4.4482216152605, "lb": 4.4482216152605, "lbs": 4.4482216152605,
 }  # fmt: skip
 CLIPPED_COLUMN = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
-MAX_GAP_ROWS = 4.0  # longer gaps are noted
 
 
 class Columns(NamedTuple):
@@ -206,11 +205,12 @@ def _make_record(
     flagged: Array,
     notes: list[str],
     max_shared_stamps: float = 0.1,
+    max_gap_rows: float = 4.0,
 ) -> BenchRecord:
     """Return the record of a command and an output, without repeated times and clipped rows.
 
     A share of ``max_shared_stamps`` may have the stamp of the row before and another value.  They are left out, and
-    with more of them the command would seem to move later than it does.
+    with more of them the command would seem to move later than it does.  A gap of over ``max_gap_rows`` is noted.
     """
     (command_name, given), (output_name, measured) = command, output
     _check_row_count(path, output_name, measured)
@@ -238,7 +238,7 @@ def _make_record(
     step = float(np.median(np.diff(times)))
     lost = max(0.0, 1.0 - len(times) * step / (float(times[-1] - times[0]) + step))
     longest = float(np.diff(times).max())
-    if longest > MAX_GAP_ROWS * step:
+    if longest > max_gap_rows * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
     unit = unit_of(output_name, measured.unit)
     if unit not in ("", "percent", *NEWTONS_PER_UNIT, *RPM_PER_UNIT):

@@ -13,19 +13,18 @@ from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 SPEED_PATTERN = r"\b(rpm|n1?|speed)\b"
 NO_SPEED_PATTERN = r"set.?point|demand|target|command|cmd|air.?speed|wind|pump"
 STATE_COLUMN = re.compile(r"(.*[_ ])?(state|status|ecu[_ ]state)", re.IGNORECASE)
-MIN_RUNNING_S = 5.0  # shorter spans are left out
 RPM_PER_UNIT = {"rpm": 1.0, "krpm": 1e3}  # in rpm
 
 
 def find_running(
-    log: FlightLog, command: Channel, output: Channel, notes: list[str], off_share: float = 0.15
+    log: FlightLog, command: Channel, output: Channel, notes: list[str], off_share: float = 0.15, shortest: float = 5.0
 ) -> list[tuple[float, float]]:
     """Return the spans [s] of a log in which the engine runs, without start and stop; note what is left out.
 
     By its speed, where the log has one: below ``off_share`` of the greatest it is off (jets idle above a fifth).  A
     start ends where it stands for 3 s for the first time, a stop begins where it stood for the last, if a start takes
     8 s, as a jet's: a fan that steps from standstill is measured whole.  By a column ``state`` too, where there is one:
-    the state in which the engine turned most is the one in which it runs.
+    the state in which the engine turned most is the one in which it runs.  Spans up to ``shortest`` s are left out.
     """
     begin, end = float(max(command.times[0], output.times[0])), float(min(command.times[-1], output.times[-1]))
     speed = find_speed(log)
@@ -42,7 +41,7 @@ def find_running(
     if not is_slow and in_state is None:
         return [(begin, end)]
     running = ~off & started & (in_state if in_state is not None else True)
-    spans = [span for span in _find_spans(times, running) if span[1] - span[0] > MIN_RUNNING_S]
+    spans = [span for span in _find_spans(times, running) if span[1] - span[0] > shortest]
     if not spans:
         return [(begin, end)]
     kept = [(begin if low == times[0] else low, end if high == times[-1] else high) for low, high in spans]

@@ -22,16 +22,12 @@ SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
     ("rpm", "1/min", "u/min", "r/min", "rev/min", "min-1", "min^-1"), "rpm"
 )  # in small letters
 SAME_UNITS |= {"krpm": "krpm", "µs": "us", "μs": "us"}
-# Longest unknown unit [letters]; longer words in brackets, such as (actual), are no units.
-MAX_UNIT_LETTERS = 3
 DEGREE = np.pi / 180.0
 MAX_LOG_MB = 4096.0  # of a file that is read as a log
 # The head of a log may stand behind other data, within so many bytes.
 SEARCHED_BYTES = 2**16
 # More instances of one message are damaged data.
 MAX_INSTANCES = 256
-# Minimum share of common stamps of two channels of one clock.
-MIN_SHARED_STAMPS = 0.5
 # Types of numpy for numbers in a log's bytes, by the letters of struct.
 NUMPY_TYPES = {
     "b": "i1",
@@ -82,14 +78,14 @@ class FlightLog:
     remarks: tuple[str, ...] = ()
     engine: str = ""  # what flew, where the log says so
 
-    def signal(self, text: str, notes: list[str] | None = None) -> Channel:
+    def signal(self, text: str, notes: list[str] | None = None, min_shared: float = 0.5) -> Channel:
         """Return a channel, or a sum such as ``m1 + m2 - 0.5*m3``.
 
         ``deg(NAME)`` is a channel in degrees brought to radians, ``square(NAME)`` its square, as a rotor's thrust goes
         with that of its speed.  A text that is a channel's name is that channel; in a sum quotes hold a name with
         blanks or brackets: ``deg('gyro (deg/s)')``.  Rows of a sum whose stamp not all of its channels have are left
         out, which ``notes`` then says.  Raises InputError for a name that the log has not, and for channels of which
-        fewer than half the rows have equal times.
+        at most ``min_shared`` of the rows have equal times.
         """
         total: Channel | None = None
         longest = 0
@@ -104,7 +100,7 @@ class FlightLog:
                 total = term._replace(unit=f"({channel.unit})^2" if taken == "square" else channel.unit)
                 continue
             if not np.array_equal(total.times, term.times):
-                least = MIN_SHARED_STAMPS * min(len(total.times), len(term.times))
+                least = min_shared * min(len(total.times), len(term.times))
                 total, term = _share_times(total, term)
                 if not len(term.times) > least:
                     raise InputError(f"{self.path}: {text!r}: its channels do not have the same times")
@@ -207,13 +203,14 @@ def parse_sum(text: str) -> list[tuple[float, str]]:
     return summands
 
 
-def unit_of(name: str, unit: str) -> str:
+def unit_of(name: str, unit: str, max_letters: int = 3) -> str:
     """Return a channel's unit, by its log or by the end of its name; "" where neither says one.
 
-    A word in brackets that is no unit, as of ``RPM (actual)``, leaves the unit to what stands before it.
+    A word in brackets that is no unit, as of ``RPM (actual)``, leaves the unit to what stands before it: one of more
+    than ``max_letters`` that is not known.
     """
     unit = "percent" if unit.endswith("%") else SAME_UNITS.get(unit.lower(), unit)
-    if unit and not (len(unit) > MAX_UNIT_LETTERS and unit.isalpha() and unit not in SAME_UNITS.values()):
+    if unit and not (len(unit) > max_letters and unit.isalpha() and unit not in SAME_UNITS.values()):
         return unit
     bare = name.partition("(")[0].partition("[")[0].strip() or name
     match = UNIT_AT_END.fullmatch(bare) or SPEED_AT_END.fullmatch(bare)

@@ -33,8 +33,6 @@ _SAME_UNITS = {
     "usec": "us", "µs": "us", "μs": "us",
 }  # fmt: skip
 _UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
-# Minimum share of rows from which a column of time grows to the next.
-MIN_INCREASING_SHARE = 0.9
 NOT_NUMBERS = "left out, being no numbers"  # a remark begins so
 
 
@@ -117,10 +115,10 @@ def time_unit(name: str, unit_given: str) -> str:
     return "s"
 
 
-def _is_increasing(values: Array) -> bool:
-    """Return whether values grow from nearly every row to the next."""
+def _is_increasing(values: Array, min_share: float = 0.9) -> bool:
+    """Return whether values grow from at least ``min_share`` of the rows to the next."""
     values = values[np.isfinite(values)]
-    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= MIN_INCREASING_SHARE
+    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= min_share
 
 
 def _seconds_since_first(times: Array) -> tuple[Array, str]:

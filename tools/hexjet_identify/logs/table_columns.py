@@ -16,8 +16,6 @@ from cosim.results.log.arrow import read_csv_numbers, read_numbers
 from cosim.results.log.tables import TIME
 from hexjet_identify.logs.text_table import is_number, parse_dates, read_text
 
-# Minimum share of numbers in a column of numbers; other cells are damaged or mark missing values.
-MIN_NUMBER_SHARE = 0.5
 _KINDS = {"c": "complex numbers", "U": "text", "O": "objects", "b": "truth values"}  # by numpy's letter
 
 
@@ -72,11 +70,11 @@ def _add_texts(columns: TableColumns, texts: dict[str, list[str | None]]) -> Non
     columns.left_out = tuple(left_out)
 
 
-def _parse_numbers(values: list[str | None]) -> tuple[Array, int] | None:
-    """Return texts as numbers, NaN for others, and the count of others; None if most are no numbers."""
+def _parse_numbers(values: list[str | None], min_share: float = 0.5) -> tuple[Array, int] | None:
+    """Return texts as numbers, NaN for damaged ones, and their count; None below a ``min_share`` of numbers."""
     texts = [(text or "").strip() for text in values]
     good = [text for text in texts if text and is_number(text)]
-    if len(good) < max(MIN_NUMBER_SHARE * sum(map(bool, texts)), 1):
+    if len(good) < max(min_share * sum(map(bool, texts)), 1):
         return None
     numeric = np.array([_parse_number(text) for text in texts])
     return numeric, sum(bool(text) and not is_number(text) for text in texts)

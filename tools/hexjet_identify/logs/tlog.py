@@ -30,12 +30,8 @@ EARLIEST_US, LATEST_US = 315_532_800_000_000, 4_102_444_800_000_000
 MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 SIGNED, SIGNATURE, CHECKSUM = 0x01, 13, 2
 OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}  # sender's times, with their unit in s
-# Largest delay of a frame on a slow link [s]; a larger one is another clock.
-MAX_LATE_S = 5.0
 MAX_NAMED = 10
 MIN_FRAME_BYTES = 8  # bytes of a frame without a payload
-# Longest array [numbers] that becomes channels; longer ones are pieces of files.
-MAX_ARRAY_LENGTH = 32
 
 Sender = tuple[int, int]  # system and component
 Key = tuple[int, int, Sender]
@@ -239,17 +235,18 @@ def _find_clock_zeros(tables: dict[Key, np.ndarray], taken: dict[Key, Array]) ->
     return clocks
 
 
-def _choose_times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
-    """Return the sender's own times, s, where they agree with those at which its frames were received, or these."""
+def _choose_times(table: np.ndarray, taken: Array, zero: float | None, max_late_s: float = 5.0) -> Array:
+    """Return the sender's own times, s, or those of reception where these differ by ``max_late_s`` (another clock)."""
     for name, unit in OWN_CLOCKS.items():
         if zero is not None and name in (table.dtype.names or ()):
             boot_times = zero + unit * table[name].astype(np.float64)
-            if np.all(np.abs(taken - boot_times) < MAX_LATE_S):
+            if np.all(np.abs(taken - boot_times) < max_late_s):
                 return boot_times
     return taken
 
 
-def _make_channels(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str, Channel]:
+def _make_channels(name: str, kind: Kind, table: np.ndarray, times: Array, max_array: int = 32) -> dict[str, Channel]:
+    """Return the fields of a message as channels; arrays beyond ``max_array`` numbers are pieces of files."""
     columns = {}
     for label in kind.layout.names or ():
         column, unit = table[label], kind.units.get(label, "")
@@ -257,6 +254,6 @@ def _make_channels(name: str, kind: Kind, table: np.ndarray, times: Array) -> di
             continue
         if column.ndim == 1:
             columns[f"{name}.{label}"] = Channel(times, numbers(column), unit)
-        elif column.shape[1] <= MAX_ARRAY_LENGTH:
+        elif column.shape[1] <= max_array:
             columns |= {f"{name}.{label}[{n}]": Channel(times, numbers(part), unit) for n, part in enumerate(column.T)}
     return columns

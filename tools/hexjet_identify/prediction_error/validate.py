@@ -36,8 +36,6 @@ ERROR_TEXT = (
 )
 # Horizon of the judged prediction [s]; the loops that a predictor serves are faster.
 PREDICTION_S = 1.0
-# With a wider half of its 95 % interval the gain is not told.
-MAX_GAIN_BOUND = 2.0 * MAX_MISFIT
 OTHER_FORM_TEXT = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
@@ -105,7 +103,7 @@ class Validation:
         evidence = (compared, again.text)
         least = max(MAX_MISFIT * self.model.form.total(self.model.x), self.step)
         off = abs(again.gain - 1.0) - again.gain_half > MAX_MISFIT or abs(again.delay) - again.delay_half > least
-        if not off and again.gain_half > MAX_GAIN_BOUND:
+        if not off and again.gain_half > 2.0 * MAX_MISFIT:
             return Judgement(NOT_TOLD, evidence)
         return judge_model(not off, *evidence)
 

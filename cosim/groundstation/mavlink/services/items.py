@@ -193,6 +193,7 @@ def _position_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[fl
 
 
 def to_local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
+    """Return an item's place north and east of the start [m].  Raises ItemError if it is unknown or too far away."""
     if not -900_000_000 <= item.x <= 900_000_000:
         raise ItemError(PARAM5, "the latitude is none")
     if not -1_800_000_000 <= item.y <= 1_800_000_000:
