@@ -271,11 +271,6 @@ class Summary(Setup):
         return flatten(Metrics(axes=self.metrics, **whole)) | self.own_metrics
 
     @property
-    def as_planned(self) -> bool:
-        """Whether the flight completed within limits and met stated expectations or requirements."""
-        return self.succeeded and not self.expectations_met is self.requirements_kept is None
-
-    @property
     def succeeded(self) -> bool:
         """Whether the flight completed and no check failed: exit status 0."""
         is_kept = self.expectations_met is not False and self.requirements_kept is not False

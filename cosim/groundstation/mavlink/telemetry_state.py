@@ -17,8 +17,7 @@ from cosim.groundstation.exchange import Snapshot
 
 # Largest values of integer fields by type.
 U8, U16, U32, I16, I32 = 0xFF, 0xFFFF, 0xFFFFFFFF, 0x7FFF, 0x7FFFFFFF
-Personality = Literal["px4", "ardupilot", "generic"]
-PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")  # autopilots that it imitates
+Personality = Literal["px4", "ardupilot", "generic"]  # autopilots that it imitates
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Sample
 from hexjet_export.logs import flightgear
-from hexjet_export.logs.flightgear import FORMAT, PACKET_BYTES, PACKETS_PER_S, FlightGear, pack_state, parse_address
+from hexjet_export.logs.flightgear import FORMAT, PACKETS_PER_S, FlightGear, pack_state, parse_address
 
 # Where fields begin, counted by hand from FGNetFDM in net_fdm.hxx: types and array lengths as they stand there.
 PLACES = {
@@ -32,7 +32,7 @@ def decoded(data: bytes) -> dict[str, float]:
 
 
 def test_the_size_is_flightgears() -> None:
-    assert struct.calcsize(FORMAT) == PACKET_BYTES == 408
+    assert struct.calcsize(FORMAT) == 408
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def test_a_flight_sends_sixty_packets_a_second(samples: list[Sample]) -> None:
             viewer.observe(sample)
         viewer.close()
         got = [listening.recv(2048) for _ in range(round(0.4 * PACKETS_PER_S))]
-    assert {len(each) for each in got} == {PACKET_BYTES}
+    assert {len(each) for each in got} == {408}
     times = [decoded(each)["phi"] for each in got]
     assert times[0] == pytest.approx(samples[0].state.euler[0], abs=1e-6)
     assert len(set(times)) > len(times) // 2

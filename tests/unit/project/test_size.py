@@ -12,12 +12,12 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_403,
-    "cosim": 64_736,
+    "cosim": 64_729,
     "docs": 1_631,
     "tests": 68_365,
     "tools/hexjet_batch": 2_919,
     "tools/hexjet_design": 8_191,
-    "tools/hexjet_export": 3_787,
+    "tools/hexjet_export": 3_786,
     "tools/hexjet_gym": 443,
     "tools/hexjet_identify": 10_443,
     "tools/hexjet_laws": 586,
@@ -26,7 +26,7 @@ MAX_LINES = {
     "tools/hexjet_sitl": 3_339,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
-MAX_CONSTANTS = 267
+MAX_CONSTANTS = 266
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
 MAX_PAGE_WORDS = 54_938
 MAX_TABLE_WORDS = 19_689

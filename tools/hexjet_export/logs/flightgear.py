@@ -30,7 +30,6 @@ FORMAT = (  # FGNetFDM, version 24
     f"I{WHEELS}I{3 * WHEELS}f"
     f"Iif{CONTROLS}f"  # time, warp, visibility, controls
 )
-PACKET_BYTES = 408  # size of FORMAT
 # As often as FlightGear draws.
 PACKETS_PER_S = 60.0
 VISIBILITY_M = 25_000.0  # chosen by us: clear air

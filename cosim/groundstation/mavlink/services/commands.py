@@ -397,6 +397,5 @@ _HANDLERS: dict[int, Handler] = {  # by MAV_CMD
     520: _make_request_handler("AUTOPILOT_VERSION"),  # REQUEST_AUTOPILOT_CAPABILITIES
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
-SUPPORTED_COMMANDS = frozenset(_HANDLERS)  # by MAV_CMD
 # Commands whose repetition, after a lost acknowledgement, is acknowledged and not executed again.
 ONCE_ONLY = frozenset({22, 420})
