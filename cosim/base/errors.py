@@ -56,8 +56,10 @@ def describe_error(error: Exception) -> str:
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]]) + place
 
 
-def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
-    """Return a clause ``did you mean ...? allowed: ...``; of more than ``max_listed`` names only similar ones.
+def nearest(name: str, allowed: Iterable[str], see: str = "") -> str:
+    """Return a clause ``did you mean ...? allowed: ...``; of more than 60 names only similar ones.
+
+    ``see``: what lists them all, to which the clause refers where there are more than 20.
 
     >>> nearest("hoover", ["hover", "roll-doublet"])
     "did you mean 'hover'? allowed: hover, roll-doublet"
@@ -65,14 +67,18 @@ def nearest(name: str, allowed: Iterable[str], max_listed: int = 60) -> str:
     import difflib
 
     names = sorted(allowed)
+    if see and len(names) > 20:
+        return similar(name, names, see)
     hint = "".join(f"did you mean {each!r}? " for each in difflib.get_close_matches(name, names, n=1))
-    listed = names if len(names) <= max_listed else [*difflib.get_close_matches(name, names, 6, 0.3), "..."]
+    listed = names if len(names) <= 60 else [*difflib.get_close_matches(name, names, 6, 0.3), "..."]
     return f"{hint}allowed: {', '.join(listed)}"
 
 
-def similar(name: str, allowed: Iterable[str]) -> str:
+def similar(name: str, allowed: Iterable[str], see: str = "hexjet show") -> str:
     """Return a clause ``did you mean ...? see: hexjet show``, for too many allowed names to list."""
     import difflib
 
-    close = ", ".join(map(repr, difflib.get_close_matches(name, sorted(allowed))))
-    return f"{f'did you mean {close}? ' if close else ''}see: hexjet show"
+    names = sorted(allowed)
+    found = dict.fromkeys([*difflib.get_close_matches(name, names), *(each for each in names if f".{name}" in each)])
+    close = ", ".join(map(repr, list(found)[:3]))
+    return f"{f'did you mean {close}? ' if close else ''}see: {see}"

@@ -435,7 +435,7 @@ def check_expectations(flat: Mapping[str, float | None], expected: Mapping[str, 
     complaints = []
     for name, allowed in expected.items():
         if name not in flat:
-            complaints.append(f"unknown metric {name!r}; {nearest(name, flat)}")
+            complaints.append(f"unknown metric {name!r}; {nearest(name, flat, 'docs/metrics.md')}")
             continue
         value = flat[name]
         low, high = allowed.min, allowed.max

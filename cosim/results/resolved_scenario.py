@@ -227,6 +227,4 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes], kn
 def _mapping(path: Path, archive: str) -> Path | bytes:
     """Return a mapping file, or its content with the archive's name here if that differs."""
     table = read_toml(path)
-    if table["fmu"] == archive:
-        return path
-    return toml_text(table | {"fmu": archive}).encode()
+    return path if table["fmu"] == archive else toml_text(table | {"fmu": archive}).encode()

@@ -27,11 +27,7 @@ _VEHICLE_EXPONENTS: dict[str, Any] = {  # exponents of L by key
     "jets": {"position_m": _LENGTH, "reaction_m": _LENGTH, "airflow": _AIR},
     "fuel": {"mass_kg": _MASS, "position_m": _LENGTH},
     "panels": {"corners_m": _LENGTH},
-    "contacts": {
-        "position_m": _LENGTH,
-        "spring_n_m": _MASS - 2 * _TIME,
-        "damping_n_s_m": _MASS - _TIME,
-    },
+    "contacts": {"position_m": _LENGTH, "spring_n_m": _MASS - 2 * _TIME, "damping_n_s_m": _MASS - _TIME},
     "servo": {
         "lag_s": _TIME,
         "rate_limit_rad_s": _RATE,

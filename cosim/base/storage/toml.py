@@ -9,7 +9,7 @@ from functools import cache
 from math import isfinite
 from pathlib import Path
 from sys import float_info
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -39,6 +39,7 @@ class Model(BaseModel, metaclass=_HidePydanticNames):
     """A frozen table of a TOML file: unknown keys, NaN and infinities are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+    listed_by: ClassVar[str] = ""  # command that lists all keys
 
     def __dir__(self) -> list[str]:
         return dir(type(self))
@@ -56,7 +57,7 @@ class Model(BaseModel, metaclass=_HidePydanticNames):
             if name in numeric and type(value) is not float:
                 for number in value if isinstance(value, list) else [value]:
                     if isinstance(number, (str, bool)):
-                        raise ValueError(f"{name} = {number!r}: must be a number{_describe_field([cls], name)}")
+                        raise ValueError(f"{name} = {number!r}: {_describe_number(cls, name, number)}")
         return data
 
 
@@ -295,7 +296,7 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         if (removed := describe_removed(name)) is not None:
             return f"{key}: {removed}"
         allowed = sorted({allowed for table in _find_tables(model, first["loc"]) for allowed in table.model_fields})
-        return f"unknown key {key!r}; {nearest(name, allowed)}{rest}"
+        return f"unknown key {key!r}; {nearest(name, allowed, getattr(model, 'listed_by', ''))}{rest}"
     if kind == "missing":
         unknown = [".".join(_file_keys(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]
         return f"{key} is missing{_guess_typo(key, unknown) or rest}"
@@ -322,6 +323,16 @@ def _describe_field(tables: Iterable[type[BaseModel]], name: int | str) -> str:
     """Return a clause with the description of a key of these tables, or an empty string."""
     found = (table.model_fields.get(str(name)) for table in tables)
     return "".join(f"; {field.description}" for field in found if field and field.description)
+
+
+def _describe_number(table: type[BaseModel], name: str, given: str | bool) -> str:
+    """Return what a text in place of a number must be, and how many samples a time is that is given for them."""
+    stated = re.fullmatch(r"(\d+\.?\d*) ?([A-Za-z]\S*)", str(given))
+    if stated and name.endswith("_samples") and stated[2] in ("ms", "s"):
+        samples = float(stated[1]) * (1.0 if stated[2] == "ms" else 1000.0) / 4.0
+        return f"must be a number of samples; {given} are {samples:g} samples of 4 ms, the Hex-Jet's control step"
+    unit = ", in the unit that the key ends with" if stated else ""
+    return f"must be a number{unit}{_describe_field([table], name)}"
 
 
 def _describe_missing_entry(kind: str, value: Any) -> str:

@@ -462,7 +462,7 @@ def _check_names(study: Study, where: str) -> None:
     names = [*metric_names(), *(name for metric in load_metrics(study.base()) for name in metric.names)]
     for name in study.success:
         if name not in names:
-            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, names)}")
+            raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, names, 'docs/metrics.md')}")
     checked: set[str] = set()
     for vary in study.vary:
         if vary.key in ROW_COLUMNS:

@@ -291,9 +291,7 @@ def _make_variable(v: Any, name: str, index: int, starts: list[float | None], ba
 
 def parse_number(text: str | None) -> float | None:
     """Return a number as a model description has it, a Boolean as 1 or 0; None for no text."""
-    if text is None:
-        return None
-    return float({"true": "1", "false": "0"}.get(text, text))
+    return None if text is None else float({"true": "1", "false": "0"}.get(text, text))
 
 
 def _positive_or_none(value: object) -> float | None:

@@ -123,9 +123,7 @@ def from_custom(value: int, personality: Personality) -> Mode | None:
     """Return the mode for the field custom_mode of SET_MODE; None for an unknown number."""
     if personality == "ardupilot":
         return _FROM_COPTER.get(value)
-    if value & 0xFFFF:
-        return None
-    return from_main_sub(value >> 16 & 0xFF, value >> 24 & 0xFF)
+    return None if value & 0xFFFF else from_main_sub(value >> 16 & 0xFF, value >> 24 & 0xFF)
 
 
 def from_main_sub(main: int, sub: int) -> Mode | None:

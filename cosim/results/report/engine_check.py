@@ -33,7 +33,7 @@ def make_page(report: CheckReport) -> Page:
     both, found = len(figures) == 2, [(label, marked(text, marks.get(text, ""))) for label, text in report.lines()]
     cards = [
         Card("Thrust at rest", text=still, figure="curve", is_half=both) if "curve" in figures else None,
-        Card("Throttle opened and closed", text="Dotted: where the delay ends.", figure="response", is_half=both)
+        Card("Throttle opened and closed", text="Dotted: where a delay ends.", figure="response", is_half=both)
         if "response" in figures
         else None,
         Card("What was found", ("finding", "what it is"), found),

@@ -100,9 +100,5 @@ def panels(
     tops = [1.0 - k * part for k in range(len(titles))]
     alike = [(max(0.0, top - part + 0.05), top) for top in tops]
     for k, (title, domain) in enumerate(zip(titles, domains or alike, strict=True)):
-        figure_layout[axis_name("yaxis", k)] = {
-            "domain": list(domain),
-            "anchor": "x",
-            "title": {"text": title},
-        }
+        figure_layout[axis_name("yaxis", k)] = {"domain": list(domain), "anchor": "x", "title": {"text": title}}
     return figure_layout

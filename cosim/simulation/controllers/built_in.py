@@ -63,11 +63,7 @@ def make_cascade(
             [_make_lead(vehicle, axis, step) for axis in AXES],
         ),
         AltitudeController(
-            gains.altitude,
-            vehicle.mass_kg,
-            thrust_map.collective,
-            step,
-            _make_lead(vehicle, "altitude", step),
+            gains.altitude, vehicle.mass_kg, thrust_map.collective, step, _make_lead(vehicle, "altitude", step)
         ),
         make_allocator(scenario, vehicle, stations, thrust_map, hover, catch),
         scenario.added_delay_samples,

@@ -294,8 +294,7 @@ def _fmu_source(controller: str, path: Path) -> Source:
     key = (controller, str(path), *[_hash_file(file) for file in fmu.files.values()])
     command_line = make_command(path)
     return _sources.get(
-        key,
-        lambda: _process_source(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent),
+        key, lambda: _process_source(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent)
     )
 
 

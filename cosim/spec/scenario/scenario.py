@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from operator import not_
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, Unpack
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, Unpack
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
@@ -48,6 +48,7 @@ class Scenario(Model):
     50
     """
 
+    listed_by: ClassVar[str] = "hexjet sweep --keys"
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""

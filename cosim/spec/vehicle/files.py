@@ -162,7 +162,7 @@ def _find_base(path: Path) -> str | None:
 def _read_vehicle(path: Path) -> tuple[dict[str, Any], Vehicle]:
     tables = _read_tables(path)
     vehicle = validate(Vehicle, tables, str(path))
-    if path.parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
+    if path.resolve().parents[1] != data_folder("aircraft") and vehicle.name in aircraft_names():
         raise InputError(f"{path}: name = {vehicle.name!r}: is the name of an aircraft that is shipped; choose another")
     engines = ((f"jets.{number}.engine", jet.engine) for number, jet in enumerate(vehicle.jets, 1))
     for key, file in (("engine", vehicle.engine), ("model", vehicle.model), *engines):

@@ -6,7 +6,7 @@ Body frame: forward-right-down (FRD), origin at the centre of gravity of the veh
 from collections.abc import Sequence
 from operator import not_
 from re import fullmatch
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -48,6 +48,7 @@ def _require_distinct(where: str, names: Sequence[str]) -> None:
 class Vehicle(Model):
     """The contents of ``aircraft/<name>/vehicle.toml``."""
 
+    listed_by: ClassVar[str] = "hexjet sweep --keys vehicle"
     name: Annotated[str, AfterValidator(_check_name)]
     title: str
     model: str | None = None  # JSBSim model; None: built from this file

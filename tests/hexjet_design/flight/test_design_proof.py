@@ -429,9 +429,9 @@ def test_what_ships_may_not_fly_the_engine(sound: Design) -> None:
 
 def test_a_flight_that_is_lost_as_designed_alone_is_worse() -> None:
     lost = FlownPair("doublet", flight_of(), FlownMeasures("lost at 4.2 s", True, {}))
-    assert comparison_lines([lost]) == [
-        "WORSE as flown than what ships: doublet lost at 4.2 s, which the gains that ship fly"
-    ]
+    said, advice = comparison_lines([lost])
+    assert said == "WORSE as flown than what ships: doublet lost at 4.2 s, which the gains that ship fly"
+    assert advice.startswith("next: a lower noise_share")
 
 
 def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(

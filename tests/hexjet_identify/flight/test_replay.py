@@ -248,6 +248,7 @@ def test_the_command_leaves_page_json_and_csv(hexjet: Hexjet, doublet: Path, tmp
     assert data["log_sha256"] == sha256((doublet / "flight.parquet").read_bytes()).hexdigest()
     assert not is_simulated(read_flight_log(dataflash(tmp_path / "log.bin", doublet)))
     page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.index("Angular rates, measured and modelled") < page.index("<h2>Channels</h2>")
     assert "each started from the recorded state" in page
     table = pyarrow.csv.read_csv(out / "replay.csv")
     assert table.num_rows == data["windows"] * round(data["window_s"] / data["step_s"])

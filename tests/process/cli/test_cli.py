@@ -74,7 +74,12 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet: Hexjet, tmp_path: Pa
         ("fly hover --engine none.fmu --out empty", "none.fmu: "),
         ("fly hover --set vehicle.mass_kg=-2", "mass_kg = -2"),
         ("fly hover --set duration_s='2'", "hover.toml: settings: duration_s = '2': must be a number"),
-        ("fly hover --set added_delay_samples=60ms", "a sample is one control step (step_s, 0.004 s on the"),
+        ("fly hover --set added_delay_samples=60ms", "60ms are 15 samples of 4 ms, the Hex-Jet's control step"),
+        ("fly hover --set duration_s=2s", "'2s': must be a number, in the unit that the key ends with"),
+        (
+            "fly hover --set vehicle.mas=3",
+            "unknown key 'mas'; did you mean 'mass_kg'? see: hexjet sweep --keys vehicle",
+        ),
         ("fly hover --set mismatch.delay_samples=0.06", "part; a sample is one control step (step_s, 0.004 s"),
         ("fly hover --set vehicle.name='a/b'", "name = 'a/b'"),
         ("fly hover --seed -1", "seed = -1"),

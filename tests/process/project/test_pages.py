@@ -62,8 +62,6 @@ PAGES = {page: [Row(**row) for row in rows] for page, rows in TABLE.items()}
 
 
 class Item(NamedTuple):
-    """A command or snippet of a page: its kind, what the comment before it says, its text."""
-
     kind: str
     mark: str
     text: str
@@ -167,15 +165,10 @@ def reader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, hexjet: Hexjet, file
     return hexjet
 
 
+@pytest.mark.parametrize("long", [False, pytest.param(True, marks=pytest.mark.long)])
 @pytest.mark.parametrize("page", PAGES)
-def test_a_page_runs_as_it_is_written(page: str, reader: Hexjet) -> None:
-    run_page(page, reader, long=False)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("page", [page for page, rows in PAGES.items() if any(row.why == LONG for row in rows)])
-def test_a_page_runs_with_what_takes_minutes(page: str, reader: Hexjet) -> None:
-    run_page(page, reader, long=True)
+def test_a_page_runs_as_it_is_written(page: str, long: bool, reader: Hexjet) -> None:
+    run_page(page, reader, long)
 
 
 def test_every_page_and_every_test_that_the_table_names_is_there() -> None:

@@ -155,6 +155,7 @@ def test_a_package_that_is_called_stays_a_package() -> None:
 
 
 def test_what_is_shown_is_what_the_command_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cosim.show(ROOT / "docs" / ".." / "aircraft" / "hexjet").verdict.endswith("on two tilting banks")
     shown = cosim.show("roll-doublet")
     run_command(["show", "roll-doublet", "--json"])
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(shown.to_list()))

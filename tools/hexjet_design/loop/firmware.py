@@ -150,9 +150,7 @@ class Firmware:
 
     def unit(self, name: str) -> float | None:
         """Return the unit in which ``angle_gain``, ``p``, ``i`` or ``d`` is quantised; None if it is not."""
-        if self.units is None:
-            return None
-        return self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]
+        return None if self.units is None else self.units[self.axis][("angle_gain", "p", "i", "d").index(name)]
 
     def smooth(self, seconds: float) -> float:
         """Return the nearest time constant, s, that the derivative's filter may have: whole hertz with whole gains."""

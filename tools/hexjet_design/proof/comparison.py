@@ -41,6 +41,7 @@ MEASURES = {
 }
 STEP_MEASURES = ("overshoot_percent", "settling_s")  # measures of flights with steps
 WORSE = "WORSE as flown than what ships"  # mark of a worse flight
+WORSE_ADVICE = "next: a lower noise_share (activity) or max_sensitivity (overshoot), or the gains that ship"
 WORSE_WORDS = (  # note on what worse means
     "worse means: error, settling and height by more than 5 % (and 0.1 deg, 0.1 s, 0.1 m), overshoot by more than 5 % "
     "of the step, the activity of throttles and tilts more than twice (and 0.05 1/s, 1 deg/s)"
@@ -142,7 +143,7 @@ def comparison_lines(pairs: Sequence[FlownPair]) -> list[str]:
     shipped_losses = [f"the gains that ship do not fly this engine: {', '.join(lost_flights)}"] if lost_flights else []
     worse = worse_lines(pairs)
     if worse or len(lost_flights) == len(pairs):
-        return [*worse, *shipped_losses]
+        return [*worse, *([WORSE_ADVICE] if worse else []), *shipped_losses]
     return [*shipped_losses, f"as flown nothing is worse than what ships: {', '.join(pair.flight for pair in pairs)}"]
 
 

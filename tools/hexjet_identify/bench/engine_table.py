@@ -12,13 +12,7 @@ from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.uncertainty import Uncertainty
 from hexjet_identify.bench.engine_form import STEP_S, EngineForm
 from hexjet_identify.bench.identification import Identification
-from hexjet_identify.engine_file import (
-    DEVIATIONS_95,
-    FITTED_STEP_S,
-    MAX_DELAY_SAMPLES,
-    round_delay,
-    uncertainty_table,
-)
+from hexjet_identify.engine_file import DEVIATIONS_95, FITTED_STEP_S, MAX_DELAY_SAMPLES, round_delay, uncertainty_table
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.forms import Limits
 

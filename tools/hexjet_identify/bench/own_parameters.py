@@ -10,14 +10,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from hexjet_identify.bench.engine_form import EngineChoices, EngineForm, make_form
 from hexjet_identify.bench.identification import Identification
-from hexjet_identify.bench.identify import (
-    Choices,
-    as_log,
-    check_moves,
-    make_problem,
-    moves_gradually,
-    throttle_limits,
-)
+from hexjet_identify.bench.identify import Choices, as_log, check_moves, make_problem, moves_gradually, throttle_limits
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_small_movements
 from hexjet_identify.bench.running import RPM_PER_UNIT

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import floor, inf, log10
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,10 +63,18 @@ class Refit(NamedTuple):
     @property
     def text(self) -> str:
         """Gain and delay with their bounds, as a sentence."""
-        return (
-            f"fitted to this log its gain is {self.gain:.3g} ±{self.gain_half:.2g} times as stated, and its delay "
-            f"{1e3 * self.delay:+.3g} ±{1e3 * self.delay_half:.2g} ms off"
-        )
+        gain, delay = self.bounded
+        return f"fitted to this log its gain is {gain} times as stated, and its delay {delay} ms off"
+
+    @property
+    def bounded(self) -> tuple[str, str]:
+        """Gain and delay [ms] with their bounds, to the digits that these leave."""
+        return _bounded(self.gain, self.gain_half), _bounded(1e3 * self.delay, 1e3 * self.delay_half)
+
+
+def _bounded(value: float, half: float) -> str:
+    places = max(0, 1 - floor(log10(half))) if 0.0 < half < inf else 3
+    return f"{round(value, places) + 0.0:.{places}f} ±{half:.2g}"
 
 
 @dataclass(frozen=True)
@@ -271,10 +280,8 @@ def rows(validation: Validation) -> list[tuple[str, str]]:
         (f"fit of the change over {PREDICTION_S:g} s", f"{validation.ahead:.3f}"),
     ]
     if (again := validation.again) is not None:
-        lines.append(("gain fitted to this log, times as stated", f"{again.gain:.3g} ±{again.gain_half:.2g}"))
-        lines.append(
-            ("delay fitted to this log, off by, ms", f"{1e3 * again.delay:+.3g} ±{1e3 * again.delay_half:.2g}")
-        )
+        gain, delay = again.bounded
+        lines += [("gain fitted to this log, times as stated", gain), ("delay fitted to this log, off by, ms", delay)]
     return lines
 
 

@@ -108,12 +108,7 @@ class CauseRow:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the windows, for JSON."""
         alone = self.parts[0].to_dict() if len(self.parts) == 1 else {"unit": "", "value": None, "bound_95": None}
-        return {
-            **alone,
-            "name": self.name,
-            "parts": [part.to_dict() for part in self.parts],
-            "removed": self.removed,
-        }
+        return {**alone, "name": self.name, "parts": [part.to_dict() for part in self.parts], "removed": self.removed}
 
 
 @dataclass(frozen=True)

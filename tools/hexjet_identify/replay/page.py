@@ -57,12 +57,15 @@ def write(result: Replay, folder: Path) -> dict[str, Path]:
 def page(result: Replay) -> Page:
     """Return the page of a replay."""
     drawn = figures(result)
+    # The last column is empty where nothing is off.
+    width = len(CAUSE_COLUMNS) - (not result.causes.is_off)
+    causes = [row[:width] for row in cause_rows(result)]
     cards = [
-        Card("Channels", CHANNEL_COLUMNS, channel_rows(result), _describe_comparison(result)),
-        Card("What each number would explain", CAUSE_COLUMNS, cause_rows(result), CAUSES_TEXT),
-        *([Card("Bands", BAND_COLUMNS, bands)] if (bands := band_rows(result)) else []),
-        Card("Measured over modelled, by frequency", text=RATIO_TEXT, figure="ratio"),
         *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
+        Card("Measured over modelled, by frequency", text=RATIO_TEXT, figure="ratio"),
+        Card("Channels", CHANNEL_COLUMNS, channel_rows(result), _describe_comparison(result)),
+        Card("What each number would explain", CAUSE_COLUMNS[:width], causes, CAUSES_TEXT),
+        *([Card("Bands", BAND_COLUMNS, bands)] if (bands := band_rows(result)) else []),
     ]
     shown = Page(
         "replay of a recorded flight",
@@ -126,8 +129,8 @@ def band_rows(result: Replay) -> list[tuple[str, ...]]:
             f"{b.low_hz:.2g} to {b.high_hz:.2g}",
             f"{b.u:.3f}",
             f"{b.coherence:.2f}",
-            "" if b.gain_db is None else f"{b.gain_db:+.1f}",
-            "" if b.phase_deg is None else f"{b.phase_deg:+.0f}",
+            "" if b.gain_db is None else f"{round(b.gain_db, 1) + 0.0:+.1f}",
+            "" if b.phase_deg is None else f"{round(b.phase_deg) + 0:+d}",
         )
         for c in result.channels
         for b in c.bands

@@ -321,18 +321,18 @@ def _describe_case(plan: WorstPlan, case: WorstCase) -> str:
             f"{name}: {what} within {plan.where}: least margin {case.margin:.3g}{where}, {effort}; that does not show "
             "that there is no failure"
         )
+    last = f"it is the last of {effort}: more may find another"
     if plan.likely and case.distance == 0.0:
         return f"{name}: fails in the middle of everything already: {case.reason}"
     if plan.likely:
+        after = f"no nearer failure found in the {case.since} flights after it, of {effort}; there may be"
         return (
             f"{name}: the most likely failure found is {case.distance:.2f} standard deviations from the middle: "
-            f"{case.reason}; no nearer failure found in the {case.since} flights after it, of {effort}; there may be"
+            f"{case.reason}; {after if case.since else last}"
         )
+    after = f"nothing worse in the {case.since} flights after it, of {effort}; there may be" if case.since else last
     where = "in" if case.distance is None else f"at {case.distance:.2f} standard deviations, within"
-    return (
-        f"{name}: the worst case found fails {where} {plan.where}: margin {case.margin:.3g}, {case.reason}; nothing "
-        f"worse in the {case.since} flights after it, of {effort}; there may be"
-    )
+    return f"{name}: the worst case found fails {where} {plan.where}: margin {case.margin:.3g}, {case.reason}; {after}"
 
 
 def important(effects: Sequence[KeyEffect]) -> list[KeyEffect]:

@@ -70,6 +70,6 @@ def _make_places_figure(result: WorstSearch) -> dict[str, Any]:
         data.append(bars(label, names, [effect.place for effect in case.effects], **says))
     drawn = closest(130 + ROW_PX * len(names))
     unit = "half ranges" if result.plan.within is None else "standard deviations"
-    drawn["xaxis"] = {"title": {"text": f"from the middle [{unit}]"}}
+    drawn["xaxis"] = {"title": {"text": f"{unit} from the middle"}}
     drawn["yaxis"] = {"automargin": True, "autorange": "reversed"}
     return {"data": data, "layout": drawn}
