@@ -127,7 +127,7 @@ class MappingResult(Result):
 
     @property
     def open(self) -> Mapping[str, str]:
-        """Questions about the engine ports without a variable, by port."""
+        """What the user has to state of each engine port without a variable, by port."""
         return self.begun.open
 
     @property

@@ -53,7 +53,7 @@ class Record(BaseModel):
 class AxisMetrics(Record):
     """Metrics of one axis; None: not measurable in this flight."""
 
-    commanded: bool  # set-point changes, or starts off state
+    commanded: bool  # set-point moves or begins elsewhere
     rmse_rad: float | None = None  # root mean square of the error
     max_abs_error_rad: float | None = None  # largest magnitude of the error
     overshoot_percent: float | None = None  # of the worst step, in % of its size

@@ -260,7 +260,7 @@ DELAY_ERRORS, GAIN_FACTORS = (-10, 0, 10), (0.7, 1.0, 1.3)
 class ModelError(Record):
     """Roll doublet with a predictor whose model differs from the vehicle's in delay and gain."""
 
-    delay_error: int  # samples, of the model's 25
+    delay_error: int  # samples, added to the model's 25
     gain_factor: float  # factor on the model's gain
     stable: bool
     overshoot_percent: float | None

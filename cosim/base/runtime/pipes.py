@@ -116,7 +116,7 @@ class Pipes:
         return data[:count]
 
     def _read_available(self, end: float | None, most: int = 65536) -> bytes:
-        """Return the available bytes, at the ``most`` so many, waiting for the first."""
+        """Wait for the first byte, then return what is available, at most ``most`` bytes."""
         if end is not None:
             self._wait_until_ready(self._poll, end)
         data = os.read(self._reader, most)

@@ -69,9 +69,9 @@ class FlightLimits(Model):
     settling_s: Most = None  # of each axis, after a set-point step
     oscillation_rad: Most = None  # of each axis, in the last second
     alternating_percent: Most = None  # of the steps in any second
-    throttle_activity_1_s: Most = None  # none by default
-    tilt_activity_rad_s: Most = None  # none by default
-    fuel_burnt_kg: Most = None  # none by default
+    throttle_activity_1_s: Most = None  # no limit by default
+    tilt_activity_rad_s: Most = None  # no limit by default
+    fuel_burnt_kg: Most = None  # no limit by default
 
 
 class Expectation(Model):
