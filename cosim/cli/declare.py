@@ -44,6 +44,11 @@ _FILE_ENDINGS = frozenset((
 # Options that every command may add.
 _JSON, _TRUST, _VERBOSE, _QUIET = "as_json", "trust", "verbose", "quiet"
 _HELP_FLAGS = ("-h", "--help")
+# Arguments by the question that they answer; the help lists all others as options.
+_HELP_GROUPS = {
+    "What flies": ("aircraft", "engine", "controller", "controllers", "model", "sensors", "wind", "settings", "seed"),
+    "Output": ("out", "resume", _JSON, _VERBOSE, _QUIET),
+}
 
 
 @dataclass(frozen=True)
@@ -257,15 +262,15 @@ class Command:
         options, arguments = [each for each in self.rows if each.names], [each for each in self.rows if not each.names]
         usage = [each.metavar + ("..." if each.several else "") for each in arguments]
         usage = [text if each.required else f"[{text}]" for text, each in zip(usage, arguments, strict=True)]
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "What flies": [], "Options": [], "Output": []}
+        for each in [*arguments, *options]:
+            title = "Options" if each.names else "Arguments"
+            title = next((group for group, names in _HELP_GROUPS.items() if each.argument in names), title)
+            sections[title].append((each.label, each.meaning))
+        sections["Output"].append(("--help", "Show this and end."))
+        called = " ".join(["hexjet", self.name, "[OPTIONS]", *usage])
         return format_help(
-            " ".join(["hexjet", self.name, "[OPTIONS]", *usage]),
-            self.texts[0],
-            {
-                "Arguments": [(each.label, each.meaning) for each in arguments],
-                "Options": [*((each.label, each.meaning) for each in options), ("--help", "Show this and end.")],
-            },
-            self.example and f"hexjet {self.name} {self.example}",
-            width,
+            called, self.texts[0], sections, self.example and f"hexjet {self.name} {self.example}", width
         )
 
     def app(self, *, with_help: bool = False) -> App:

@@ -222,9 +222,7 @@ class Session:
                 break
         for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, self.exchange.clock()):
             waiting.answer(self._execute_checked(flight, waiting, cautions, k))
-        if self._restart:
-            return Ending("completed", "a restart was requested")
-        return None
+        return Ending("completed", "a restart was requested") if self._restart else None
 
     def _execute(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:
         request = waiting.request

@@ -115,9 +115,7 @@ class Slave:
     def make_values(self, kind: str, values: int | Sequence[float]) -> Any:
         """Return a C array for an FMI type, of a size or with values."""
         c_type: Any = c_int if kind == "Boolean" and self.fmi == 2 else _C_TYPES[kind]
-        if isinstance(values, int):
-            return (c_type * values)()
-        return (c_type * len(values))(*values)
+        return (c_type * values)() if isinstance(values, int) else (c_type * len(values))(*values)
 
     def bind_values(self, way: str, kind: str, references: Sequence[int], values: Any) -> Callable[[], None]:
         """Return a call that sets or gets (``way``: ``Set`` or ``Get``) variables of one type from or to an array."""

@@ -91,7 +91,7 @@ def test_every_option_has_a_text_and_the_name_that_python_has(name: str) -> None
         assert option.text, option.argument
         if option.names and option in command.declared:
             assert f"--{option.argument.replace('_', '-')}" in option.names
-    assert f"hexjet {name} {command.example}" in command.help(80)
+    assert f"hexjet {name} {command.example}" in command.help(80).partition("\nOutput:\n")[2]
     command.read(shlex.split(command.example.partition(" > ")[0]))
     assert bool("--trust" in names) == command.runs_code
 

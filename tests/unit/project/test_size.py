@@ -12,7 +12,7 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_403,
-    "cosim": 64_729,
+    "cosim": 64_726,
     "docs": 1_631,
     "tests": 68_365,
     "tools/hexjet_batch": 2_919,

@@ -80,9 +80,7 @@ def _plan_arming(command: MavCommand, context: Context, force_code: float = 2119
     arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
         return _to_plan(rq.Arm(force))
-    if arm == 0.0:
-        return _to_plan(rq.Disarm(force))
-    return _refusal("arm: parameter 1 must be 0 or 1")
+    return _to_plan(rq.Disarm(force)) if arm == 0.0 else _refusal("arm: parameter 1 must be 0 or 1")
 
 
 def _take_off(command: MavCommand, context: Context) -> Plan:
@@ -293,9 +291,7 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
         if not messages:
             # The value is not known yet; the client asks again after a temporary rejection.
             return _refusal("", CommandResult.TEMPORARILY_REJECTED)
-    if messages is None:
-        return Plan(result=CommandResult.UNSUPPORTED)
-    return Plan(messages=tuple(messages))
+    return Plan(result=CommandResult.UNSUPPORTED) if messages is None else Plan(messages=tuple(messages))
 
 
 def _report_modes(command: MavCommand, context: Context) -> Plan:
