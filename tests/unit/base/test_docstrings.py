@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,7 @@ def test_what_tools_may_import_has_a_docstring() -> None:
                         assert of_source.get(name.name) or inspect.getdoc(each), f"{node.module}.{name.name}"
 
 
+@cache
 def docstrings(module: str) -> dict[str, str | None]:
     """The docstrings in a module's source, by name, its own without one; what is compiled has none where it runs."""
     path = (ROOT if module.startswith("cosim") else ROOT / "tools").joinpath(*module.split("."))

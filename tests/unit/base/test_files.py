@@ -133,7 +133,6 @@ def test_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, name: str, 
     said = {"pipe": "a device or a pipe", "device": "a device or a pipe", "huge": "20480 MB", "missing": ""}[what]
     assert said in str(refused.value)
     assert str(path) in str(refused.value)
-    assert "\n" not in str(refused.value)
     # Whoever reads the sources of the modules that are loaded would wait for such a pipe for ever.
     assert not [module for module in sys.modules.values() if getattr(module, "__file__", None) == str(path)]
 
@@ -155,7 +154,6 @@ def test_json_is_finite_and_not_deep(tmp_path: Path, text: bytes, said: str) -> 
     with pytest.raises(InputError, match=said) as refused:
         read_json(path)
     assert str(refused.value).startswith(f"{path}: ")
-    assert "\n" not in str(refused.value)
 
 
 def test_json_of_rows_may_have_what_is_missing(tmp_path: Path) -> None:

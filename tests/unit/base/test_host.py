@@ -54,7 +54,6 @@ if os.fork() == 0:
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
 def test_what_a_child_has_started_in_a_session_of_its_own_is_ended_with_it() -> None:
     with Host(python_command(DAEMON + "time.sleep(1000.0)"), stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
         daemon = int(child.stdout.readline())
         assert psutil.Process(daemon).status() != psutil.STATUS_ZOMBIE
         child.end()

@@ -305,7 +305,7 @@ def test_a_latin_hypercube_is_that_of_scipy(draws_of: int, sides: int) -> None:
     assert ours.tobytes() == np.ascontiguousarray(theirs).tobytes()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(bounded(), st.lists(SHARE, min_size=1, max_size=5), st.sampled_from([-3.5, 2.0]))
 def test_no_bound_is_ever_passed(vary: Vary, shares: list[float], nominal: float) -> None:
     ends = [{"": end, "factor": end * nominal, "offset": end + nominal}[vary.relative] for end in vary.support]
@@ -313,7 +313,7 @@ def test_no_bound_is_ever_passed(vary: Vary, shares: list[float], nominal: float
         assert min(ends) <= value <= max(ends)  # type: ignore[operator]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(-50, 50), st.integers(1, 60), st.floats(0.0, 0.49), st.floats(0.0, 0.49), st.lists(SHARE, min_size=1)
 )

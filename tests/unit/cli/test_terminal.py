@@ -123,7 +123,6 @@ def test_who_stops_reading_makes_no_failure() -> None:
         "m.main([])"
     )
     reading = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
-    assert reading.stdout is not None
     assert reading.stdout.readline() == b"line\n"
     reading.stdout.close()
     assert reading.wait() == 0

@@ -20,12 +20,16 @@ QUADROTOR = load_vehicle("quadrotor")[0]
 JETS, LIMITS = HEXJET.jets, HEXJET.control.allocation
 HOVER = 0.4515
 LOST, WELL = JetHealth(gain=0.0), JetHealth()
-assert HEXJET.servo is not None
 RANGE = HEXJET.servo.range_rad
 
 
 def allocator(hover: float = HOVER, idle: float = 0.0) -> TiltAllocator:
     return TiltAllocator(JETS, LIMITS, RANGE, hover, idle)
+
+
+@pytest.fixture
+def tool() -> TiltAllocator:
+    return allocator()
 
 
 def without(*lost: int) -> list[JetHealth]:
@@ -65,7 +69,7 @@ commands = st.tuples(st.floats(0.0, 1.0), st.floats(-0.6, 0.6), st.floats(-1.0, 
 idle_shares = st.just(0.0) | st.floats(1e-4, 0.08)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(ill_health, st.lists(commands, min_size=1, max_size=4), st.floats(0.35, 0.5), idle_shares)
 def test_what_is_achieved_is_what_healthy_jets_would_give(
     health: list[JetHealth], asked: list[tuple[float, float, float, float]], hover: float, idle: float
@@ -87,7 +91,7 @@ def test_what_is_achieved_is_what_healthy_jets_would_give(
         assert abs(got[4] - want[4]) <= 1e-9 + apart * 3 * 0.13
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(ill_health, st.floats(0.4, 0.5), st.floats(-0.02, 0.02), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 def test_small_commands_about_hover_are_refused_nothing(
     health: list[JetHealth], collective: float, roll: float, pitch: float, yaw: float
@@ -110,8 +114,7 @@ def test_planning_for_healthy_engines_changes_nothing() -> None:
         assert got.tilt == pytest.approx(want.tilt, abs=1e-12)
 
 
-def test_a_reset_forgets_the_plan() -> None:
-    tool = allocator()
+def test_a_reset_forgets_the_plan(tool: TiltAllocator) -> None:
     before = tool.allocate(0.5, (0.05, 0.1, -0.05))
     assert tool.replan(without(3))
     assert tool.allocate(0.5, (0.05, 0.1, -0.05)) != before
@@ -119,8 +122,7 @@ def test_a_reset_forgets_the_plan() -> None:
     assert tool.allocate(0.5, (0.05, 0.1, -0.05)) == before
 
 
-def test_roll_is_kept_before_collective() -> None:
-    tool = allocator()
+def test_roll_is_kept_before_collective(tool: TiltAllocator) -> None:
     assert tool.replan(without(5))
     # one bank of two jets: full thrust there and the least roll for it
     out = tool.allocate(0.95, (0.2, 0.0, 0.0))
@@ -142,21 +144,21 @@ def test_roll_is_kept_before_collective() -> None:
         ((1, 4), 2.0),
     ],
 )
-def test_asked_for_everything_it_gives_what_the_engines_left_can_give(lost: tuple[int, ...], thrust: float) -> None:
+def test_asked_for_everything_it_gives_what_the_engines_left_can_give(
+    tool: TiltAllocator, lost: tuple[int, ...], thrust: float
+) -> None:
     """The engines that the plan keeps for roll lift too where roll does not ask for them: to the last of the thrust.
 
     It gave 15 % more than hover with jets 1 and 2 lost, where 48 % are there: a fall of 10 m was not stopped.
     """
-    tool = allocator()
     assert tool.replan(without(*lost))
     out = tool.allocate(1.0, (0.0, 0.0, 0.0))
     assert (1.0 - out.unallocated.collective) / HOVER == pytest.approx(thrust / (6 * HOVER), abs=1e-7)
     assert wrench(delivered(out, without(*lost), 0.0), out.tilt)[3:] == pytest.approx([0, 0, 0], abs=1e-9)
 
 
-def test_what_roll_asks_for_is_taken_from_the_rest_of_the_collective() -> None:
+def test_what_roll_asks_for_is_taken_from_the_rest_of_the_collective(tool: TiltAllocator) -> None:
     """Jets 5 and 6 alone turn it without 1 and 2: the half of their difference is what they do not lift."""
-    tool = allocator()
     assert tool.replan(without(1, 2))
     level, rolling = (tool.allocate(1.0, (roll, 0.0, 0.0)) for roll in (0.0, 0.05))
     assert level.throttle == pytest.approx((0.0, 0.0, 1.0, 1.0, 1.0, 1.0), abs=1e-9)
@@ -207,8 +209,7 @@ def test_two_lost_on_one_side_keep_the_vehicle_level_and_cannot_hold_it() -> Non
 
 
 @pytest.mark.parametrize("lost", [(1, 3), (2, 4), (1, 4, 5)])
-def test_what_has_no_balance_is_not_planned(lost: tuple[int, ...]) -> None:
-    tool = allocator()
+def test_what_has_no_balance_is_not_planned(tool: TiltAllocator, lost: tuple[int, ...]) -> None:
     before = tool.allocate(HOVER, (0.01, 0.0, 0.0))
     assert not tool.replan(without(*lost))
     assert tool.allocate(HOVER, (0.01, 0.0, 0.0)) == before
@@ -217,7 +218,6 @@ def test_what_has_no_balance_is_not_planned(lost: tuple[int, ...]) -> None:
 def test_no_corner_of_the_plan_leaves_the_limits() -> None:
     for lost in range(1, 7):
         found = plan(JETS, LIMITS, HOVER, 0.0, without(lost))
-        assert found is not None
         assert min(-found.roll_range[0], found.roll_range[1]) > 0.1
         assert found.pitch == (0.0, 0.0, 0.0, 0.0)
 

@@ -67,7 +67,6 @@ def test_no_thrusts_and_angles_give_more_than_the_hull(seed: int) -> None:
     low, high = rng.uniform(-1.0, 0.0, 4), rng.uniform(0.1, 1.0, 4)
     least, most = np.array([0.5, 0.0, 1.0]), np.array([2.0, 1.0, 3.0])
     hull = Hull.of(made, least, most, low, high)
-    assert hull is not None
     directions = rng.normal(size=(20, 6))
     sets = [directions @ hull.columns[:, row > 0.0] for row in hull._sets]
     bound = sum(each.max(axis=1) for each in sets)

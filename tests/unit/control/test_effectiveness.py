@@ -60,7 +60,7 @@ def hovers(seed: int, hinges: bool = True) -> tuple[EffectivenessAllocator, np.r
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_solvers_pitch_arms_are_those_of_the_layout(seed: int) -> None:
     made = hovers(seed)
     if made is None:
@@ -74,7 +74,7 @@ def test_the_solvers_pitch_arms_are_those_of_the_layout(seed: int) -> None:
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_what_it_gives_is_what_it_says(seed: int) -> None:
     made = hovers(seed)
     if made is None:
@@ -104,7 +104,7 @@ def test_what_it_gives_is_what_it_says(seed: int) -> None:
 
 
 @given(st.integers(0, 10**6), st.floats(0.0, 1.0), st.floats(-100.0, 100.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_roll_and_pitch_before_lift_before_yaw(seed: int, lift: float, yaw: float) -> None:
     """Of jets that do not turn the problem is linear, and the priority exact."""
     made = hovers(seed, hinges=False)

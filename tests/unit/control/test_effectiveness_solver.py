@@ -96,7 +96,7 @@ class Drawn:
 
 
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 300.0]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_wrench_is_that_of_the_layout_and_its_change_that_of_small_steps(seed: int, pressure: float) -> None:
     drawn = Drawn(seed)
     at = drawn.at()
@@ -112,7 +112,7 @@ def test_the_wrench_is_that_of_the_layout_and_its_change_that_of_small_steps(see
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_where_no_limit_is_met_it_is_the_nearest_solution_as_another_optimiser_finds_it(seed: int) -> None:
     """Lagrange's conditions of the least squared distance, scaled, to where effectors are left."""
     drawn = Drawn(seed)
@@ -143,7 +143,7 @@ def test_where_no_limit_is_met_it_is_the_nearest_solution_as_another_optimiser_f
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_what_is_out_of_reach_leaves_all_within_limits_and_rates_and_says_what_is_missing(seed: int) -> None:
     drawn = Drawn(seed)
     last = drawn.at()

@@ -74,7 +74,6 @@ def test_a_speed_ahead_is_for_the_wing_until_it_is_asked_for_no_more() -> None:
 def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() -> None:
     with cascade_of("octojet-hover") as cascade:
         law, monitor, selector = law_of(cascade, ShutOpposite), cascade.monitor, Selector(cascade.selector.laws)
-        assert monitor is not None
         monitor.mark_shut_off(0)
         across = law.handle_loss(monitor, 0.0)
         assert len(across) == 1
@@ -90,7 +89,6 @@ def test_the_catch_waits_while_rates_are_asked_for_and_ends_with_idle_engines() 
 def test_a_quadrotor_spins_with_its_first_rotor_lost_until_its_engines_idle() -> None:
     with cascade_of("hover", aircraft="quadrotor", engine="motor", controller="baseline") as cascade:
         law, monitor, selector = law_of(cascade, SpunFlight), cascade.monitor, Selector(cascade.selector.laws)
-        assert monitor is not None
         assert selector.select(asked()) is cascade.selector.laws[-1]
         monitor.mark_shut_off(2)
         assert law.handle_loss(monitor, 0.0) == NO_JETS

@@ -129,7 +129,6 @@ def test_gains_settle_at_the_steady_kalman_filter() -> None:
     """Against scipy's discrete Riccati equation, with the noise integrals by another route (Van Loan's exponential)."""
     from scipy.linalg import expm
 
-    assert GAINS is not None
     T = SENSOR.period_samples * DT
     A = np.diag([1.0, 1.0], 1)
     W = np.diag([0.0, GAINS.acceleration_noise_m_s15**2, GAINS.disturbance_walk_m_s25**2])
@@ -154,7 +153,6 @@ def measured(position: tuple[float, float], velocity: tuple[float, float], lean:
 
 def test_a_known_acceleration_is_followed_without_delay() -> None:
     """Constant lean from rest, no noise: the estimate is the present motion although every fix is 0.1 s old."""
-    assert GAINS is not None
     a = (1.2, -0.6)
     estimator = PositionEstimator(GAINS, SENSORS, DT)
     late, period = SENSOR.latency_samples, SENSOR.period_samples
@@ -171,7 +169,6 @@ def test_a_known_acceleration_is_followed_without_delay() -> None:
 
 def test_late_fixes_count_as_if_they_had_come_in_time() -> None:
     """Against the plain filter at the instants of the fixes, run ahead over the latency: whatever the fixes say."""
-    assert GAINS is not None
     rng = np.random.default_rng(5)
     period = SENSOR.period_samples
     sensor = SENSOR.model_copy(update={"latency_samples": 60})  # more than two fixes on their way
@@ -197,7 +194,6 @@ def test_late_fixes_count_as_if_they_had_come_in_time() -> None:
 
 def test_an_unknown_push_is_found() -> None:
     """Level, yet accelerating: the disturbance estimate goes there, and position and velocity stay right."""
-    assert GAINS is not None
     push = 0.36  # m/s^2: wind of 8 m/s on this body
     estimator = PositionEstimator(GAINS, SENSORS, DT)
     late, period = SENSOR.latency_samples, SENSOR.period_samples
@@ -211,7 +207,6 @@ def test_an_unknown_push_is_found() -> None:
 
 def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
     """Pushed for 3 s, and only then: the disturbance stays that of the wind, and the velocity is right all the same."""
-    assert GAINS is not None
     wind, own = 0.36, 2.0  # m/s^2
     late, period = SENSOR.latency_samples, SENSOR.period_samples
     begin, end = 10_000, 10_000 + round(3.0 / DT)
@@ -238,7 +233,6 @@ def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
 
 
 def test_standing_averages_the_position_and_feels_no_push() -> None:
-    assert GAINS is not None
     estimator = PositionEstimator(GAINS, SENSORS, DT)
     rng = np.random.default_rng(3)
     z = (0.0, 0.0)
@@ -254,7 +248,6 @@ def test_standing_averages_the_position_and_feels_no_push() -> None:
 
 
 def test_the_law_and_its_limits() -> None:
-    assert GAINS is not None
     law = PositionController(GAINS, DT)
     track = Track((1.0, 0.0), (0.5, 0.0), (0.25, 0.0))
     kp, kv = GAINS.position_1_s, GAINS.velocity_1_s
@@ -271,7 +264,6 @@ def test_the_law_and_its_limits() -> None:
 
 
 def test_new_gains_do_not_bump() -> None:
-    assert GAINS is not None
     law = PositionController(GAINS, DT)
     track, fix = Track((1.0, -2.0), (0.0, 0.5), (0.0, 0.0)), Fix((0.0, 0.0), (0.3, 0.0), (0.1, 0.1))
     before = law.update(track, fix)
@@ -352,7 +344,6 @@ def test_margins_of_the_position_loop() -> None:
 
     Peak sensitivity at most 1.5 and 1.7.
     """
-    assert GAINS is not None
     w = np.geomspace(0.02, 30.0, 900)
     for loop, phase, gain, peak in zip(loops(GAINS, w), (54.0, 42.0), (10.0, 8.0), (1.5, 1.7), strict=True):
         frequency = ct.frd(loop, w, smooth=True)
@@ -367,7 +358,6 @@ def closed_loop(lean_gain: float, extra: int, start: float, steps: int = 25_000)
 
     ``lean_gain``: true acceleration per acceleration that the measured lean stands for; ``extra`` samples more delay.
     """
-    assert GAINS is not None
     answer = ct.ss(roll_answer())
     A, B, C = np.asarray(answer.A), np.asarray(answer.B)[:, 0], np.asarray(answer.C)[0]
     estimator, law = PositionEstimator(GAINS, SENSORS, DT), PositionController(GAINS, DT)
@@ -402,7 +392,6 @@ def test_the_loop_of_the_real_blocks_is_stable(lean_gain: float, extra: int) -> 
 def led_roll_answer(vehicle: Vehicle, engine: str, z: Complex) -> Complex:
     """Roll set-point to roll of a vehicle that flies with a lead and no predictor, at the points ``z``."""
     model, law, leads = vehicle.identified[engine]["roll"], vehicle.control.rate.roll, vehicle.control.lead
-    assert leads is not None
     assert isinstance(leads.roll, EngineLead)
     over, under = lead_polynomials(leads.roll, DT)
     plant = model.gain * np.polyval(np.poly(model.all_zeros), z) / np.polyval(np.poly(model.all_poles), z)
@@ -419,7 +408,6 @@ def test_margins_of_the_full_scale_position_loop(monkeypatch: pytest.MonkeyPatch
     """Stated in the README of hexjet-p220: 54 degrees and 16 dB at the command, 42 and 11 at the plant."""
     vehicle, _ = load_vehicle("hexjet-p220")
     gains = vehicle.control.position
-    assert gains is not None
     monkeypatch.setattr("test_pilot_navigation.SENSOR", vehicle.sensors.gnss)
     w = np.geomspace(0.01, 30.0, 900)
     monkeypatch.setattr("test_pilot_navigation.roll_answer", lambda: lambda z: led_roll_answer(vehicle, "p220", z))

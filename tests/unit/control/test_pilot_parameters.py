@@ -31,7 +31,6 @@ MODEL = VEHICLE.identified["edf-as-flown"]["roll"]
 
 
 def parameters() -> Parameters:
-    assert CONTROL.pilot is not None
     return Parameters(table(CONTROL, CONTROL.pilot, "smith", 25.0))
 
 
@@ -89,7 +88,6 @@ def test_a_ground_station_may_read_where_the_engines_are() -> None:
     """PX4's names; its KM is positive for a rotor that turns left, whose reaction turns the nose right."""
     vehicle, _ = load_vehicle("quadrotor")
     settings = vehicle.control.pilot
-    assert settings is not None
     shown = Parameters(table(vehicle.control, settings, "smith", 0.0, "", vehicle.jets))
     values = shown.values
     assert values["CA_ROTOR_COUNT"] == len([name for name in values if name.endswith("_KM")]) == 4
@@ -139,7 +137,6 @@ def test_a_bound_may_have_been_a_32_bit_float() -> None:
 
 
 def test_a_vehicle_without_a_model_has_no_predictors() -> None:
-    assert CONTROL.pilot is not None
     table_ = Parameters(table(CONTROL, CONTROL.pilot, "baseline", None))
     with pytest.raises(InputError, match="HJ_PRED_TYPE = 1: must be from 0 to 0"):
         table_.set("HJ_PRED_TYPE", 1)
@@ -269,7 +266,6 @@ def test_new_height_gains_do_not_bump() -> None:
 
 
 def live() -> tuple[LiveTuning, Parameters, Blocks, list[tuple[str, float, PredictorTuning]]]:
-    assert CONTROL.position is not None
     made: list[tuple[str, float, PredictorTuning]] = []
 
     def make(name: str, delay: float, tuning: PredictorTuning) -> list[Predictor]:

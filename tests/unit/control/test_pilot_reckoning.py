@@ -25,7 +25,6 @@ class DeadReckoning:
 
     def __init__(self, sensors: Sensors, step: float) -> None:
         gains = VEHICLE.control.position
-        assert gains is not None
         self.whole = PositionEstimator(gains, sensors, step, True, reckons=True)
         self.filter = self.whole.reckoning
 
@@ -184,7 +183,6 @@ def test_the_drag_learnt_at_speed_is_no_push_at_rest() -> None:
     With the last push kept the velocity comes out wrong by what braking took of the drag; reckoned it does not.
     """
     gains = VEHICLE.control.position
-    assert gains is not None
     speed, drag = 5.0, 0.04
     for reckons, most in ((False, None), (True, 0.05)):
         estimator = PositionEstimator(gains, SENSORS, STEP, True, reckons)

@@ -32,7 +32,6 @@ def sensors(**changes: dict[str, Any]) -> Sensors:
 def estimator(
     stated: Sensors = STATED, height: float = 0.0, rate: float = 0.0, attitude: Quaternion = LEVEL
 ) -> Estimator:
-    assert VEHICLE.control.position is not None
     one = Estimator(stated, VEHICLE.control.position, STEP, 3.5, True)
     one.reset(Measured((0.0,) * 3, attitude, (0.0,) * 3, (0.0, 0.0, -rate), height, (0.0, 0.0, -GRAVITY)))
     return one
@@ -72,9 +71,13 @@ class Vertical:
             self.one.update(self.k, measured, still=False, has_contact=said.get("contact", False))
 
 
-def test_exact_sensors_give_the_exact_motion() -> None:
+@pytest.fixture
+def w() -> Vertical:
+    return Vertical()
+
+
+def test_exact_sensors_give_the_exact_motion(w: Vertical) -> None:
     """Held acceleration is what the model integrates exactly, up and down, through the receiver's latency."""
-    w = Vertical()
     for acceleration in (1.0, -2.0, 0.5):
         w.fly(1.0, acceleration)
         assert motion(w.one) == pytest.approx((w.h, w.v), abs=1e-6)
@@ -102,16 +105,14 @@ def test_the_gains_settle_where_the_riccati_equation_does(receiver: bool) -> Non
     assert pytest.approx((np.eye(3) - K @ H) @ prior, rel=1e-4) == P
 
 
-def test_the_bias_of_the_accelerometer_is_found() -> None:
-    w = Vertical()
+def test_the_bias_of_the_accelerometer_is_found(w: Vertical) -> None:
     w.fly(20.0, bias=0.2)
     assert -w.one.vertical.u.real == pytest.approx(0.2, abs=0.002)
     assert motion(w.one) == pytest.approx((w.h, w.v), abs=0.005)
 
 
-def test_a_barometer_that_stops_is_noticed_and_left_out() -> None:
+def test_a_barometer_that_stops_is_noticed_and_left_out(w: Vertical) -> None:
     """The receiver holds the height; its 0.3 m are what the height is then known to."""
-    w = Vertical()
     w.fly(35.0)
     w.fly(0.2, altitude=w.h)
     assert not w.one.has_height
@@ -125,9 +126,8 @@ def test_a_barometer_that_stops_is_noticed_and_left_out() -> None:
     assert w.one.has_height
 
 
-def test_a_receiver_that_stops_changes_nothing_while_the_barometer_works() -> None:
+def test_a_receiver_that_stops_changes_nothing_while_the_barometer_works(w: Vertical) -> None:
     """What crashed vehicles: the climb rate of a receiver that repeats itself."""
-    w = Vertical()
     w.fly(5.0)
     w.fly(1.2, -0.5, fix=w.fix)
     assert not w.one.has_fix
@@ -136,8 +136,7 @@ def test_a_receiver_that_stops_changes_nothing_while_the_barometer_works() -> No
     assert w.one.vertical.deviation[1] < 0.01
 
 
-def test_with_neither_the_accelerometer_carries_on_and_says_how_sure_it_is() -> None:
-    w = Vertical()
+def test_with_neither_the_accelerometer_carries_on_and_says_how_sure_it_is(w: Vertical) -> None:
     w.fly(35.0)
     sure = w.one.vertical.deviation
     w.fly(30.0, -0.03, altitude=w.h, fix=w.fix)
@@ -146,8 +145,7 @@ def test_with_neither_the_accelerometer_carries_on_and_says_how_sure_it_is() -> 
     assert 0.05 < w.one.vertical.deviation[1] < 0.3
 
 
-def test_an_accelerometer_that_stops_is_not_believed() -> None:
-    w = Vertical()
+def test_an_accelerometer_that_stops_is_not_believed(w: Vertical) -> None:
     w.fly(5.0)
     w.fly(0.2, force=(0.0, 0.0, -GRAVITY))
     assert not w.one.has_force
@@ -157,8 +155,7 @@ def test_an_accelerometer_that_stops_is_not_believed() -> None:
     assert w.one.vertical.deviation[1] > 0.015
 
 
-def test_a_barometer_that_jumps_is_not_believed_until_it_is_right_again() -> None:
-    w = Vertical()
+def test_a_barometer_that_jumps_is_not_believed_until_it_is_right_again(w: Vertical) -> None:
     w.fly(35.0)
     w.fly(0.6, off=1.0)
     assert not w.one.has_height
@@ -234,54 +231,53 @@ class Turning:
         return 2.0 * multiply(conjugate(from_euler(self.angle, 0.0, 0.0)), self.seen[0])[1]
 
 
-def test_an_attitude_that_stops_goes_on_by_the_gyro() -> None:
+@pytest.fixture
+def t() -> Turning:
+    turning = Turning()
+    turning.turn(5.0)
+    return turning
+
+
+def test_an_attitude_that_stops_goes_on_by_the_gyro(t: Turning) -> None:
     """Exactly so: the gyro's filter is undone, and the rate between two samples is their mean."""
-    w = Turning()
-    w.turn(5.0)
-    w.turn(20.0, attitude=from_euler(w.angle, 0.0, 0.0))
-    assert not w.one.has_attitude
-    assert w.error() == pytest.approx(0.0, abs=2e-4)
-    w.turn(1.0)
-    assert w.one.has_attitude
+    t.turn(20.0, attitude=from_euler(t.angle, 0.0, 0.0))
+    assert not t.one.has_attitude
+    assert t.error() == pytest.approx(0.0, abs=2e-4)
+    t.turn(1.0)
+    assert t.one.has_attitude
 
 
-def test_a_gyro_that_becomes_biased_is_found_and_corrected() -> None:
-    w = Turning()
-    w.turn(5.0)
+def test_a_gyro_that_becomes_biased_is_found_and_corrected(t: Turning) -> None:
     bias = radians(3.0)
-    w.turn(1.5, bias=bias)
-    assert w.one.is_biased
-    assert w.one.gyro_bias[0] == pytest.approx(bias, abs=0.002)
-    assert w.seen[1][0] == pytest.approx(w.filtered, abs=0.002)
-    assert w.one.has_attitude
+    t.turn(1.5, bias=bias)
+    assert t.one.is_biased
+    assert t.one.gyro_bias[0] == pytest.approx(bias, abs=0.002)
+    assert t.seen[1][0] == pytest.approx(t.filtered, abs=0.002)
+    assert t.one.has_attitude
     # and a lost attitude is then carried on without it
-    w.turn(5.0, bias=bias)
-    w.turn(10.0, attitude=from_euler(w.angle, 0.0, 0.0), bias=bias)
-    assert w.error() == pytest.approx(0.0, abs=0.01)
+    t.turn(5.0, bias=bias)
+    t.turn(10.0, attitude=from_euler(t.angle, 0.0, 0.0), bias=bias)
+    assert t.error() == pytest.approx(0.0, abs=0.01)
 
 
-def test_an_attitude_that_jumps_is_not_believed_and_no_bias_is_made_of_it() -> None:
-    w = Turning()
-    w.turn(5.0)
-    w.turn(2.0, off=radians(3.0))
-    assert not w.one.has_attitude
-    assert w.error() == pytest.approx(0.0, abs=1e-3)
-    assert max(map(abs, w.one.gyro_bias)) < 1e-3
-    w.turn(0.1)
-    assert w.one.has_attitude
+def test_an_attitude_that_jumps_is_not_believed_and_no_bias_is_made_of_it(t: Turning) -> None:
+    t.turn(2.0, off=radians(3.0))
+    assert not t.one.has_attitude
+    assert t.error() == pytest.approx(0.0, abs=1e-3)
+    assert max(map(abs, t.one.gyro_bias)) < 1e-3
+    t.turn(0.1)
+    assert t.one.has_attitude
 
 
-def test_without_a_gyro_the_rate_is_that_of_the_attitude() -> None:
+def test_without_a_gyro_the_rate_is_that_of_the_attitude(t: Turning) -> None:
     """Late by a few hundredths of a second: half a radian a second at 3 rad/s changes by 0.015 in a hundredth."""
-    w = Turning()
-    w.turn(5.0)
-    w.turn(5.0, gyro=(0.1, 0.0, 0.0))
-    assert not w.one.has_rate
-    assert w.seen[1][0] == pytest.approx(w.rate, abs=0.1)
-    assert w.seen[0] != LEVEL
-    w.turn(1.0)
-    assert w.one.has_rate
-    assert w.seen[1][0] == pytest.approx(w.filtered, abs=0.01)
+    t.turn(5.0, gyro=(0.1, 0.0, 0.0))
+    assert not t.one.has_rate
+    assert t.seen[1][0] == pytest.approx(t.rate, abs=0.1)
+    assert t.seen[0] != LEVEL
+    t.turn(1.0)
+    assert t.one.has_rate
+    assert t.seen[1][0] == pytest.approx(t.filtered, abs=0.01)
 
 
 def test_nothing_is_wrong_where_nothing_moves() -> None:

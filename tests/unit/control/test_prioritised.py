@@ -46,7 +46,7 @@ def listed(rows, wanted, start, low, high):  # type: ignore[no-untyped-def]
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_each_level_goes_as_far_as_a_linear_program_does_and_the_ones_before_stay(seed: int) -> None:
     rows, wanted, start, low, high = problem(seed)
     x = solve(rows, wanted, start, low, high)
@@ -71,7 +71,7 @@ def test_each_level_goes_as_far_as_a_linear_program_does_and_the_ones_before_sta
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_two_rows_that_go_along_first_go_as_far_as_a_linear_program_does(seed: int) -> None:
     """Beyond what keeps the direction: whatever comes across it, and the least of that which such a distance leaves."""
     found = rows, wanted, start, low, high = problem(seed)
@@ -96,7 +96,7 @@ def test_two_rows_that_go_along_first_go_as_far_as_a_linear_program_does(seed: i
 
 
 @given(st.integers(0, 10**6), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_is_wanted_of_a_lower_level_changes_nothing_above_it(seed: int, lift: float, yaw: float) -> None:
     rows, wanted, start, low, high = problem(seed)
     x = solve(rows, wanted, start, low, high)
@@ -107,7 +107,7 @@ def test_what_is_wanted_of_a_lower_level_changes_nothing_above_it(seed: int, lif
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_within_the_limits_it_is_the_pseudo_inverse_beside_the_start(seed: int) -> None:
     draw = np.random.default_rng(seed)
     rows, start = draw.normal(size=(4, 7)), draw.normal(size=7)
@@ -123,7 +123,7 @@ def test_a_row_in_no_level_is_not_looked_at() -> None:
 
 
 @given(st.integers(0, 10**6))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_multipliers_say_that_no_level_goes_further(seed: int) -> None:
     """The conditions of Karush, Kuhn and Tucker for a row that is not met: no way within the limits keeps the rows above.
 

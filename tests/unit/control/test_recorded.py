@@ -47,7 +47,6 @@ def test_it_gives_its_rows_in_order_and_says_where_they_end(tmp_path: Path) -> N
     source = find_controller_source(
         str(table(tmp_path / "a.csv", format_header(4, True), *[format_row(row, True) for row in ROWS])), tmp_path, ""
     )
-    assert source is not None
     assert (source.level, tuple(source.columns), list(source.hashes)) == ("controller", COLUMNS, ["a.csv"])
     block = source.make()
     assert isinstance(block, RecordedController)

@@ -170,7 +170,6 @@ def test_what_could_not_be_told_apart_is_not_registered(spec: PredictorSpec, mes
 
 def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
     vehicle, _ = load_vehicle("hexjet")
-    assert vehicle.control.pilot is not None
     parameters = Parameters(table(vehicle.control, vehicle.control.pilot, "mine", 25.0))
     assert parameters["HJ_PRED_TYPE"] == MINE.value
     assert (MINE.value, "mine") in parameters.table["HJ_PRED_TYPE"].values

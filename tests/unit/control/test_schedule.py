@@ -50,7 +50,6 @@ def test_between_two_levels_every_number_is_linear_and_beyond_them_held() -> Non
     assert block.at(0.9).roll == high
     quarter = block.at(0.225).roll
     assert quarter.angle == pytest.approx(0.625)
-    assert quarter.lead is not None
     assert quarter.lead.natural_rad_s == pytest.approx(1.125)
     assert quarter.lead.damping == pytest.approx(0.525)
     assert quarter.lead.pole_rad_s == pytest.approx(5.25)
@@ -147,7 +146,6 @@ def test_a_flight_begins_with_part_of_the_fuel() -> None:
     """Lighter by what is missing, hovering at the thrust that the rest needs, and never above full."""
     scenario = Scenario.load("full-scale-hover").replace(initial={"fuel": 0.5}, expect=[])
     with build(scenario) as simulation:
-        assert simulation.propulsion.tank is not None
         assert simulation.propulsion.tank.remaining == pytest.approx(9.0)
         first = simulation.step()
         mass, _, _ = simulation.airframe.mass_properties()

@@ -34,7 +34,6 @@ def test_engines_drawn_by_its_uncertainty_follow_them_too() -> None:
     """All to 1 % of the range, as README.md says; without the correlation four in five."""
     steps, spec = page.read_steps(RECORDINGS), load_engine("jetcat-p300", {}, STEP)
     known = spec.uncertainty
-    assert known is not None
     limits = {variable.name: variable.min for variable in spec.archive.parameters}
     normal = np.random.default_rng(5).standard_normal((40, len(known.parameters)))
     nominal = np.array([spec.parameters[name] for name in known.parameters])
@@ -87,6 +86,5 @@ def test_a_small_step_is_slower_than_a_large_one_and_none_overshoots(law: dict[s
 def test_its_parameters_are_uncertain() -> None:
     assert load_engine("jetcat-p300", {}, STEP).parameters["fuel_integral"] == 0.0201
     known = load_engine("jetcat-p300", {}, STEP).uncertainty
-    assert known is not None
     assert known.parameters[0] == "fuel_integral"
     assert known.deviation[0] == 0.0005

@@ -59,8 +59,6 @@ def test_an_engine_is_measured_in_the_air_it_is_given() -> None:
     with EngineBank([spec, low], 2, STEP) as bank:  # each in the air it was measured in
         assert bank.reset(0.5).thrust == pytest.approx((spec.thrust_at(0.5), low.thrust_at(0.5)), rel=1e-8)
     thin, dense = make_engine_reference(spec, STEP), make_engine_reference(low, STEP)
-    assert thin.speed is not None
-    assert dense.speed is not None
     assert thin.thrust == spec.curve.thrust
     # its ECU holds the speed that the throttle demands, whatever the air
     assert thin.speed[5:] == pytest.approx(dense.speed[5:], rel=1e-6)
@@ -234,11 +232,11 @@ def test_what_a_library_engine_computes_has_a_hash_of_its_own(tmp_path: Path) ->
     def equation(contents: dict[str, bytes]) -> None:
         contents["sources/delayed_lag.c"] += b"\n"
 
-    again = load_engine(str(rewrite(archive("edf", 3), tmp_path / "again.fmu", compiled)), {}, STEP)
+    again = load_engine(str(rewrite(archive("edf", 3), tmp_path / "again.fmu", compiled)), {}, STEP, unchecked=True)
     assert again.sha256 != shipped.sha256
     assert again.identity == shipped.identity != shipped.sha256
-    other = load_engine(str(rewrite(archive("edf", 3), tmp_path / "other.fmu", equation)), {}, STEP)
+    other = load_engine(str(rewrite(archive("edf", 3), tmp_path / "other.fmu", equation)), {}, STEP, unchecked=True)
     assert other.identity != shipped.identity
     foreign = edit_description(archive("edf", 3), tmp_path / "foreign.fmu", 'Tool="hexjet-cosim"', 'Tool="another"')
-    theirs = load_engine(str(foreign), {}, STEP)
+    theirs = load_engine(str(foreign), {}, STEP, unchecked=True)
     assert theirs.identity == theirs.sha256

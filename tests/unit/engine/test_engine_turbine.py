@@ -213,8 +213,6 @@ OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow")
 def sizing() -> Any:
     """engines/size_turbine.py, which is no part of the package."""
     spec = importlib.util.spec_from_file_location("size_turbine", data_folder("engines") / "size_turbine.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = sys.modules["size_turbine"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

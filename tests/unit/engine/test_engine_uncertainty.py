@@ -39,11 +39,9 @@ def mapping(folder: Path, table: str = TABLE, more: str = "") -> Path:
 
 def test_a_table_is_read_with_its_engine(tmp_path: Path) -> None:
     spec = load_engine(str(mapping(tmp_path)), {}, 0.004, unchecked=True)
-    assert spec.uncertainty is not None
     assert (spec.uncertainty.deviation, spec.uncertainty.spreads) == ([1.2, 0.006, 0.02], [0.0, 0.002, 0.01])
     plain = TABLE.replace("spread", "#").partition("correlation")[0]
     bare = find_source(str(mapping(tmp_path, plain))).mapping.uncertainty
-    assert bare is not None
     assert (bare.spreads, bare.correlations) == ([0.0] * 3, np.eye(3).tolist())
     assert find_source(str(mapping(tmp_path, ""))).mapping.uncertainty is None
 
@@ -80,7 +78,6 @@ def test_a_wrong_table_is_one_line(tmp_path: Path, old: str, new: str, message: 
 
 def test_a_switch_is_no_uncertain_number(tmp_path: Path) -> None:
     source = find_source(str(mapping(tmp_path)))
-    assert source.mapping.uncertainty is not None
     switch = [
         v.__class__(**{**v.__dict__, "type": "Boolean"}) if v.name == "pole" else v for v in source.archive.parameters
     ]

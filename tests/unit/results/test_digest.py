@@ -77,7 +77,7 @@ def test_a_block_is_left_as_it_was() -> None:
     assert table.tobytes() == before
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.lists(st.integers(1, 1099), max_size=4))
 def test_one_digest_in_memory_on_disk_and_in_passing(
     flight: list[Sample], tmp_path_factory: pytest.TempPathFactory, cuts: list[int]

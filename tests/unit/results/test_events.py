@@ -171,7 +171,6 @@ def test_the_strips_have_their_bands(run: Run) -> None:
 
 
 def test_the_page_tells_of_them(run: Run) -> None:
-    assert run.folder is not None
     write_report(open_run(run.folder), run.folder / "again.html")
     page = (run.folder / "again.html").read_text()
     assert "What happened" in page
@@ -181,7 +180,6 @@ def test_the_page_tells_of_them(run: Run) -> None:
 
 
 def test_events_are_messages_in_ulog(run: Run, tmp_path: Path) -> None:
-    assert run.folder is not None
     export_log("ulog", run.folder, tmp_path / "x.ulg")
     log = ULog(str(tmp_path / "x.ulg"))
     said = [(message.timestamp, message.message) for message in log.logged_messages]

@@ -191,9 +191,8 @@ def test_a_band_beside_another_unit_is_a_share_of_its_half() -> None:
     ],
 )  # fmt: skip
 def test_errors_say_where_and_what_is_allowed(text: str, message: str) -> None:
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         parse_formula(text)
-    assert "\n" not in str(caught.value)
 
 
 NUMBERS = st.sampled_from([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
@@ -260,7 +259,7 @@ def span(seconds: float, rows: Rows, row: int) -> range:
     return range(row, rows.rows if seconds == inf else min(rows.rows, row + round(seconds / STEP) + 1))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=400)
 @given(FORMULAS, st.data())
 def test_margins_are_those_of_the_definition(formula: Formula, data: st.DataObject) -> None:
     """And the comparison and the row that decide have the margin of the whole."""
@@ -311,7 +310,7 @@ SHARED: st.SearchStrategy[Formula] = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(SHARED, st.lists(st.tuples(NUMBERS, NUMBERS), min_size=8, max_size=8))
 def test_margins_are_those_of_rtamt(formula: Formula, values: list[tuple[float, float]]) -> None:
     rtamt: Any = pytest.importorskip("rtamt", reason="rtamt is not installed: pip install rtamt")

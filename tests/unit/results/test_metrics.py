@@ -79,7 +79,6 @@ def test_overshoot_of_a_second_order_system(zeta: float, size: float) -> None:
     found = of_axis(*stepped(zeta, size)).overshoot_percent
     # the peak lies at most half a row from the nearest one, and there y'' <= OMEGA^2 of the step
     missed = 100.0 * 0.5 * OMEGA**2 * (0.5 * STEP) ** 2
-    assert found is not None
     assert exact - missed <= found <= exact + 1e-9
 
 
@@ -93,7 +92,6 @@ def test_settling_of_a_second_order_system(zeta: float) -> None:
 
     exact = brentq(past_the_band, fine[outside], fine[outside + 1])
     found = of_axis(*stepped(zeta, 0.2)).settling_time_s
-    assert found is not None
     assert exact <= found <= exact + STEP  # the first row after it
 
 

@@ -121,7 +121,7 @@ def rows_of(capacity: int, patience: float, hand_on: Any) -> Rows:
     return Rows(capacity, patience, hand_on, run.width, run.nodes, run.reads)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(1, JETS).flatmap(lambda jets: st.lists(any_sample(jets), min_size=1, max_size=3)))
 def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):

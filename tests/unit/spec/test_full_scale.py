@@ -142,7 +142,6 @@ def test_ten_minutes_of_hover_are_in_the_tank() -> None:
         ("hexjet-100", (2.0, 0.064, 100.0, 0.312), 10.0),
     ):
         vehicle, _ = load_vehicle(name)
-        assert vehicle.fuel is not None
         slope = (f1 - f0) / (t1 - t0)
         a, b = 6 * (f0 - slope * t0), slope * 9.80665  # dm/dt = -a - b m
         left = (vehicle.mass_kg + a / b) * exp(-b * minutes) - a / b
@@ -154,7 +153,6 @@ def test_ten_minutes_of_hover_are_in_the_tank() -> None:
 def test_intakes_are_level_with_the_centre_of_gravity(name: str) -> None:
     """Upright, air that is swallowed has no moment about it; the exhausts are clear of the ground."""
     vehicle, _ = load_vehicle(name)
-    assert vehicle.airflow is not None
     feet = max(contact.position_m[2] for contact in vehicle.contacts)
     for jet, by_law in zip(vehicle.jets, BASE.jets, strict=True):
         assert jet.position_m[2] - vehicle.airflow.intake_m == pytest.approx(0.0, abs=1e-12)
@@ -192,7 +190,6 @@ def momentum_theorem(
     Out of all that the stream takes along, the part across the axis; along it, it is the engine's business.
     """
     flow = vehicle.airflow
-    assert flow is not None
     body = Rotation.from_quat([*state.attitude[1:], state.attitude[0]]).inv()
     through_air = body.apply(np.array(state.velocity) - np.array(state.wind))
     force, moment = np.zeros(3), np.zeros(3)
@@ -284,9 +281,7 @@ def test_a_copy_may_state_its_own(name: str) -> None:
     """What the file says stands, entry by entry of a list, and the rest is the law's."""
     vehicle, folder = load_vehicle(name)
     own = read_toml(folder / "vehicle.toml")
-    assert vehicle.servo is not None
     assert vehicle.servo.lag_s == own["servo"]["lag_s"]
-    assert BASE.servo is not None
     assert vehicle.servo.range_rad == BASE.servo.range_rad
     assert [jet.servo for jet in vehicle.jets] == [jet.servo for jet in BASE.jets]
     assert (folder / vehicle.model).resolve() == (data_folder("aircraft") / "hexjet" / BASE.model).resolve()

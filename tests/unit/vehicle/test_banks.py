@@ -31,7 +31,6 @@ def turned(course: np.ndarray, inertia: float, imbalance: float = 0.0) -> tuple[
     """A vehicle in free fall whose banks follow ``course`` (rad, left and right), and its states after each step."""
     servo = {"bank_inertia_kg_m2": inertia, "bank_imbalance_kg_m": imbalance}
     vehicle, folder = load_vehicle("hexjet", {"aero": NO_AERO, "servo": servo})
-    assert vehicle.servo is not None
     banks = Banks(vehicle.servo, vehicle.jets, STEP)
     frame = Airframe(vehicle, folder, Environment(), STEP, 4, 1)
     try:
@@ -99,7 +98,6 @@ def test_an_unbalanced_bank_moves_the_body_by_what_it_moves_itself() -> None:
 def test_a_turning_body_feels_the_banks_as_a_rotor() -> None:
     """- omega x h with h = -J (a1' + a2') about y."""
     vehicle, _ = load_vehicle("hexjet", {"servo": {"bank_inertia_kg_m2": 2e-3}})
-    assert vehicle.servo is not None
     banks = Banks(vehicle.servo, vehicle.jets, STEP)
     rate: Vector3 = (0.3, -0.2, 0.5)
     acted(banks, OFF, (0.004, 0.008), rate=rate)
@@ -118,7 +116,6 @@ def test_the_reaction_of_the_full_scale_banks_is_in_the_flight() -> None:
     with_banks = fly(flown)
     without = fly(flown.replace(vehicle=WITHOUT))
     vehicle, _ = load_vehicle("hexjet-p220")
-    assert vehicle.servo is not None
     assert vehicle.servo.bank_inertia_kg_m2 == 0.08  # as its page says
 
     def rest(log, inertia: float) -> np.ndarray:  # type: ignore[no-untyped-def, type-arg]
@@ -185,7 +182,6 @@ def test_a_sweep_in_flight_finds_the_designs_channel_with_its_banks() -> None:
     response = found.response
     z = np.exp(2j * np.pi * response.hertz * response.step)
     vehicle, pitch = pitch_of("hexjet-p220", "p220")
-    assert vehicle.servo is not None
     assert vehicle.servo.bank_inertia_kg_m2 > 0.0
     told, thrust = pitch.responses(z)[0], pitch_of("hexjet-p220", "p220", bank_inertia_kg_m2=0.0)[1].responses(z)[0]
     use = response.coherence > 0.95
@@ -203,7 +199,6 @@ def test_a_servo_stated_whole_before_there_were_banks_has_none() -> None:
     whole = {"lag_s": 0.05, "rate_limit_rad_s": 4.0, "range_rad": 0.5}
     for stated, inertia in ((whole, 0.0), (whole | {"bank_inertia_kg_m2": 0.05}, 0.05), ({"lag_s": 0.04}, 0.08)):
         vehicle, _ = load_vehicle("hexjet-p220", {"servo": stated})
-        assert vehicle.servo is not None
         assert vehicle.servo.bank_inertia_kg_m2 == inertia
 
 
@@ -214,5 +209,4 @@ def test_banks_heavier_than_the_vehicle_are_refused() -> None:
 
 def test_a_vehicle_that_states_no_bank_flies_as_without() -> None:
     vehicle, _ = load_vehicle("hexjet")
-    assert vehicle.servo is not None
     assert not Banks(vehicle.servo, vehicle.jets, STEP).is_active

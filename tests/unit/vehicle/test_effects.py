@@ -30,7 +30,6 @@ def test_a_vehicle_without_an_effect_has_none() -> None:
 
 def test_the_grounds_suction_comes_between_torques_and_forces_across() -> None:
     ground = load_vehicle("hexjet-p220")[0].ground_effect
-    assert ground is not None
     found = names(GIVES_ALL, ground_effect=ground.model_copy(update={"suckdown": True}))
     assert found == ["EngineTorques", "LiftLoss", "EngineSideForces"]
     reacting = [Jet(position_m=ZERO3, reaction_m=0.01, spin=1)] * 6

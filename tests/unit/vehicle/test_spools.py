@@ -433,12 +433,10 @@ class Listening(EngineBank):
         type(self).heard = []
 
     def reset(self, throttle: Any, ambient: Ambient | None = None) -> EngineOutput:
-        assert ambient is not None
         self.heard.append(ambient)
         return super().reset(throttle, ambient)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        assert ambient is not None
         self.heard.append(ambient)
         return super().step(k, throttle, ambient)
 
