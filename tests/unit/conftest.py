@@ -14,7 +14,7 @@ def _check_lines(kind: type[Exception]) -> None:
         made(self, *arguments)
         assert "\n" not in str(self), f"more than one line: {self}"
 
-    kind.__init__ = init  # type: ignore[method-assign, assignment]
+    kind.__init__ = init
 
 
 _check_lines(InputError)

@@ -95,14 +95,14 @@ def _here(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.mark.parametrize("guess", WORKS)
 def test_a_first_guess_works(guess: str) -> None:
-    assert WORKS[guess]()  # type: ignore[no-untyped-call]
+    assert WORKS[guess]()
 
 
 @pytest.mark.parametrize("guess", FAILS)
 def test_a_first_guess_that_is_wrong_names_the_cure(guess: str) -> None:
     call, cure = FAILS[guess]
     with pytest.raises((InputError, KeyError), match=cure):
-        call()  # type: ignore[no-untyped-call]
+        call()
 
 
 def test_a_note_is_a_warning_at_the_line_of_the_guess() -> None:

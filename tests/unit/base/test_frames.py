@@ -44,8 +44,8 @@ def test_rotation_is_scipys(q: tuple[float, float, float, float], v: tuple[float
 
 @given(quaternions, quaternions)
 def test_multiply_rotates_by_the_second_first(a: tuple[float, ...], b: tuple[float, ...]) -> None:
-    ours = scipy_of(frames.multiply(a, b)).as_matrix()  # type: ignore[arg-type]
-    assert ours == pytest.approx((scipy_of(a) * scipy_of(b)).as_matrix(), abs=EXACT)  # type: ignore[arg-type]
+    ours = scipy_of(frames.multiply(a, b)).as_matrix()
+    assert ours == pytest.approx((scipy_of(a) * scipy_of(b)).as_matrix(), abs=EXACT)
 
 
 @given(vectors, vectors)

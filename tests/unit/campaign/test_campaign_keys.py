@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -49,25 +50,15 @@ def test_every_number_arrives_where_it_is_named() -> None:
 
 
 def test_vehicle_flies_with_the_value() -> None:
-    values = {
-        "vehicle.jets.2.position_m.1": -0.16,
-        "vehicle.inertia_kg_m2.0": 0.05,
-        "engine_parameters.delay_samples": 9,
-    }
+    values = {"vehicle.jets.2.position_m.1": -0.16, "vehicle.inertia_kg_m2.0": 0.05}
+    values |= {"engine_parameters.delay_samples": 9}
     values |= {"vehicle.identified.edf-as-flown.roll.poles.1": 0.91, "stations.3.parameters.gain": 0.3, "seed": 7}
     with build(with_values(Scenario.load("hover"), values)) as simulation:
         assert simulation.vehicle.jets[2].position_m == (0.13, -0.16, -0.08)
         assert simulation.vehicle.inertia_kg_m2 == (0.05, 0.052, 0.07)
         assert simulation.vehicle.identified["edf-as-flown"]["roll"].poles == [0.9999, 0.91]
         assert [spec.delay_samples for spec in simulation.stations] == [9] * 6
-        assert [spec.parameters["gain"] for spec in simulation.stations] == [
-            0.2554,
-            0.2554,
-            0.3,
-            0.2554,
-            0.2554,
-            0.2554,
-        ]
+        assert [spec.parameters["gain"] for spec in simulation.stations] == [*[0.2554] * 2, 0.3, *[0.2554] * 3]
         assert simulation.scenario.seed == 7
         assert simulation.scenario.expect == []
 
@@ -79,11 +70,8 @@ def test_lists_of_a_resolved_scenario_are_written_by_place(tmp_path: Path) -> No
     assert find_key(resolved, "vehicle.jets.2.position_m.1").nominal == -0.15
     written = with_values(resolved, {"vehicle.jets.2.position_m.1": -0.16, "vehicle.mass_kg": 6.0})
     vehicle, _ = load_vehicle(written.aircraft, written.vehicle)
-    assert (vehicle.jets[2].position_m, vehicle.mass_kg, vehicle.jets[3]) == (
-        (0.13, -0.16, -0.08),
-        6.0,
-        load_vehicle("hexjet")[0].jets[3],
-    )
+    assert (vehicle.jets[2].position_m, vehicle.mass_kg) == ((0.13, -0.16, -0.08), 6.0)
+    assert vehicle.jets[3] == load_vehicle("hexjet")[0].jets[3]
 
 
 def test_bounds_units_and_nominal_values() -> None:
@@ -124,9 +112,8 @@ def test_whole_numbers_are_rounded() -> None:
     ],
 )
 def test_values_out_of_range(key: str, value: Any, words: str) -> None:
-    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+    with pytest.raises(InputError, match=re.escape(words)):
         find_key(Scenario.load("hover"), key).fit(value)
-    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -152,9 +139,8 @@ def test_values_out_of_range(key: str, value: Any, words: str) -> None:
     ],
 )
 def test_names_that_are_no_key(text: str, words: str) -> None:
-    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+    with pytest.raises(InputError, match=re.escape(words)):
         find_key(Scenario.load("hover"), text)
-    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -172,9 +158,8 @@ def test_names_that_are_no_key(text: str, words: str) -> None:
     ],
 )
 def test_values_that_cannot_hold(values: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=r"\A[^\n]+\Z") as error:
+    with pytest.raises(InputError, match=re.escape(words)):
         with_values(Scenario.load("hover"), values)
-    assert words in str(error.value)
 
 
 def test_parameters_stated_for_one_engine_do_not_go_to_another() -> None:
@@ -191,9 +176,8 @@ def test_parameters_stated_for_one_engine_do_not_go_to_another() -> None:
 
 
 def test_another_aircraft_brings_its_engine_and_another_engine_takes_every_station() -> None:
-    assert (
-        with_values(Scenario.load("hover"), {"aircraft": "hexjet-100"}).engine == load_vehicle("hexjet-100")[0].engine
-    )
+    other = with_values(Scenario.load("hover"), {"aircraft": "hexjet-100"})
+    assert other.engine == load_vehicle("hexjet-100")[0].engine
     mixed = with_values(Scenario.load("hover"), {"stations.2.engine": "turbojet"})
     assert list(mixed.stations) == ["2"]
     assert with_values(mixed, {"engine": "edf"}).stations == {}

@@ -80,7 +80,7 @@ def test_a_random_study_draws_the_same_values_at_the_same_quantiles(tmp_path: Pa
     fan = engines.fan(tmp_path, [2.0, 0.01, 0.02], [0.5, 0.0, 0.004])
     made = study([f"{MASS}=5:6", "engine", f"{NOISE}=log(0.01:0.1)"], settings=[f"engine={fan}"])
     space, campaign = NormalSpace(made), Draws(made)
-    assert space.dimension == 2 + made.engine_draw().sides  # type: ignore[union-attr]
+    assert space.dimension == 2 + made.engine_draw().sides
     points = ndtri(np.delete(campaign._points(0, 4), 1, axis=1))  # the place of the engine itself has no number
     for row, draw in zip(space.values(points), campaign, strict=True):
         assert list(row) == list(draw.values)

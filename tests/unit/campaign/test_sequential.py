@@ -55,11 +55,11 @@ def test_where_no_boundary_was_near_the_interval_is_clopper_and_pearsons() -> No
 def ends(test: SequentialTest) -> Iterator[tuple[SequentialTest, float]]:
     """Give every end of a study with the probability that it has at the claimed one."""
     going = [("open", RUNS, test._lowest + count, mass) for count, mass in enumerate(test._going)]
-    stopped = [(kind, *end) for kind in ("shown", "refuted") for end in test._ends[kind]]  # type: ignore[index]
+    stopped = [(kind, *end) for kind in ("shown", "refuted") for end in test._ends[kind]]
     for kind, flights, failures, probability in [*stopped, *going]:
         end = copy.copy(test)
         end.flights, end.failures = flights, failures
-        end.decision = end._crossed = kind  # type: ignore[assignment]
+        end.decision = end._crossed = kind
         end._ends = {name: [each for each in known if each[0] <= flights] for name, known in test._ends.items()}
         end.close()
         yield end, float(probability)
@@ -152,7 +152,7 @@ def test_a_thousand_drawn_studies_are_held_by_their_intervals() -> None:
 @pytest.mark.parametrize("order", [range(40), reversed(range(40))])
 def test_flights_count_in_the_order_of_their_numbers(order: object) -> None:
     rule = StoppingRule(parse_claim("90%@95%"), ["smith"], 100)
-    for number in list(order):  # type: ignore[call-overload]
+    for number in list(order):
         rule.add(number, True)
     assert rule.is_finished
     assert rule.tests["smith"].flights == 36

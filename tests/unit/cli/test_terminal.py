@@ -110,7 +110,7 @@ def test_a_terminal_without_the_signs_and_one_that_is_closed(monkeypatch: pytest
         command.main([])
     assert end.value.code == 0
     poor.flush()
-    assert b"roll" in poor.buffer.getvalue()  # type: ignore[attr-defined]
+    assert b"roll" in poor.buffer.getvalue()
     monkeypatch.setattr(sys, "stdout", None)
     show_result(FlightResult(open_run(RUN)))
 

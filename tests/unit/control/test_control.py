@@ -57,15 +57,11 @@ def test_attitude_error_is_that_of_the_rotation_between(
 
 def test_attitude_gain_and_limit_per_axis() -> None:
     controller = AttitudeController(AttitudeGains(gain_1_s=(2.0, 3.0, 4.0), rate_limit_rad_s=(0.5, 9.0, 9.0)))
-    small = 1e-4
-    command = Command((0.0, small, 0.0), 0.0)
-    assert controller.update(command, measured(frames.IDENTITY)) == pytest.approx((0.0, 3.0 * small, 0.0), rel=1e-6)
-    assert controller.update(Command((-1.0, 0.0, 0.0), 0.0), measured(frames.IDENTITY))[0] == -0.5
-    assert controller.update(Command((1.0, 0.0, 0.0), 0.0, rate=(0.1, 0.2, 0.3)), measured(frames.IDENTITY)) == (
-        0.1,
-        0.2,
-        0.3,
-    )
+    small, here = 1e-4, measured(frames.IDENTITY)
+    rates = controller.update(Command((0.0, small, 0.0), 0.0), here)
+    assert rates == pytest.approx((0.0, 3.0 * small, 0.0), rel=1e-6)
+    assert controller.update(Command((-1.0, 0.0, 0.0), 0.0), here)[0] == -0.5
+    assert controller.update(Command((1.0, 0.0, 0.0), 0.0, rate=(0.1, 0.2, 0.3)), here) == (0.1, 0.2, 0.3)
 
 
 @given(angles, tilts, angles)
@@ -293,38 +289,30 @@ def test_banks_on_the_wrong_side_are_refused() -> None:
         TiltAllocator(flat, LIMITS, 0.5, HOVER)
 
 
-def altitude(**changes: float) -> AltitudeController:
-    gains = {
-        "position_1_s": 1.0,
-        "climb_limit_m_s": 2.0,
-        "descent_limit_m_s": 1.0,
-        "velocity_1_s": 2.0,
-        "integral_1_s2": 0.0,
-        "integral_limit_m_s2": 3.0,
-    }
-    return AltitudeController(AltitudeGains(**{**gains, **changes}), 5.0, lambda thrust: thrust / 100.0, STEP)
+def altitude(integral: float = 0.0) -> AltitudeController:
+    limits = {"climb_limit_m_s": 2.0, "descent_limit_m_s": 1.0, "integral_limit_m_s2": 3.0}
+    gains = AltitudeGains(position_1_s=1.0, velocity_1_s=2.0, integral_1_s2=integral, **limits)
+    return AltitudeController(gains, 5.0, lambda thrust: thrust / 100.0, STEP)
 
 
-def test_hover_thrust_is_the_weight_over_the_lean() -> None:
-    block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
-    assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated()) == pytest.approx(5.0 * GRAVITY / 100)
-    leaning = frames.from_euler(0.5, 0.0, 0.0)
-    assert block.update(command, measured(leaning, 10.0), Unallocated()) == pytest.approx(
-        5.0 * GRAVITY / 100 / cos(0.5)
-    )
-    upside_down = frames.from_euler(pi, 0.0, 0.0)
-    assert block.update(command, measured(upside_down, 10.0), Unallocated()) == pytest.approx(5.0 * GRAVITY / 100 / 0.5)
-
-
-def test_climb_and_descent_are_limited() -> None:
-    block = altitude()
-    for target, climb in ((1000.0, 2.0), (-1000.0, -1.0)):
-        ours = block.update(Command((0.0, 0.0, 0.0), target), measured(frames.IDENTITY, 10.0), Unallocated())
-        assert ours == pytest.approx(5.0 * (GRAVITY + 2.0 * climb) / 100)
+@pytest.mark.parametrize(
+    ("target", "lean", "expected"),
+    [
+        (10.0, 0.0, 5.0 * GRAVITY / 100),  # hover: the weight
+        (10.0, 0.5, 5.0 * GRAVITY / 100 / cos(0.5)),  # over the lean
+        (10.0, pi, 5.0 * GRAVITY / 100 / 0.5),  # upside down
+        (1000.0, 0.0, 5.0 * (GRAVITY + 4.0) / 100),  # climb and descent are limited
+        (-1000.0, 0.0, 5.0 * (GRAVITY - 2.0) / 100),
+    ],
+)
+def test_thrust_is_that_of_weight_lean_and_climb(target: float, lean: float, expected: float) -> None:
+    command, here = Command((0.0, 0.0, 0.0), target), measured(frames.from_euler(lean, 0.0, 0.0), 10.0)
+    assert altitude().update(command, here, Unallocated()) == pytest.approx(expected)
+    assert altitude().update(command._replace(collective=0.33), here, Unallocated()) == 0.33
 
 
 def test_altitude_integral_stops_when_the_collective_is_refused() -> None:
-    block, command = altitude(integral_1_s2=1.0), Command((0.0, 0.0, 0.0), 11.0)
+    block, command = altitude(integral=1.0), Command((0.0, 0.0, 0.0), 11.0)
     before = block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(collective=0.1))
     assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(collective=0.1)) == before
     assert block.update(command, measured(frames.IDENTITY, 10.0), Unallocated()) > before
@@ -334,10 +322,3 @@ def test_burnt_fuel_need_not_be_carried() -> None:
     block, command = altitude(), Command((0.0, 0.0, 0.0), 10.0)
     ours = block.update(command, measured(frames.IDENTITY, 10.0), Unallocated(), burnt=2.0)
     assert ours == pytest.approx((5.0 - 2.0) * GRAVITY / 100)
-
-
-def test_commanded_collective_replaces_the_hold() -> None:
-    assert (
-        altitude().update(Command((0.0, 0.0, 0.0), 5.0, collective=0.33), measured(frames.IDENTITY), Unallocated())
-        == 0.33
-    )

@@ -91,7 +91,7 @@ def test_the_discretisation_is_python_control_s_and_between_steps_the_integral_o
 )
 def test_what_has_no_margins_is_a_line(arguments: tuple[list[float], ...], reason: str) -> None:
     with pytest.raises(InputError, match=reason):
-        delayed_margins(*arguments)  # type: ignore[arg-type]
+        delayed_margins(*arguments)
 
 
 def test_loops_and_limits_are_light() -> None:

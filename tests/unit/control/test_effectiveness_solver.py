@@ -222,5 +222,5 @@ def test_a_number_that_changes_the_list_it_stands_in_is_refused() -> None:
         prioritise(rows, [1.0], [(0,)], [0.0] * 3, [0.0] * 3, [1.0] * 3)
     assert len(rows[0]) == 3
     with pytest.raises(TypeError, match="levels: rows are whole numbers"):
-        prioritise([[1.0, 0.0, 0.0]], [1.0], [(Number(),)], [0.0] * 3, [0.0] * 3, [1.0] * 3)  # type: ignore[list-item]
+        prioritise([[1.0, 0.0, 0.0]], [1.0], [(Number(),)], [0.0] * 3, [0.0] * 3, [1.0] * 3)
     assert prioritise([[np.float64(1.0), 1, True]], [1], [(0,)], [0.0] * 3, [0.0] * 3, [1.0] * 3)

@@ -60,11 +60,11 @@ def test_a_jump_on_the_spot_is_found(items: tuple[MissionItem, ...], idle: int |
 def test_it_is_recorded_and_read_again() -> None:
     assert from_dict({"request": "MissionUpload", "items": [to_dict_of(FLOWN), to_dict_of(jump(0))]}).items[1] == jump(
         0
-    )  # type: ignore[union-attr]
+    )
 
 
 def to_dict_of(item: MissionItem) -> dict[str, object]:
-    made = to_dict(item)  # type: ignore[arg-type]
+    made = to_dict(item)
     del made["request"]
     return made
 
@@ -72,4 +72,4 @@ def to_dict_of(item: MissionItem) -> dict[str, object]:
 def test_the_pilot_refuses_it_in_a_line() -> None:
     flight = object.__new__(MissionFlight)  # nothing of a flight is asked
     with pytest.raises(InputError, match="mission item 1 refused: it jumps for ever, and nothing is flown on the way"):
-        flight.load(MissionUpload((FLOWN, jump(1))), None)  # type: ignore[arg-type]
+        flight.load(MissionUpload((FLOWN, jump(1))), None)

@@ -30,7 +30,7 @@ def test_whole_numbers_become_floats_once() -> None:
 
 def test_requests_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
-        rq.Takeoff(3.0).altitude_m = 4.0  # type: ignore[misc]
+        rq.Takeoff(3.0).altitude_m = 4.0
 
 
 @pytest.mark.parametrize(

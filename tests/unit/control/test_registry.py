@@ -34,7 +34,7 @@ FILTERED = PREDICTORS["filtered-smith"]
 
 
 def _response(model: Any, own: Mapping[str, float]) -> Any:
-    return FILTERED.response(model, {"filter_s": own["tau_s"]})  # type: ignore[misc]
+    return FILTERED.response(model, {"filter_s": own["tau_s"]})
 
 
 MINE = PredictorSpec(

@@ -165,11 +165,7 @@ def test_the_shipped_limit_is_met_by_the_smallest_turbine_alone(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("name", "wrong"),
-    [
-        ("p220", {"command_rate": -1.0}),
-        ("p220-2025", {"command_interval": 0.0}),
-        ("p220", {"command_interval": 2.5}),
-    ],
+    [("p220", {"command_rate": -1.0}), ("p220-2025", {"command_interval": 0.0}), ("p220", {"command_interval": 2.5})],
 )
 def test_a_wrong_limit_is_refused_in_one_line(name: str, wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=rf"{next(iter(wrong))} = .*: must be a (whole )?number from"):

@@ -33,19 +33,6 @@ def test_thrust_is_the_papers_difference_equation(name: str, fmi: int, shape: st
     np.testing.assert_allclose(thrust, paper_thrust(name, throttle), rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "fmi"), BOTH)
-def test_the_step_response_is_the_closed_form(name: str, fmi: int, tmp_path: Path) -> None:
-    """K U (1 - pole^(k - delay)) after k steps, as the engines' READMEs have it."""
-    gain, pole, delay = PAPER[name]
-    with driven(archive(name, fmi), tmp_path) as engine:
-        engine.start()
-        thrust = engine.run(np.full(400, 0.7))
-    k = np.arange(1, 401)
-    closed = NEWTON_PER_KGF * gain / (1.0 - pole) * 0.7 * (1.0 - pole ** np.maximum(k - delay, 0))
-    # 400 rounded steps of a filter that forgets: some rounding errors of 14 N
-    np.testing.assert_allclose(thrust, closed, rtol=0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("delay", [0, 1, 999, 1000])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_any_delay_of_the_declared_range(fmi: int, delay: int, tmp_path: Path) -> None:

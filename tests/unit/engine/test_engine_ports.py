@@ -176,7 +176,7 @@ def variable(text: str, causality: str, **more: object) -> Variable:
     """A variable from ``name [unit]``."""
     name, _, unit = text.partition(" ")
     fields = {"unit": unit.strip("[]") or None, "min": None, "max": None, "start": None, "description": ""} | more
-    return Variable(name=name, type="Real", reference=hash(text) % 2**31, causality=causality, **fields)  # type: ignore[arg-type]
+    return Variable(name=name, type="Real", reference=hash(text) % 2**31, causality=causality, **fields)
 
 
 def described(inputs: str, outputs: str, parameters: str = "") -> list[Variable]:
@@ -653,7 +653,7 @@ def test_the_ambient_is_set_when_it_changes_and_only_then(odd: Path) -> None:
         assert bank.reset(0.5, air).thrust == pytest.approx([thrust[1]] * 2, rel=1e-6)
         for wrong in [(1.0, 2.0), Ambient(1.0, 2.0, (0.0,)), Ambient(1.0, 2.0, (0.0, 0.0, 0.0))]:
             with pytest.raises(TypeError, match="pressure, temperature and 2 air speeds"):
-                bank.step(0, (0.5, 0.5), wrong)  # type: ignore[arg-type]
+                bank.step(0, (0.5, 0.5), wrong)
         with pytest.raises(
             EngineError, match=r"^engine 1 \(odd\.fmu\): ambient_pressure is not finite at step 0 \(0 s\)$"
         ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import struct
 import subprocess
 import sys
@@ -203,9 +204,8 @@ def test_a_key_is_a_pass_phrase_or_digits(tmp_path: Path) -> None:
 def test_a_wrong_key_is_one_line(tmp_path: Path, text: str) -> None:
     file = tmp_path / "key"
     file.write_text(text)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(str(file))):
         read_key(file)
-    assert str(file) in str(caught.value)
 
 
 def test_a_missing_key_is_one_line(tmp_path: Path) -> None:

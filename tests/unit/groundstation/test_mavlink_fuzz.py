@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import random
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import isfinite, nan
 from typing import Any
@@ -90,32 +90,29 @@ def packed(message: Any, chance: random.Random, system: int = 255) -> bytearray:
     return bytearray(message.pack(other))
 
 
-def test_random_bytes_are_refused_and_change_nothing(rig: Rig) -> None:
+def anything(chance: random.Random) -> bytes:
+    start = chance.choice([b"", b"\xfd", b"\xfe", b"\xfd\x21\x00\x00", b"\xfd\x21\x01\x00"])
+    return start + chance.randbytes(chance.randrange(1, 300))
+
+
+def truncated(chance: random.Random) -> bytes:
+    raw = packed(asking(chance), chance)
+    return bytes(raw[: chance.randrange(1, len(raw))])
+
+
+def mutated(chance: random.Random) -> bytes:
+    """Up to three wrong bits, which the check sum always finds; of more, or a wrong length, all but 1 in 65,536."""
+    raw = packed(asking(chance), chance)
+    for bit in chance.sample(range(8, 8 * len(raw)), chance.randint(1, 3)):
+        raw[bit // 8] ^= 1 << bit % 8
+    return bytes(raw)
+
+
+@pytest.mark.parametrize("made", [anything, truncated, mutated])
+def test_what_is_no_frame_is_refused_and_changes_nothing(rig: Rig, made: Callable[[random.Random], bytes]) -> None:
     chance = random.Random(1)
     for _ in range(SHARE):
-        start = chance.choice([b"", b"\xfd", b"\xfe", b"\xfd\x21\x00\x00", b"\xfd\x21\x01\x00"])
-        rig.send(start + chance.randbytes(chance.randrange(1, 300)))
-    assert rig.refused >= SHARE
-    rig.check_untouched()
-
-
-def test_truncated_frames_are_refused_and_change_nothing(rig: Rig) -> None:
-    chance = random.Random(2)
-    for _ in range(SHARE):
-        raw = packed(asking(chance), chance)
-        rig.send(bytes(raw[: chance.randrange(1, len(raw))]))
-    assert rig.refused >= SHARE
-    rig.check_untouched()
-
-
-def test_mutated_frames(rig: Rig) -> None:
-    """Up to three wrong bits are always found by the check sum; more, or a wrong length, all but once in 65,536."""
-    chance = random.Random(3)
-    for _ in range(SHARE):
-        raw = packed(asking(chance), chance)
-        for bit in chance.sample(range(8, 8 * len(raw)), chance.randint(1, 3)):
-            raw[bit // 8] ^= 1 << bit % 8
-        rig.send(bytes(raw))
+        rig.send(made(chance))
     assert rig.refused >= SHARE
     rig.check_untouched()
 

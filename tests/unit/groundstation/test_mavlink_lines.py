@@ -33,7 +33,7 @@ class Wire:
         self.bench, self.rate, self.most = bench, baud / 10.0, most
         self.frames: list[tuple[float, float, bytes]] = []  # handed over, arrived, frame
         self._free = bench.time
-        bench.link._channels.append(self)  # type: ignore[arg-type]
+        bench.link._channels.append(self)
         self.peer = bench.link.new_peer("wire", self._take, is_datagram=False)
         self.peers = [self.peer]
 
@@ -201,7 +201,7 @@ def test_a_link_that_fails_does_not_stop_the_others(bench: Bench) -> None:
         def close(self) -> None:
             pass
 
-    bench.link._channels.append(Broken())  # type: ignore[arg-type]
+    bench.link._channels.append(Broken())
     desk = bench.station()
     run(bench, 2.0)
     assert len(desk.named("ATTITUDE")) == pytest.approx(50, abs=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing
 from math import cos, nan, radians
 from types import SimpleNamespace
 from typing import Any
@@ -51,12 +52,12 @@ def at(north: float, east: float, up: float, frame: int = RELATIVE, command: int
     altitude = up + HOME if frame == RELATIVE else up - PLACE.ground
     latitude, longitude, _ = PLACE.to_geodetic(north, east, altitude)
     given = (*(params.get(f"p{i}", 0.0) for i in (1, 2, 3)), params.get("p4", nan))
-    return Item(frame, command, given, round(1e7 * latitude), round(1e7 * longitude), up)  # type: ignore[arg-type]
+    return Item(frame, command, given, round(1e7 * latitude), round(1e7 * longitude), up)
 
 
 def do(command: int, *params: float, z: float = 0.0, frame: int = NO_POSITION) -> Item:
     """An item without a place."""
-    return Item(frame, command, tuple([*params, 0.0, 0.0, 0.0, 0.0][:4]), 0, 0, z)  # type: ignore[arg-type]
+    return Item(frame, command, tuple([*params, 0.0, 0.0, 0.0, 0.0][:4]), 0, 0, z)
 
 
 SQUARE = [
@@ -647,9 +648,8 @@ def test_the_map_shows_the_vehicle_where_jsbsim_has_it(latitude: float, longitud
     free = {"aero": {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}}
     vehicle, folder = load_vehicle("hexjet", free)
     environment = Environment(latitude_deg=latitude, longitude_deg=longitude, ground_m=ground)
-    frame = Airframe(vehicle, folder, environment, 0.1, 1, 1)
-    place = Geodesy(latitude, longitude, ground)
-    try:
+    with closing(Airframe(vehicle, folder, environment, 0.1, 1, 1)) as frame:
+        place = Geodesy(latitude, longitude, ground)
         state = frame.reset(Initial(altitude_m=4000.0, velocity_ned_m_s=(250.0, 300.0, -100.0)), [ZERO3] * 6, ZERO3)
         for _ in range(240):
             state = frame.step([ZERO3] * 6, Disturbance())
@@ -659,8 +659,6 @@ def test_the_map_shows_the_vehicle_where_jsbsim_has_it(latitude: float, longitud
         assert place.to_geodetic(north, east, state.altitude)[:2] == pytest.approx(there, abs=1e-11)  # deg: 1e-6 m
         back = place.to_local(*there, ground + state.altitude)
         assert back == pytest.approx((north, east, state.altitude), abs=1e-6)
-    finally:
-        frame.close()
 
 
 @given(st.floats(-89, 89), st.floats(-180, 180), st.floats(-5e4, 5e4), st.floats(-5e4, 5e4), st.floats(-100, 1e4))

@@ -30,6 +30,12 @@ def one(desk: Desk, name: str) -> object:
     return found[1]
 
 
+def show(desk: Desk, **changes: object) -> None:
+    """Let the pilot be in this state for a step."""
+    desk.bench.pilot.status = status(**changes)
+    desk.bench.step(0.02)
+
+
 def result_of(desk: Desk, number: int) -> int:
     """Of a request for a message that does not come."""
     (ack,) = desk.ask(command(512, float(number)))
@@ -44,11 +50,9 @@ def fields(desk: Desk, name: str, *wanted: str) -> list[object]:
 def test_the_heartbeat_shows_mode_and_arming_as_px4_does(desk: Desk) -> None:
     wanted = ("type", "autopilot", "base_mode", "custom_mode", "system_status", "mavlink_version")
     assert fields(desk, "HEARTBEAT", *wanted) == [13, 12, 1 | 4 | 8 | 16, 0x03040000, 3, 3]
-    desk.bench.pilot.status = status(armed=True, mode=Mode.POSCTL)
-    desk.bench.step(0.02)
+    show(desk, armed=True, mode=Mode.POSCTL)
     assert fields(desk, "HEARTBEAT", *wanted[2:5]) == [1 | 16 | 64 | 128, 0x00030000, 4]
-    desk.bench.pilot.status = status(armed=True, failsafe="no ground station")
-    desk.bench.step(0.02)
+    show(desk, armed=True, failsafe="no ground station")
     assert fields(desk, "HEARTBEAT", "system_status") == [5]
 
 
@@ -96,16 +100,14 @@ def test_the_wind_is_the_vehicles_own_estimate(desk: Desk) -> None:
     assert result_of(desk, number) != 0  # on the ground nothing pushes
     push, velocity = (0.05, -0.08), (1.0, 0.5)
     flying = {"armed": True, "landed": LandedState.IN_AIR, "engines": EngineState.FLY}
-    desk.bench.pilot.status = status(fix=Fix((3.0, 4.0), velocity, push), **flying)
-    desk.bench.step(0.02)
+    show(desk, fix=Fix((3.0, 4.0), velocity, push), **flying)
     vehicle = load_vehicle("hexjet")[0]
     drag = 0.5 * standard_density(22.0) * vehicle.aero.drag_area_m2[0]
     speeds = [copysign(sqrt(vehicle.mass_kg * abs(b) / drag), b) for b in push]
     assert fields(desk, "WIND_COV", "wind_x", "wind_y") == pytest.approx(
         [v + speed for v, speed in zip(velocity, speeds, strict=True)], rel=1e-6
     )
-    desk.bench.pilot.status = status(fix=Fix((3.0, 4.0), velocity, push), positioned=False, **flying)
-    desk.bench.step(0.02)
+    show(desk, fix=Fix((3.0, 4.0), velocity, push), positioned=False, **flying)
     assert result_of(desk, number) != 0
 
 
@@ -113,14 +115,14 @@ def test_the_wind_is_the_vehicles_own_estimate(desk: Desk) -> None:
 def test_no_wind_is_told_while_it_leans_further_than_it_may_be_asked_to(desk: Desk, lean: float, told: bool) -> None:
     """At 81 degrees, on its way over, it told a wind that there was not; it may be asked for 20."""
     seen = sample().measured._replace(attitude=from_euler(0.0, radians(lean), 1.5))
-    desk.bench.pilot.status = status(
+    show(
+        desk,
         fix=Fix((3.0, 4.0), (1.0, 0.5), (0.05, -0.08)),
         armed=True,
         landed=LandedState.IN_AIR,
         engines=EngineState.FLY,
         seen=seen,
     )
-    desk.bench.step(0.02)
     ack = desk.ask(command(512, float(BY_NAME["WIND_COV"].id)))[0]
     assert (ack.result == 0) is told
 
@@ -128,8 +130,7 @@ def test_no_wind_is_told_while_it_leans_further_than_it_may_be_asked_to(desk: De
 def test_engines_that_are_off_have_no_throttle(desk: Desk) -> None:
     idle = fields(desk, "SERVO_OUTPUT_RAW", "servo1_raw", "servo6_raw")
     assert min(idle) > 1000
-    desk.bench.pilot.status = status(engines=EngineState.OFF)
-    desk.bench.step(0.02)
+    show(desk, engines=EngineState.OFF)
     assert fields(desk, "SERVO_OUTPUT_RAW", "servo1_raw", "servo6_raw") == [1000, 1000]
     assert fields(desk, "ACTUATOR_OUTPUT_STATUS", "actuator")[0][:6] == [0.0] * 6
     assert fields(desk, "VFR_HUD", "throttle") == [0]
@@ -212,16 +213,15 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
 def test_refusals_to_arm_show_in_the_prearm_check(desk: Desk) -> None:
     prearm = 1 << 28
     names = [f"onboard_control_sensors_{name}" for name in ("present", "enabled", "health")]
-    assert all(value & prearm for value in fields(desk, "SYS_STATUS", *names))  # type: ignore[operator]
-    desk.bench.pilot.status = status(ready=False, refusals=("not level",))
-    desk.bench.step(0.02)
+    assert all(value & prearm for value in fields(desk, "SYS_STATUS", *names))
+    show(desk, ready=False, refusals=("not level",))
     present, enabled, health = fields(desk, "SYS_STATUS", *names)
     assert present & prearm
     assert enabled & prearm
-    assert not health & prearm  # type: ignore[operator]
+    assert not health & prearm
     geofence = 1 << 20  # healthy and off
     assert health & geofence
-    assert not enabled & geofence  # type: ignore[operator]
+    assert not enabled & geofence
     assert fields(desk, "SYS_STATUS", "load") == [250]
 
 
@@ -247,13 +247,12 @@ def test_outputs_are_sent_as_pulses_and_as_fractions(desk: Desk) -> None:
     assert found == [1100, 1200, 1300, 1400, 1500, 1600, 1600, 1400]  # 0.1 of 0.5 rad either way
     active, values = fields(desk, "ACTUATOR_OUTPUT_STATUS", "active", "actuator")
     assert active == 0b11111111
-    assert values[:8] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.2, -0.2])  # type: ignore[index]
+    assert values[:8] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.2, -0.2])
 
 
 def test_the_target_is_sent_locally_and_on_the_globe(desk: Desk) -> None:
     assert result_of(desk, 85) == 1  # there is none now
-    desk.bench.pilot.status = status(target=Home(50.0, -20.0, 30.0), yaw=0.7)
-    desk.bench.step(0.02)
+    show(desk, target=Home(50.0, -20.0, 30.0), yaw=0.7)
     wanted = ("coordinate_frame", "x", "y", "z", "yaw", "type_mask")
     assert fields(desk, "POSITION_TARGET_LOCAL_NED", *wanted) == pytest.approx(
         [1, 50.0, -20.0, -30.0, 0.7, 0b1001_1111_1000]
@@ -264,14 +263,11 @@ def test_the_target_is_sent_locally_and_on_the_globe(desk: Desk) -> None:
 
 
 def test_flight_information_remembers(desk: Desk) -> None:
-    bench = desk.bench
     assert fields(desk, "FLIGHT_INFORMATION", "arming_time_utc", "takeoff_time_utc", "flight_uuid") == [0, 0, 0]
-    bench.pilot.status = status(armed=True)
-    bench.step(0.02)
-    bench.pilot.status = status(armed=True, landed=LandedState.IN_AIR)
-    bench.step(0.02)
+    show(desk, armed=True)
+    show(desk, armed=True, landed=LandedState.IN_AIR)
     armed, off, flight = fields(desk, "FLIGHT_INFORMATION", "arming_time_utc", "takeoff_time_utc", "flight_uuid")
-    assert 1.6e15 < armed <= off  # type: ignore[operator]
+    assert 1.6e15 < armed <= off
     assert flight == 1
 
 
@@ -499,7 +495,7 @@ def test_modes_go_there_and_back(personality: object) -> None:
     if personality == "ardupilot":
         shared = {Mode.MANUAL: Mode.STABILIZED, Mode.TAKEOFF: Mode.HOLD, Mode.ORBIT: None}
     for mode in Mode:
-        assert from_custom(custom_mode(mode, personality), personality) is shared.get(mode, mode)  # type: ignore[arg-type]
+        assert from_custom(custom_mode(mode, personality), personality) is shared.get(mode, mode)
         assert base_mode(mode, True) - base_mode(mode, False) == 128
     assert from_custom(0x03040001, "px4") is None
 

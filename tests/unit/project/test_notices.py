@@ -57,7 +57,7 @@ def test_every_dependency_is_in_the_notice() -> None:
         "fmpy": "FMPy", "jinja2": "Jinja2", "jsbsim": "JSBSim", "numpy": "NumPy", "pyarrow": "PyArrow", "pydantic": "Pydantic",
         "scipy": "SciPy", "rich": "Rich",
     }  # fmt: skip
-    needed = [re.match(r"[\w-]+", entry)[0] for entry in PROJECT["dependencies"]]  # type: ignore[index]
+    needed = [re.match(r"[\w-]+", entry)[0] for entry in PROJECT["dependencies"]]
     assert [name for name in needed if names.get(name, name) not in NOTICE] == []
     assert "JSBSim (LGPL-2.1-or-later)" in NOTICE
     assert "pymavlink (LGPL-3.0-or-later)" in NOTICE

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cosim.base.errors import FlightError, InputError
@@ -78,18 +78,14 @@ def test_a_recorded_flight_does_without_pandas_and_its_page_without_plotly(tmp_p
 
 @settings(max_examples=15)
 @given(st.lists(st.integers(0, 70), max_size=6), st.text(max_size=40))
+@example([*[250] * 3, 17], "as they come in flight")
+@example([400, 1], "")
 def test_the_stream_is_byte_for_byte_what_pyarrow_writes(
     tmp_path_factory: pytest.TempPathFactory, sizes: list[int], note: str
 ) -> None:
     folder = tmp_path_factory.mktemp("stream")
     blocks = tables(sizes)
     assert streamed(folder / "ours", blocks, note) == as_pyarrow_writes(folder / "theirs", blocks, note)
-
-
-@pytest.mark.parametrize("sizes", [[250] * 3 + [17], [400, 1], [1], []])
-def test_blocks_as_they_come_in_flight(tmp_path: Path, sizes: list[int]) -> None:
-    blocks = tables(sizes)
-    assert streamed(tmp_path / "ours", blocks) == as_pyarrow_writes(tmp_path / "theirs", blocks, "a note")
 
 
 def test_a_block_that_does_not_lie_in_one_piece(tmp_path: Path) -> None:
@@ -168,7 +164,7 @@ MANY: dict[str, list[Value]] = {
 def same(one: list[Value], other: list[Value]) -> bool:
     """NaN is NaN, and the kinds are the same."""
     return len(one) == len(other) and all(
-        type(a) is type(b) and (a == b or (isinstance(a, float) and isnan(a) and isnan(b)))  # type: ignore[arg-type]
+        type(a) is type(b) and (a == b or (isinstance(a, float) and isnan(a) and isnan(b)))
         for a, b in zip(one, other, strict=True)
     )
 
@@ -206,12 +202,6 @@ def test_any_columns_come_back(tmp_path_factory: pytest.TempPathFactory, data: s
     write_table(path, columns, kinds=kinds)
     assert read_table(path) == columns
     assert not pq.read_schema(path).metadata
-
-
-def test_a_table_of_no_rows_comes_back(tmp_path: Path) -> None:
-    columns: dict[str, list[Value]] = {kind.__name__: [] for kind in VALUES}
-    write_table(tmp_path / "t", columns, kinds={kind.__name__: kind for kind in VALUES})
-    assert read_table(tmp_path / "t") == columns
 
 
 def test_stated_kinds_make_the_parts_of_a_data_set_fit(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from math import nan, pi
 from pathlib import Path
 from typing import Any
@@ -148,9 +149,8 @@ def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() 
 )
 def test_logs_that_cannot_be_compared(content: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text(content)
-    with pytest.raises(InputError) as complaint:
+    with pytest.raises(InputError, match=re.escape(said)):
         read_flight_log(tmp_path / "x.csv")
-    assert said in str(complaint.value)
 
 
 def test_where_nothing_reads_logs_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

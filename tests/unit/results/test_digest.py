@@ -89,9 +89,9 @@ def test_one_digest_in_memory_on_disk_and_in_passing(
         for observer in observers:
             observer.observe(sample)
         if k in cuts:
-            observers[2].flush()  # type: ignore[attr-defined]
+            observers[2].flush()
     for recorder in observers[1:]:
-        recorder.flush()  # type: ignore[attr-defined]
+        recorder.flush()
     run = recording.finish("completed", "")
     assert log_digest(run.log) == log_digest(memory.log()) == passing.hexdigest()
     assert flight_metrics(passing.log(), STEP) == flight_metrics(run.log, STEP)

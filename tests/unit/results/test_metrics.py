@@ -61,7 +61,7 @@ def of_axis(setpoint: Array, angle: Array, **rates: Any) -> AxisMetrics:
     zero = np.zeros_like(setpoint)
     rate_setpoint, rate = rates.get("rate_setpoint", zero), rates.get("rate", zero)
     log = {"roll_setpoint_rad": setpoint, "roll_rad": angle, "rate_p_setpoint_rad_s": rate_setpoint}
-    return _axis_metrics(log | {"rate_p_rad_s": rate}, "roll", "p", STEP)  # type: ignore[arg-type]
+    return _axis_metrics(log | {"rate_p_rad_s": rate}, "roll", "p", STEP)
 
 
 def stepped(zeta: float, size: float, before_s: float = 0.5, after_s: float = 6.0) -> tuple[Array, Array]:

@@ -29,7 +29,6 @@ def design(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.unit
 def test_a_run_names_its_design_everywhere_and_flies_again_alone(
     design: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,7 +53,6 @@ def test_a_run_names_its_design_everywhere_and_flies_again_alone(
     assert (tmp_path / "again" / "flight.parquet").read_bytes() == (out / "flight.parquet").read_bytes()
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize("kind", [str, Path])
 @pytest.mark.parametrize("given", ["roll-doublet", Scenario.load("roll-doublet")])
 def test_a_program_names_a_design_as_the_command_does(
@@ -78,7 +76,6 @@ def test_a_program_names_a_design_as_the_command_does(
         assert reference.log[name].tobytes() == flown.log[name].tobytes() == stepped.log[name].tobytes(), name
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(
     ("changes", "given", "message"),
     [
@@ -95,7 +92,6 @@ def test_a_design_that_is_for_something_else_is_refused_to_a_program(
         fly(scenario, controller=design.with_name(given))
 
 
-@pytest.mark.unit
 def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) -> None:
     first = fly(apply_controller("roll-doublet", design, SHORT))
     design.write_text(design.read_text().replace("p = 0.0225", "p = 0.0226"))
@@ -105,7 +101,6 @@ def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) ->
     assert all(label.startswith("my-design ") for label in labels)
 
 
-@pytest.mark.unit
 def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     fly(apply_controller("roll-doublet", design, SHORT), out, report=False)
@@ -118,7 +113,6 @@ def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: P
         fly(out / "scenario.toml")
 
 
-@pytest.mark.unit
 def test_a_session_goes_on_with_the_design_that_it_was_given(design: Path, tmp_path: Path) -> None:
     scenario, content = apply_controller("roll-doublet", design, SHORT), design.read_bytes()
     design.write_text("written over")
@@ -127,7 +121,6 @@ def test_a_session_goes_on_with_the_design_that_it_was_given(design: Path, tmp_p
     assert run.summary.parameter_files[0].changed == ()
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
@@ -146,7 +139,6 @@ def test_a_parameter_file_of_somebody_else_is_data(file: str, content: bytes | N
         fly(Scenario.from_table(table, tmp_path, "theirs"), report=False)
 
 
-@pytest.mark.unit
 def test_values_over_a_design_are_said(design: Path) -> None:
     run = fly(apply_controller("roll-doublet", design, [*SHORT, "vehicle.control.rate.roll.p=0.03"]))
     assert run.summary.parameter_files[0].changed == ("control.rate.roll.p",)
@@ -154,7 +146,6 @@ def test_values_over_a_design_are_said(design: Path) -> None:
     assert "vehicle.control.rate.roll.p = 0.03" in run.summary.title
 
 
-@pytest.mark.unit
 def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
     from cosim.base.storage.toml import toml_text
 
@@ -169,7 +160,6 @@ def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
     assert summary.controller_shown == f"smith, models model {summary.parameter_files[0].sha256[:8]}"
 
 
-@pytest.mark.unit
 def test_a_scenario_as_its_file_states_it_keeps_title_and_description() -> None:
     scenario = Scenario.load("roll-doublet")
     assert list_changes(scenario, []) == []
@@ -180,7 +170,6 @@ def test_a_scenario_as_its_file_states_it_keeps_title_and_description() -> None:
     assert (run.summary.title, run.summary.description) == (scenario.title, scenario.description)
 
 
-@pytest.mark.unit
 @pytest.mark.parametrize(
     ("changes", "title"),
     [
@@ -206,7 +195,6 @@ def test_another_flight_does_not_wear_the_story(changes: dict[str, object], titl
     assert again.summary.title == run.summary.title
 
 
-@pytest.mark.unit
 def test_a_flight_of_a_study_names_its_design(design: Path) -> None:
     base = Scenario.load("roll-doublet", SHORT)
     flown = with_values(base, {"controller": str(design), "vehicle.mass_kg": 5.6})
@@ -216,7 +204,6 @@ def test_a_flight_of_a_study_names_its_design(design: Path) -> None:
     assert "vehicle.mass_kg = 5.6" in list_changes(flown, [given])
 
 
-@pytest.mark.unit
 def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     fly(apply_controller("roll-doublet", design, SHORT), out, report=False)
@@ -227,7 +214,6 @@ def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
     assert open_run(out).summary.controller_shown == "state-disturbance"
 
 
-@pytest.mark.unit
 def test_margins_name_the_design(design: Path) -> None:
     from hexjet_design.measured.margins import MeasuredMargins
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -428,9 +429,8 @@ def test_a_folder_that_holds_a_run_is_refused_untouched(tmp_path: Path, name: st
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "run", Path("/proc/run")):
-        with pytest.raises(InputError) as complaint:
+        with pytest.raises(InputError, match=re.escape(str(folder))):
             begin_run(setup(), scenario(), folder)
-        assert str(folder) in str(complaint.value)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -249,7 +249,7 @@ def test_a_row_has_the_margins() -> None:
     mine = study()
     row = fly_one(mine, flights(mine)[0])
     assert list(row) == list(kinds(mine))
-    assert row["margin_roll.rmse_rad"] == 0.2 - row["roll.rmse_rad"]  # type: ignore[operator]
+    assert row["margin_roll.rmse_rad"] == 0.2 - row["roll.rmse_rad"]
     assert isinstance(row["margin_level"], float)
     assert isinstance(row["margin"], float)
     assert (row["margin"] >= 0.0) is row["success"]

@@ -55,7 +55,7 @@ def any_sample(draw: st.DrawFn, jets: int) -> Sample:
         "state": [vector, vector, tuples(4), vector, vector, vector, number, vector, number, number, number, vector],
         "measured": [vector, tuples(4, st.floats(-1.0, 1.0)), vector, vector, number, vector],
     }
-    made = {name: record(*draw(st.tuples(*fields[name]))) for name, record in names.items()}  # type: ignore[operator]
+    made = {name: record(*draw(st.tuples(*fields[name]))) for name, record in names.items()}
     return Sample(
         k=draw(st.integers()),
         time=draw(number),
@@ -255,7 +255,7 @@ def test_what_a_sample_lacks_is_named() -> None:
     with pytest.raises(TypeError, match=r"^sample: engines\.spool_speed is not a tuple of 6$"):
         recorder.observe(replaced(good(), ("engines", "spool_speed"), (1.0,)))
     with pytest.raises(TypeError, match=r"^sample: it is not a tuple of 15$"):
-        recorder.observe("sample")  # type: ignore[arg-type]
+        recorder.observe("sample")
 
 
 def test_other_kinds_of_numbers_are_numbers() -> None:
@@ -344,7 +344,7 @@ def test_rows_are_made_once_and_for_at_least_one() -> None:
     rows = rows_of(1, 1.0, len)
     run = program(COLUMNS)
     with pytest.raises(ValueError, match="once"):
-        rows.__init__(1, 1.0, len, run.width, run.nodes, run.reads)  # type: ignore[misc]
+        rows.__init__(1, 1.0, len, run.width, run.nodes, run.reads)
     bare = Rows.__new__(Rows)
     with pytest.raises(ValueError, match="not initialised"):
         bare.add(good())

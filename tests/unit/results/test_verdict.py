@@ -29,7 +29,7 @@ from cosim.results.verdict import describe_end, judge
 def test_a_verdict_follows_from_outcome_limits_and_expectations(
     outcome: str, beyond: list[str], met: bool | None, verdict: str
 ) -> None:
-    assert judge(outcome, beyond, met) == verdict  # type: ignore[arg-type]
+    assert judge(outcome, beyond, met) == verdict
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_the_vehicle_that_the_mistakes_are_made_in_is_right(folder: Path) -> Non
 @pytest.mark.parametrize("name", [5, [], None, Path("hexjet")])
 def test_what_is_no_name_of_an_aircraft_is_one_line(name: object) -> None:
     with pytest.raises(InputError, match=r"^aircraft .*: must be a name or a path, as a text$"):
-        load_vehicle(name)  # type: ignore[arg-type]
+        load_vehicle(name)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from math import cos, nan, pi, radians, sin, sqrt
 from pathlib import Path
 
@@ -35,11 +35,9 @@ def airframe(
     overrides: dict[str, object] | None = None, environment: Environment | None = None, substeps: int = 4, seed: int = 1
 ) -> Iterator[tuple[Airframe, Vehicle]]:
     vehicle, folder = load_vehicle("hexjet", overrides)
-    frame = Airframe(vehicle, folder, environment or Environment(), STEP, substeps, seed)
-    try:
+    with closing(Airframe(vehicle, folder, environment or Environment(), STEP, substeps, seed)) as frame:
+        frame.reset(Initial(), OFF, ZERO3)
         yield frame, vehicle
-    finally:
-        frame.close()
 
 
 def normal_gravity(latitude_deg: float, height: float) -> float:
@@ -61,7 +59,6 @@ def test_force_and_moment_are_r_cross_f(seed: int) -> None:
     """To 1e-9 relative, also with a payload that moves the centre of gravity."""
     rng = np.random.default_rng(seed)
     with airframe() as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         newtons = rng.uniform(0.0, 20.0, 6).tolist()
         forces = thrust(vehicle, newtons, *rng.uniform(-0.5, 0.5, 2).tolist())
         payload = (
@@ -83,7 +80,6 @@ def test_the_papers_closed_forms_under_the_sign_table() -> None:
         assert lx > 0.0
         up = -lz  # the paper's L_z counts upwards
         f_left, f_right, a1, a2 = 7.0, 9.0, 0.2, -0.1
-        frame.reset(Initial(), OFF, ZERO3)
         newtons = [f_left if jet.servo == "left" else f_right for jet in vehicle.jets]
         frame.step(thrust(vehicle, newtons, a1, a2), CALM)
         (fx, fy, fz), (mx, my, mz) = frame.external_wrench()
@@ -120,7 +116,6 @@ def test_roll_inertia_follows_from_the_identified_gain() -> None:
 def test_payload_adds_mass_and_moves_centre_and_inertia() -> None:
     m, place = 0.8, np.array([0.1, -0.05, 0.07])
     with airframe() as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         own = (vehicle.mass_kg, (0.0, 0.0, 0.0), vehicle.inertia_kg_m2)
         for found, stated in zip(frame.mass_properties(), own, strict=True):
             assert found == pytest.approx(stated, rel=1e-12, abs=1e-15)
@@ -229,7 +224,6 @@ def test_a_held_moment_turns_the_body_from_the_steps_beginning(substeps: int, wh
     """After every step p is the sum of the moments so far times step / J, exactly; the angle to second order."""
     small = STEP / substeps
     with airframe(NO_AERO, substeps=substeps) as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         rate = angle = 0.0
         levers = [jet.position_m[1] for jet in vehicle.jets]
         course = moments(40)
@@ -249,7 +243,6 @@ def test_a_held_moment_turns_the_body_from_the_steps_beginning(substeps: int, wh
 
 def test_two_runs_leave_a_quarter_of_a_change_to_the_next_step() -> None:
     with airframe(NO_AERO, substeps=2) as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         rate = old = 0.0
         for moment in moments(40).tolist():
             state = frame.step(OFF, Disturbance(moment=(moment, 0.0, 0.0)))
@@ -262,7 +255,6 @@ def test_two_runs_leave_a_quarter_of_a_change_to_the_next_step() -> None:
 def test_with_one_run_a_step_a_moment_is_half_a_step_late() -> None:
     """A constant roll moment from rest: p = M / J (t - step / 2) from the second step on."""
     with airframe(NO_AERO, substeps=1) as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         moment = 0.05
         for k in range(1, 26):
             state = frame.step(OFF, Disturbance(moment=(moment, 0.0, 0.0)))
@@ -273,7 +265,6 @@ def test_with_one_run_a_step_a_moment_is_half_a_step_late() -> None:
 def test_what_is_read_back_after_a_step_is_what_was_given() -> None:
     """The change that the first run carries on top is gone by then; a disturbing force acts at the centre of gravity."""
     with airframe(NO_AERO) as (frame, vehicle):
-        frame.reset(Initial(), OFF, ZERO3)
         for newtons in (5.0, 9.0, 2.0):
             forces = thrust(vehicle, [newtons] * 6, 0.0, 0.0)
             state = frame.step(forces, Disturbance(force=(newtons, -2.0, 3.0), moment=(0.0, newtons, 0.0)))
@@ -317,7 +308,6 @@ def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
             keys = ("rate/rotational", "rate/translational", "position/rotational", "position/translational")
             return [INTEGRATION_METHOD_NAMES[frame._fdm.get_property_value(f"simulation/integrator/{n}")] for n in keys]
 
-        frame.reset(Initial(), OFF, ZERO3)
         before = frame._fdm.get_sim_time()
         frame.step(OFF, CALM)
         assert methods_now() == [said.rates, said.velocities, said.attitude, said.position]
@@ -337,9 +327,8 @@ def test_friction_holds_and_leaves_nothing_swinging(name: str, substeps: int) ->
     one kind of rate and theirs for the other the vehicle would creep by centimetres.
     """
     vehicle, folder = load_vehicle(name)
-    frame = Airframe(vehicle, folder, Environment(), STEP, substeps, 1)
-    weight, off = vehicle.mass_kg * 9.80665, [ZERO3] * len(vehicle.jets)
-    try:
+    with closing(Airframe(vehicle, folder, Environment(), STEP, substeps, 1)) as frame:
+        weight, off = vehicle.mass_kg * 9.80665, [ZERO3] * len(vehicle.jets)
         frame.reset(Initial(altitude_m=standing_height(vehicle), velocity_ned_m_s=(1.5, 0.0, 0.0)), off, ZERO3)
         states = [frame.step(off, CALM) for _ in range(600)]
         # its nose digs in and rocks back, so that the weight on the legs is not steady while it slides
@@ -355,8 +344,6 @@ def test_friction_holds_and_leaves_nothing_swinging(name: str, substeps: int) ->
             assert state.rate == pytest.approx(ZERO3, abs=1e-5)
         assert np.hypot(*states[-1].position[:2]) < 0.01
         assert abs(states[-1].euler[2]) < 1e-3
-    finally:
-        frame.close()
 
 
 def test_falls_over_onto_its_hull() -> None:
@@ -402,7 +389,6 @@ def test_initial_attitude_velocity_and_rates(angles: Vector3) -> None:
 def test_gust_rises_holds_and_falls() -> None:
     """JSBSim's one-minus-cosine: half its size halfway up."""
     with airframe() as (frame, _):
-        frame.reset(Initial(), OFF, ZERO3)
         start = Disturbance(gust=((3.0, 4.0, 0.0), 0.4, 0.4, 0.4))
         speeds = [float(np.linalg.norm(frame.step(OFF, start if k == 0 else CALM).wind)) for k in range(400)]
         assert speeds[49] == pytest.approx(2.5, abs=0.04)  # 0.2 s; it grows by 0.04 m/s a step there
@@ -455,7 +441,7 @@ def test_turbulence_follows_the_seed() -> None:
     assert float(np.std(winds(1), axis=0).min()) > 0.0
 
 
-def test_a_model_that_cannot_be_read_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_model_that_cannot_be_read_is_refused(tmp_path) -> None:
     vehicle, folder = load_vehicle("hexjet")
     broken = tmp_path / "broken.xml"
     broken.write_text((folder / vehicle.model).read_text()[:500])
@@ -471,14 +457,11 @@ def fall(model: str | None, folder: Path, overrides: dict[str, object] | None = 
     if model is not None:
         (folder / "own.xml").write_text(model)
     named = vehicle.model_copy(update={"model": None if model is None else "own.xml"})
-    frame = Airframe(named, folder, Environment(), STEP, 4, 1)
-    try:
+    with closing(Airframe(named, folder, Environment(), STEP, 4, 1)) as frame:
         forces = [(0.3 * jet, 0.1, -9.0 + jet) for jet in range(6)]
         states = [frame.reset(Initial(altitude_m=10.0, attitude_deg=(5.0, 0.0, 20.0)), forces, ZERO3)]
         payload = Disturbance(payload=(0.5, 0.1, 0.0, 0.05))
         return states + [frame.step(forces, payload) for _ in range(50)]
-    finally:
-        frame.close()
 
 
 def shipped_model() -> str:
@@ -561,7 +544,6 @@ def test_properties_in_one_call_are_the_same_bits_one_by_one() -> None:
 def test_equal_forces_are_written_as_others_are() -> None:
     def seen(forces: list[list[Vector3]]) -> list[State]:
         with airframe() as (frame, _):
-            frame.reset(Initial(), OFF, ZERO3)
             return [frame.step(each, CALM) for each in forces]
 
     rng = np.random.default_rng(1)
@@ -580,17 +562,14 @@ def test_equal_forces_are_written_as_others_are() -> None:
 
 def test_what_is_no_property_and_forces_of_the_wrong_kind_are_refused() -> None:
     with airframe() as (frame, _):
-        frame.reset(Initial(), OFF, ZERO3)
         with pytest.raises(TypeError, match="takes a list of 6 vectors"):
             frame.step(OFF[:5], CALM)
         with pytest.raises(TypeError, match="tuples of three floats"):
-            frame.step([(0.0, 0.0)] * 6, CALM)  # type: ignore[list-item]
+            frame.step([(0.0, 0.0)] * 6, CALM)
         with pytest.raises(AttributeError, match="get_double_value"):
             Properties([(1, 2, 3, 1.0)])
 
 
 def test_a_state_that_is_not_finite_ends_the_flight() -> None:
-    with airframe() as (frame, _):
-        frame.reset(Initial(), OFF, ZERO3)
-        with pytest.raises(FlightError, match="not finite"):
-            frame.step([(nan, 0.0, -15.0)] * 6, CALM)
+    with airframe() as (frame, _), pytest.raises(FlightError, match="not finite"):
+        frame.step([(nan, 0.0, -15.0)] * 6, CALM)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import pytest
 
 from cosim.base.signals import ZERO3
@@ -36,9 +38,6 @@ def test_it_is_the_air_of_the_airframe(height: float) -> None:
     """On the equator: elsewhere JSBSim's height above its ellipsoid is some millimetres another one."""
     vehicle, folder = load_vehicle("hexjet")
     ground = min(height - 0.5, 5000.0)
-    frame = Airframe(vehicle, folder, Environment(latitude_deg=0.0, ground_m=ground), 0.004, 4, 1)
-    try:
+    with closing(Airframe(vehicle, folder, Environment(latitude_deg=0.0, ground_m=ground), 0.004, 4, 1)) as frame:
         frame.reset(Initial(altitude_m=height - ground), [ZERO3] * 6, ZERO3)
         assert standard_air(height) == pytest.approx(frame.air(), rel=1e-6)
-    finally:
-        frame.close()

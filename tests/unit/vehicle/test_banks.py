@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from math import sqrt
 from pathlib import Path
 
@@ -32,16 +33,13 @@ def turned(course: np.ndarray, inertia: float, imbalance: float = 0.0) -> tuple[
     servo = {"bank_inertia_kg_m2": inertia, "bank_imbalance_kg_m": imbalance}
     vehicle, folder = load_vehicle("hexjet", {"aero": NO_AERO, "servo": servo})
     banks = Banks(vehicle.servo, vehicle.jets, STEP)
-    frame = Airframe(vehicle, folder, Environment(), STEP, 4, 1)
-    try:
+    with closing(Airframe(vehicle, folder, Environment(), STEP, 4, 1)) as frame:
         state = frame.reset(Initial(altitude_m=500.0), OFF, ZERO3)
         states = []
         for left, right in course.tolist():
             forces, moment = acted(banks, OFF, (left, right), rate=state.rate)
             state = frame.step(forces, Disturbance(), moment)
             states.append(state)
-    finally:
-        frame.close()
     return vehicle, states
 
 
@@ -118,7 +116,7 @@ def test_the_reaction_of_the_full_scale_banks_is_in_the_flight() -> None:
     vehicle, _ = load_vehicle("hexjet-p220")
     assert vehicle.servo.bank_inertia_kg_m2 == 0.08  # as its page says
 
-    def rest(log, inertia: float) -> np.ndarray:  # type: ignore[no-untyped-def, type-arg]
+    def rest(log, inertia: float) -> np.ndarray:
         """What is left of q' beside the thrust's moment and the banks'."""
         tilt = {side: log[f"tilt_{side}_rad"] for side in ("left", "right")}
         moment = np.zeros(len(log))

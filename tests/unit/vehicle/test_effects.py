@@ -21,7 +21,7 @@ def names(engine: SimpleNamespace, **more: object) -> list[str]:
     plain = base.model_copy(
         update={"servo": None, "airflow": None, "ground_effect": None, "jets": [Jet(position_m=ZERO3)] * 6, **more}
     )
-    return [type(effect).__name__ for effect in make_effects(plain, plain, [engine] * 6, 0.004)]  # type: ignore[list-item]
+    return [type(effect).__name__ for effect in make_effects(plain, plain, [engine] * 6, 0.004)]
 
 
 def test_a_vehicle_without_an_effect_has_none() -> None:

@@ -55,7 +55,7 @@ def test_the_loss_acts_at_the_centre() -> None:
 
 
 def test_intakes_are_warmed_near_the_ground_only() -> None:
-    near = HotGas(GroundEffect(**PLATE, **GAS))  # type: ignore[arg-type]
+    near = HotGas(GroundEffect(**PLATE, **GAS))
     heights = (0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 50.0)
     assert [near.temperature_rise(h) for h in heights] == pytest.approx(
         [20.0, 20.0, 15.0, 10.0, 5.0, 0.0, 0.0], rel=1e-14

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -135,10 +136,9 @@ def test_force_and_moment_of_any_layout_are_those_of_levers_and_newton(seed: int
     silent = SimpleNamespace(rotor_inertia=0.0, has_port=lambda port: False)
     propulsion = Propulsion(
         jets, EngineChain(engines, [None] * len(jets), lambda jet: 0.1, STEP), [TiltServo(h, STEP) for h in hinges],
-        make_effects(vehicle, vehicle, [silent] * len(jets), STEP), None, lambda: (101325.0, 288.15), hinges,  # type: ignore[list-item]
+        make_effects(vehicle, vehicle, [silent] * len(jets), STEP), None, lambda: (101325.0, 288.15), hinges,
     )  # fmt: skip
-    frame = Airframe(vehicle, folder, Environment(), STEP, 1, 0)
-    try:
+    with closing(Airframe(vehicle, folder, Environment(), STEP, 1, 0)) as frame:
         state = frame.reset(Initial(altitude_m=100.0), [ZERO3] * len(jets), ZERO3)
         state = State(*state)._replace(rate=RATE)
         propulsion.reset((0.0,) * len(jets), None, ZERO3)
@@ -150,8 +150,6 @@ def test_force_and_moment_of_any_layout_are_those_of_levers_and_newton(seed: int
             forces, moment = propulsion.step(k, asked, state)
         frame.step(forces, Disturbance(), moment)
         got_force, got_moment = frame.external_wrench()
-    finally:
-        frame.close()
     places, axes = stance(jets, hinges, past[-1])
     thrusts = np.array(engines.thrust)[:, None] * axes
     twists = -np.array([jet.reaction_m for jet in jets])[:, None] * thrusts

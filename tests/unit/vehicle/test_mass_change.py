@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from math import pi
 
 import numpy as np
@@ -28,11 +28,8 @@ def airframe(
     overrides: dict[str, object] | None = None, environment: Environment | None = None, substeps: int = 4
 ) -> Iterator[Airframe]:
     vehicle, folder = load_vehicle("hexjet", {**STILL, **(overrides or {})})
-    frame = Airframe(vehicle, folder, environment or Environment(), STEP, substeps, 1)
-    try:
+    with closing(Airframe(vehicle, folder, environment or Environment(), STEP, substeps, 1)) as frame:
         yield frame
-    finally:
-        frame.close()
 
 
 def fly(initial: Initial, forces: list[Vector3], course: list[Disturbance], substeps: int = 4) -> list[State]:

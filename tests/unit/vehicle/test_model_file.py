@@ -7,6 +7,7 @@ import shutil
 import socket
 import warnings
 import xml.etree.ElementTree as ET
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,16 +52,13 @@ def fly(model: Path) -> None:
     """Fly the Hex-Jet with this model for some steps, and look in every one of them at what listens."""
     vehicle, _ = load_vehicle("hexjet")
     own = vehicle.model_copy(update={"model": model.name})
-    frame = Airframe(own, model.parent, Environment(), 0.004, 4, 1)
-    try:
+    with closing(Airframe(own, model.parent, Environment(), 0.004, 4, 1)) as frame:
         frame.reset(Initial(altitude_m=10.0), [ZERO3] * 6, ZERO3)
         for _ in range(STEPS):
             frame.step([(0.0, 0.0, -9.0)] * 6, Disturbance())
             assert frame._fdm.get_property_value("simulation/terminate") == 0.0
         connections = psutil.Process().net_connections(kind="inet")
         assert not [one for one in connections if one.status == psutil.CONN_LISTEN]
-    finally:
-        frame.close()
 
 
 @pytest.mark.parametrize("place", ["in the model", "a file that it names", "in a part's file"])
@@ -316,15 +314,14 @@ def drawn(model: Path, seed: int, *properties: str) -> np.ndarray:
     """Fly 4 s in turbulence, and return these properties of JSBSim, a column of steps each."""
     vehicle, _ = load_vehicle("hexjet")
     own = vehicle.model_copy(update={"model": model.name})
-    frame = Airframe(own, model.parent, Environment(turbulence_severity=3, turbulence_wind_m_s=6.0), 0.004, 1, seed)
-    rows = []
-    try:
+    with closing(
+        Airframe(own, model.parent, Environment(turbulence_severity=3, turbulence_wind_m_s=6.0), 0.004, 1, seed)
+    ) as frame:
+        rows = []
         frame.reset(Initial(altitude_m=50.0), [ZERO3] * 6, ZERO3)
         for _ in range(1000):
             frame.step([(0.0, 0.0, -9.0)] * 6, Disturbance())
             rows.append([frame._fdm.get_property_value(name) for name in properties])
-    finally:
-        frame.close()
     return np.array(rows).T
 
 

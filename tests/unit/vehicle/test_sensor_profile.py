@@ -36,7 +36,7 @@ def state(rate: float = 0.0) -> State:
     euler = (0.1, -0.2, 0.3)
     at, speed, force = (0.0, 0.0, -10.0), (1.0, 2.0, -3.0), (0.0, 0.0, -9.8)
     turning = (rate, 0.0, -rate)
-    return State(at, speed, frames.from_euler(*euler), euler, turning, force, 10.0, (0.0,) * 3, 5.5, False, False)  # type: ignore[arg-type]
+    return State(at, speed, frames.from_euler(*euler), euler, turning, force, 10.0, (0.0,) * 3, 5.5, False, False)
 
 
 def flown(**changes: Any) -> Sensors:

@@ -20,20 +20,9 @@ VEHICLE, _ = load_vehicle("hexjet")
 
 def state(rate: float = 0.0, height: float = 10.0, north: float = 0.0) -> State:
     position, euler = (north, 0.0, -height), (0.1, -0.2, 0.3)
-    attitude = frames.from_euler(*euler)
-    return State(
-        position,
-        (1.0, 2.0, -3.0),
-        attitude,
-        euler,
-        (rate, 0.0, -rate),
-        (0.0, 0.0, -9.8),
-        height,
-        (0.0,) * 3,
-        5.5,
-        False,
-        False,  # type: ignore[arg-type]
-    )
+    attitude, force = frames.from_euler(*euler), (0.0, 0.0, -9.8)
+    moving = (position, (1.0, 2.0, -3.0), attitude, euler, (rate, 0.0, -rate), force)
+    return State(*moving, height, ZERO3, 5.5, False, False)
 
 
 def suite(noisy: bool = False, seed: int = 1, **changes: dict[str, object]) -> SensorSuite:
@@ -119,10 +108,10 @@ def test_bias_is_added_and_can_be_switched_off() -> None:
         "gyro": {"filter_s": 0.0, "noise_rad_s": 0.0, "bias_rad_s": (0.1, 0.0, 0.0)},
         "barometer": {"noise_m": 0.0, "bias_m": 2.0},
     }
-    seen = record(suite(True, **biased), [state()] * 3)  # type: ignore[arg-type]
+    seen = record(suite(True, **biased), [state()] * 3)
     assert seen[2].rate[0] == pytest.approx(0.1)
     assert seen[2].altitude == pytest.approx(12.0)
-    assert record(suite(False, **biased), [state()] * 3)[2].rate[0] == 0.0  # type: ignore[arg-type]
+    assert record(suite(False, **biased), [state()] * 3)[2].rate[0] == 0.0
 
 
 def test_noise_follows_the_seed_alone() -> None:
@@ -174,7 +163,7 @@ def test_wrong_draws_and_states_are_refused() -> None:
         noise.fill(np.zeros((2, 13)), np.zeros((3, 3)))
     noise.fill(np.zeros((1, 13)), np.zeros((1, 3)))
     with pytest.raises(TypeError, match="takes a state"):
-        noise.sample((1.0, 2.0), ZERO3, True)  # type: ignore[arg-type]
+        noise.sample((1.0, 2.0), ZERO3, True)
     with pytest.raises(TypeError, match="not 3 floats"):
         noise.sample(state(), (0.0, 0.0), True)
     noise.sample(state(), ZERO3, True)
@@ -187,7 +176,7 @@ def moving(acceleration: tuple[float, float, float], euler: tuple[float, float, 
     attitude = frames.from_euler(*euler)
     north, east, down = acceleration
     force = frames.rotate(frames.conjugate(attitude), (north, east, down - G))
-    return state()._replace(attitude=attitude, euler=euler, rate=(0.0,) * 3, specific_force=force)  # type: ignore[arg-type]
+    return state()._replace(attitude=attitude, euler=euler, rate=(0.0,) * 3, specific_force=force)
 
 
 def lean_error(measured: Measured, truth: State) -> tuple[float, float, float]:
