@@ -86,9 +86,7 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("sweep", ("hover",), {"vary": ["vehicle.mass_kg=5:6"], "runs": 2, "workers": 0}, "workers = 0: at least 1"),
     ],
 )
-def test_a_wrong_argument_is_one_line(
-    name: str, arguments: tuple[object, ...], options: dict[str, object], line: str
-) -> None:
+def test_a_wrong_argument_is_one_line(name: str, arguments: tuple[object, ...], options: dict, line: str) -> None:
     with pytest.raises(InputError) as error:
         getattr(cosim, name)(*arguments, **options)
     assert str(error.value).startswith(line)
@@ -216,9 +214,7 @@ def test_importing_everything_changes_nothing_of_the_caller() -> None:
         (("hover",), {"realtime_factor": -1}, "fly: realtime_factor: -1; allowed: above 0"),
     ],
 )
-def test_a_flight_that_cannot_be_meant_is_one_line(
-    arguments: tuple[Any, ...], options: dict[str, Any], line: str
-) -> None:
+def test_a_flight_that_cannot_be_meant_is_one_line(arguments: tuple[Any, ...], options: dict, line: str) -> None:
     with pytest.raises(InputError) as error:
         cosim.fly(*arguments, **options)
     assert str(error.value).startswith(line)

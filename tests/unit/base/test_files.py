@@ -12,14 +12,7 @@ import pytest
 from patience import PATIENCE
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import (
-    open_without_links,
-    parse_json,
-    read_file,
-    read_json,
-    replace_on_success,
-    write_whole,
-)
+from cosim.base.storage import files
 from cosim.results.autopilot.request_log import RequestLog
 
 
@@ -37,7 +30,7 @@ def test_a_temporary_file_is_never_one_that_a_link_leads_to(theirs: Path, tmp_pa
     folder.mkdir()
     for name in ("report.html", f".report.html.{os.getpid()}.tmp"):
         (folder / name).symlink_to(theirs)
-    write_whole(folder / "report.html", "ours")
+    files.write_whole(folder / "report.html", "ours")
     assert theirs.read_text() == "theirs"
     assert (folder / "report.html").read_text() == "ours"
     assert not (folder / "report.html").is_symlink()
@@ -46,7 +39,7 @@ def test_a_temporary_file_is_never_one_that_a_link_leads_to(theirs: Path, tmp_pa
 
 def test_what_stands_there_stays_where_the_new_file_fails(theirs: Path, tmp_path: Path) -> None:
     def fail() -> None:
-        with replace_on_success(theirs) as temporary:
+        with files.replace_on_success(theirs) as temporary:
             temporary.write_text("half")
             raise OSError("no more")
 
@@ -60,7 +53,7 @@ def test_journals_are_not_written_through_a_link(theirs: Path, tmp_path: Path) -
     link = tmp_path / "journal.jsonl"
     link.symlink_to(theirs)
     with pytest.raises(OSError, match="symbolic links"):
-        open_without_links(link, os.O_WRONLY | os.O_APPEND)
+        files.open_without_links(link, os.O_WRONLY | os.O_APPEND)
     with pytest.raises(InputError, match="symbolic links"):
         RequestLog(link)
     assert theirs.read_text() == "theirs"
@@ -73,7 +66,7 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path: Path) -> None:
     read: list[str] = []
     reader = Thread(target=lambda: read.append(pipe.read_text()))
     reader.start()
-    write_whole(pipe, "through it")
+    files.write_whole(pipe, "through it")
     reader.join(PATIENCE)
     assert read == ["through it"]
     assert pipe.is_fifo()
@@ -83,7 +76,7 @@ def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
     link = tmp_path / "report.html"
     link.symlink_to(os.devnull)
     with pytest.raises(InputError, match=r"report\.html: is a link to a device or a pipe; name an ordinary file$"):
-        write_whole(link, "ours", InputError)
+        files.write_whole(link, "ours", InputError)
     assert link.is_symlink()
 
 
@@ -113,7 +106,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
         "model": read_model,
         "airframe": read_airframe,
         "log": read_flight_log,
-        "json": read_json,
+        "json": files.read_json,
     }
 
 
@@ -152,11 +145,11 @@ def test_json_is_finite_and_not_deep(tmp_path: Path, text: bytes, said: str) -> 
     path = tmp_path / "summary.json"
     path.write_bytes(text)
     with pytest.raises(InputError, match=said) as refused:
-        read_json(path)
+        files.read_json(path)
     assert str(refused.value).startswith(f"{path}: ")
 
 
 def test_json_of_rows_may_have_what_is_missing(tmp_path: Path) -> None:
-    assert parse_json('{"a": [1.5, null]}', "row", finite=False) == {"a": [1.5, None]}
-    assert parse_json("[NaN]", "row", finite=False)[0] != 0.0
-    assert read_file(Path(__file__), first=3) == b'"""'
+    assert files.parse_json('{"a": [1.5, null]}', "row", finite=False) == {"a": [1.5, None]}
+    assert files.parse_json("[NaN]", "row", finite=False)[0] != 0.0
+    assert files.read_file(Path(__file__), first=3) == b'"""'

@@ -112,9 +112,7 @@ def test_a_process_that_answers_is_held_to_its_limits() -> None:
             host.send(b"", PATIENCE)
 
 
-def test_python_finds_what_this_process_finds_and_not_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_finds_what_this_process_finds_and_nothing_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PYTHONPATH works, and an empty entry of the path, which is the current folder, goes no further."""
     (tmp_path / "here").mkdir()
     (tmp_path / "there").mkdir()

@@ -85,9 +85,7 @@ class Waiting:
 
 
 @pytest.mark.parametrize("limit", [10.0, 3.0])
-def test_the_limit_is_of_the_whole_answer(
-    limit: float, ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limit_is_of_the_whole_answer(limit: float, ends: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     """And not of each piece that comes of it: here the clock goes on by 1 s whenever it is looked at."""
     other = ends[1]
     clock, pieces = count(), iter((b"\3\0\0", b"\0a", b"b", b"c"))

@@ -83,9 +83,7 @@ def test_values_are_shared_out_evenly_in_a_latin_hypercube() -> None:
 
 def test_sobol_fills_every_dyadic_box() -> None:
     """A net in base 2: each box of volume 2^-m holds as many of 2^n points as its share, exactly.
-
-    In one dimension of any scrambled Sobol sequence; in two of its first two dimensions, a (0, m, 2)-net.
-    """
+    In one dimension of any scrambled Sobol sequence; in two of its first two dimensions, a (0, m, 2)-net."""
     made = study([f"{MASS}=0.001:1.001", f"{GAIN}=1:2"], design="sobol", runs=256)
     x, y = column(made, MASS) - 0.001, column(made, GAIN) - 1.0
     assert sorted(np.floor(x * 256.0)) == list(range(256))
@@ -305,7 +303,7 @@ def test_no_bound_is_ever_passed(vary: Vary, shares: list[float], nominal: float
 @given(
     st.integers(-50, 50), st.integers(1, 60), st.floats(0.0, 0.49), st.floats(0.0, 0.49), st.lists(SHARE, min_size=1)
 )
-def test_whole_numbers_lie_within_the_bounds_as_stated(
+def test_whole_numbers_lie_within_the_bounds(
     first: int, count: int, before: float, behind: float, shares: list[float]
 ) -> None:
     vary = Vary(key="n", range=(first - before, first + count + behind))

@@ -128,9 +128,8 @@ def test_a_file_says_it_in_any_of_these_ways(tmp_path: Path, vary: Any) -> None:
 def test_texts_of_a_file_are_those_of_the_command_line(tmp_path: Path) -> None:
     table = {"name": "s", "scenario": "hover", "design": "random", "runs": 2, "vary": ["vehicle.mass_kg=5:6"]}
     assert Study.from_table(table, tmp_path, "s.toml").vary[0].range == (5.0, 6.0)
-    with pytest.raises(
-        InputError, match=r"s\.toml: vary = .vehicle\.mass_kg.: vehicle\.mass_kg: write it as KEY=LO:HI"
-    ):
+    message = r"s\.toml: vary = .vehicle\.mass_kg.: vehicle\.mass_kg: write it as KEY=LO:HI"
+    with pytest.raises(InputError, match=message):
         Study.from_table(table | {"vary": "vehicle.mass_kg"}, tmp_path, "s.toml")
 
 

@@ -187,7 +187,12 @@ def test_names_with_dots_of_their_own() -> None:
     assert split_key("engine_parameters.core.fan[1].gain") == ["engine_parameters", "core.fan[1].gain"]
     assert split_key("stations.2.parameters.core.gain") == ["stations", "2", "parameters", "core.gain"]
     assert split_key("vehicle.identified.mine.fmu.roll.poles.1") == [
-        *("vehicle", "identified", "mine.fmu", "roll", "poles", "1")
+        "vehicle",
+        "identified",
+        "mine.fmu",
+        "roll",
+        "poles",
+        "1",
     ]
     model = load_vehicle("hexjet")[0].identified["edf"]["roll"].model_dump()
     scenario = Scenario.load("hover").replace(vehicle={"identified": {"mine.fmu": {"roll": model}}})
@@ -208,9 +213,7 @@ def test_a_delay_is_answered_with_its_keys_and_who_knows_of_them(name: str) -> N
         )
 
 
-def test_the_command_lists_keys_with_their_meaning_without_a_scenario(
-    hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_lists_keys_with_their_meaning_without_a_scenario(hexjet: Hexjet, monkeypatch: Any) -> None:
     monkeypatch.setenv("COLUMNS", "120")
     listed = {key["key"]: key for key in json.loads(hexjet("sweep", "--keys", "delay", "--json").out)["keys"]}
     assert listed["mismatch.delay_samples"]["meaning"] == "of every engine; no controller knows it"

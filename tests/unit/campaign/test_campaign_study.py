@@ -49,9 +49,7 @@ def test_a_text_says_what_varies(text: str, table: dict[str, Any]) -> None:
 KEYS = st.from_regex(r"[a-z_]+(\.[a-z0-9_-]+)*", fullmatch=True)
 NUMBER = st.floats(-1e9, 1e9)
 SPAN = st.tuples(NUMBER, NUMBER).filter(lambda pair: pair[0] < pair[1])
-WORD = st.from_regex(r"[a-zA-Z][a-zA-Z_-]*", fullmatch=True).filter(
-    lambda word: word not in ("true", "false", "nan", "inf")
-)
+WORD = st.from_regex(r"[a-zA-Z][a-zA-Z_-]*", fullmatch=True).filter(lambda w: w not in ("true", "false", "nan", "inf"))
 FORM = st.one_of(
     st.builds(lambda span, levels: {"range": span, "levels": levels}, SPAN, st.none() | st.integers(2, 1000)),
     st.builds(
@@ -211,9 +209,8 @@ def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str,
 
 
 def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"unknown study or scenario 'hovr'; did you mean 'hover'.*\? see: hexjet show"
-    ):
+    message = r"unknown study or scenario 'hovr'; did you mean 'hover'.*\? see: hexjet show"
+    with pytest.raises(InputError, match=message):
         open_study("hovr", vary=[f"{MASS}=5:6"])
     for read in (Study.load, open_study):
         with pytest.raises(InputError, match=r"none\.toml: no such study"):
@@ -223,17 +220,11 @@ def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
 
 
 def test_a_study_is_saved_and_read_again(tmp_path: Path) -> None:
-    made = open_study(
-        "roll-doublet",
-        vary=[f"{MASS}*=0.8:1.2", f"{GAIN}=normal(0.25,0.02,0.2,0.3)", "substeps=1,2,4"],
-        correlate=[f"{MASS},{GAIN}=-0.25"],
-        success=["roll.overshoot_percent<=30"],
-        settings=["duration_s=10", "command.0.amplitude=5", "vehicle.sensors.gyro.filter_s=0.01"],
-        controllers=["smith", "baseline"],
-        design="sobol",
-        runs=64,
-        seed=3,
-    )
+    vary = [f"{MASS}*=0.8:1.2", f"{GAIN}=normal(0.25,0.02,0.2,0.3)", "substeps=1,2,4"]
+    more: dict[str, Any] = {"correlate": [f"{MASS},{GAIN}=-0.25"], "success": ["roll.overshoot_percent<=30"]}
+    more["settings"] = ["duration_s=10", "command.0.amplitude=5", "vehicle.sensors.gyro.filter_s=0.01"]
+    more |= {"controllers": ["smith", "baseline"], "design": "sobol", "runs": 64, "seed": 3}
+    made = open_study("roll-doublet", vary=vary, **more)
     made.save(tmp_path / "study.toml")
     read = Study.load(tmp_path / "study.toml")
     assert read == made

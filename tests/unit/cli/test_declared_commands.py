@@ -165,9 +165,7 @@ def test_names_are_completed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "mass-and-delay-map" not in complete(capsys, "fly", "zzz")
 
 
-def test_completion_is_installed_by_one_option(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_completion_is_installed_by_one_option(tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("XDG_DATA_HOME", raising=False)
     assert run(["--install-completion", "bash"]) == 0
@@ -189,7 +187,7 @@ def test_completion_is_installed_by_one_option(
         (["aircraft", "new", "y", "--from", "quadjt"], "base: 'quadjt': must be one that is shipped; did you mean '"),
     ],
 )
-def test_a_file_of_another_kind_is_answered_with_what_was_expected(
+def test_a_file_of_another_kind_is_told_what_was_expected(
     words: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

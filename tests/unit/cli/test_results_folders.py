@@ -93,9 +93,7 @@ def test_a_record_that_is_none_is_somebody_elses(content: str, tmp_path: Path) -
         (("replay", "log.csv", "--model", "model.toml"), "report.html"),
     ],
 )
-def test_results_are_refused_before_the_work(
-    arguments: tuple[str, ...], file: str, hexjet: Hexjet, tmp_path: Path
-) -> None:
+def test_results_are_refused_before_the_work(arguments: tuple, file: str, hexjet: Hexjet, tmp_path: Path) -> None:
     (tmp_path / file).write_text("mine")
     done = hexjet(*arguments, "--out", str(tmp_path))
     assert (done.status, (tmp_path / file).read_text()) == (2, "mine"), done.err

@@ -37,9 +37,8 @@ def test_an_aircraft_can_be_judged_by_its_numbers(capsys: pytest.CaptureFixture[
     assert said["thrust to weight"] == pytest.approx(said["full thrust"] / said["hover thrust"])
     # the closed form of the engine: gain / (1 - pole), in kgf
     assert said["full thrust"] == pytest.approx(0.2554 / (1.0 - 0.8748) * 9.80665)
-    assert said["dead time, roll, edf-as-flown"] == pytest.approx(
-        vehicle.identified["edf-as-flown"]["roll"].delay_samples * 0.004
-    )
+    delay = vehicle.identified["edf-as-flown"]["roll"].delay_samples
+    assert said["dead time, roll, edf-as-flown"] == pytest.approx(delay * 0.004)
 
 
 def test_engines_of_two_kinds_count_each_with_its_own_thrust(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,9 +72,7 @@ def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFix
     assert "hexjet show" in str(complaint.value)
 
 
-def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = Path(__file__).parents[2]
     (one,) = shown(capsys, str(folder / "designs" / "p220.toml"))
     assert (one["kind"], one["title"]) == ("designs", "baseline for hexjet-p220 with engine p220")
@@ -101,7 +98,7 @@ def test_another_file_is_no_design(name: str, tmp_path: Path, monkeypatch: pytes
         run(["show", name])
 
 
-def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
+def test_a_run_shows_what_fly_printed_and_margins_to_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -123,9 +120,8 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
     (number,) = [each for each in one["numbers"] if each["name"] == "position.drift_m"]
     assert number["value"] == summary.position.drift_m
     assert number["meaning"].startswith(f"limit ≤ {limit} m, margin ")
-    with pytest.raises(
-        InputError, match=r"summary.json: cannot be shown; allowed: a name of hexjet show, the folder of a run"
-    ):
+    message = r"summary.json: cannot be shown; allowed: a name of hexjet show, the folder of a run"
+    with pytest.raises(InputError, match=message):
         run(["show", str(folder / "summary.json")])
 
 
@@ -137,9 +133,7 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
         ("runs/hover-smith-01", "nothing is called 'runs/hover-smith-01'; did you mean 'runs/hover-smith-001'?"),
     ],
 )
-def test_what_cannot_be_shown_is_answered_with_what_can(
-    name: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_shown_is_answered_with_what_can(name: str, line: str, tmp_path: Path, monkeypatch: Any) -> None:
     for each in ("empty", "runs/hover-smith-001"):
         (tmp_path / each).mkdir(parents=True)
     monkeypatch.chdir(tmp_path)

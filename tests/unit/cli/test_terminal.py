@@ -24,9 +24,7 @@ RUN = sorted((TESTS / "older").iterdir())[0] / "run"
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-def test_a_run_fits_so_many_columns(
-    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_fits_so_many_columns(width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     """COLUMNS counts in a pipe, and no cell is cut short."""
     monkeypatch.setenv("COLUMNS", str(width))
     show_result(FlightResult(open_run(RUN)), verbose=True)
@@ -40,9 +38,7 @@ def test_a_run_fits_so_many_columns(
         assert figure in text
 
 
-def test_a_flight_prints_eight_lines_the_tables_when_asked_and_nothing_when_quiet(
-    hexjet: Hexjet, tmp_path: Path
-) -> None:
+def test_a_flight_prints_eight_lines_tables_when_asked_and_nothing_when_quiet(hexjet: Hexjet, tmp_path: Path) -> None:
     short, whole, quiet = (
         hexjet("fly", "hover", "--set", "duration_s=2.0", "--out", str(tmp_path / name), *words)
         for name, words in (("short", ()), ("whole", ("-v",)), ("quiet", ("--quiet",)))
@@ -56,7 +52,7 @@ def test_a_flight_prints_eight_lines_the_tables_when_asked_and_nothing_when_quie
     assert quiet == (0, "", "")
 
 
-def test_of_many_lines_the_first_are_printed_and_the_others_counted(
+def test_of_many_lines_the_first_are_printed_the_others_counted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
@@ -71,9 +67,7 @@ def test_of_many_lines_the_first_are_printed_and_the_others_counted(
     assert re.fullmatch(r"\d+ more lines with --verbose", lines[-2])
 
 
-def test_a_key_is_not_broken_and_messages_have_options(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_key_is_not_broken_and_messages_have_options(monkeypatch: Any, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.setenv("COLUMNS", "60")
     show_table(("key", "meaning"), [("vehicle.sensors.time_constant_s", "gain " * 30)], plain=True)
     lines = capsys.readouterr().out.splitlines()
@@ -89,9 +83,7 @@ def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 80 < max(map(len, capsys.readouterr().out.splitlines()[:8])) <= 120
 
 
-def test_a_process_without_memory_ends_in_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_process_without_memory_ends_in_a_line(monkeypatch: Any, capsys: pytest.CaptureFixture) -> None:
     def fail(words: object) -> None:
         raise MemoryError
 

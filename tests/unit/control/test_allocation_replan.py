@@ -71,9 +71,7 @@ idle_shares = st.just(0.0) | st.floats(1e-4, 0.08)
 
 @settings(max_examples=80)
 @given(ill_health, st.lists(commands, min_size=1, max_size=4), st.floats(0.35, 0.5), idle_shares)
-def test_what_is_achieved_is_what_healthy_jets_would_give(
-    health: list[JetHealth], asked: list[tuple[float, float, float, float]], hover: float, idle: float
-) -> None:
+def test_what_is_achieved_is_what_healthy_jets_would_give(health: list, asked: list, hover: float, idle: float) -> None:
     """Achieved, which is requested minus refused, and no throttle outside its limits."""
     tool = allocator(hover, idle)
     assert tool.replan(health)
@@ -107,10 +105,8 @@ def test_planning_for_healthy_engines_changes_nothing() -> None:
     assert planned.replan([WELL] * 6)
     for roll in (-0.1, 0.0, 0.05):
         want, got = usual.allocate(0.5, (roll, 0.1, -0.05)), planned.allocate(0.5, (roll, 0.1, -0.05))
-        health = [WELL] * 6
-        assert wrench(delivered(got, health, 0.0), got.tilt) == pytest.approx(
-            wrench(delivered(want, health, 0.0), want.tilt), abs=1e-9
-        )
+        ours, theirs = (wrench(delivered(each, [WELL] * 6, 0.0), each.tilt) for each in (got, want))
+        assert ours == pytest.approx(theirs, abs=1e-9)
         assert got.tilt == pytest.approx(want.tilt, abs=1e-12)
 
 
@@ -144,13 +140,11 @@ def test_roll_is_kept_before_collective(tool: TiltAllocator) -> None:
         ((1, 4), 2.0),
     ],
 )
-def test_asked_for_everything_it_gives_what_the_engines_left_can_give(
+def test_asked_for_everything_it_gives_what_the_engines_left_can(
     tool: TiltAllocator, lost: tuple[int, ...], thrust: float
 ) -> None:
     """The engines that the plan keeps for roll lift too where roll does not ask for them: to the last of the thrust.
-
-    It gave 15 % more than hover with jets 1 and 2 lost, where 48 % are there: a fall of 10 m was not stopped.
-    """
+    It gave 15 % more than hover with jets 1 and 2 lost, where 48 % are there: a fall of 10 m was not stopped."""
     assert tool.replan(without(*lost))
     out = tool.allocate(1.0, (0.0, 0.0, 0.0))
     assert (1.0 - out.unallocated.collective) / HOVER == pytest.approx(thrust / (6 * HOVER), abs=1e-7)

@@ -32,17 +32,10 @@ def layout(seed: int) -> Layout:
         x, y, z = rng.uniform(-1.0, 1.0, 3)
         return (x, y, z)
 
-    return Layout(
-        [Station(place(), unit(), rng.uniform(-0.1, 0.1)) for _ in range(3)],
-        [
-            HingeAxis(place(), unit(), carries=(0, 1)),
-            HingeAxis(place(), unit(), deflects=(1,), effect=0.6),
-            HingeAxis(place(), unit(), deflects=(2,)),
-            HingeAxis(place(), unit(), carries=(2,))
-            if seed % 2
-            else HingeAxis(place(), unit(), deflects=(2,), effect=-1.0),
-        ],
-    )
+    stations = [Station(place(), unit(), rng.uniform(-0.1, 0.1)) for _ in range(3)]
+    turns = [HingeAxis(place(), unit(), carries=(0, 1)), HingeAxis(place(), unit(), deflects=(1,), effect=0.6)]
+    last = {"carries": (2,)} if seed % 2 else {"deflects": (2,), "effect": -1.0}
+    return Layout(stations, [*turns, HingeAxis(place(), unit(), deflects=(2,)), HingeAxis(place(), unit(), **last)])
 
 
 @pytest.mark.parametrize("seed", range(8))

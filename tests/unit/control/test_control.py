@@ -42,9 +42,7 @@ tilts = st.floats(-1.5, 1.5)
 
 
 @given(angles, tilts, angles, angles, tilts, angles)
-def test_attitude_error_is_that_of_the_rotation_between(
-    r: float, p: float, y: float, a: float, b: float, c: float
-) -> None:
+def test_attitude_error_is_the_rotation_between(r: float, p: float, y: float, a: float, b: float, c: float) -> None:
     """Against the axis and angle of the relative rotation: 2 sin(angle / 2) about the axis, the short way."""
     controller = AttitudeController(AttitudeGains(gain_1_s=(1.0, 1.0, 1.0), rate_limit_rad_s=(9.0, 9.0, 9.0)))
     now, wanted = frames.from_euler(r, p, y), frames.from_euler(a, b, c)
@@ -186,10 +184,8 @@ def test_smith_predicts_from_the_command_that_was_applied() -> None:
 
 def loop_poles(model_delay: int, plant_delay: int, p: float, i: float, gain: float) -> np.ndarray:
     """Closed-loop poles with PI and a Smith predictor whose delay or gain is wrong.
-
     The roots of ``D + C N (gain z^-n + 1 - z^-h)``, the paper's characteristic equation before its perfect-model
-    cancellation, over the common power of z.
-    """
+    cancellation, over the common power of z."""
     denominator = np.convolve([1.0, -0.9999], [1.0, -0.9024])
     numerator = 0.0689 * np.array([1.0, 1.4538])
     shift = max(plant_delay, model_delay)
@@ -199,12 +195,8 @@ def loop_poles(model_delay: int, plant_delay: int, p: float, i: float, gain: flo
     mismatch[plant_delay] += gain
     with_integrator = np.convolve([1.0, -1.0], denominator)
     pi_numerator = np.array([p + i * STEP, -p])
-    return np.roots(
-        np.polyadd(
-            np.convolve(with_integrator, [1.0] + [0.0] * shift),
-            np.convolve(np.convolve(pi_numerator, numerator), mismatch),
-        )
-    )
+    delayed = np.convolve(with_integrator, [1.0] + [0.0] * shift)
+    return np.roots(np.polyadd(delayed, np.convolve(np.convolve(pi_numerator, numerator), mismatch)))
 
 
 @pytest.mark.parametrize(
@@ -230,9 +222,7 @@ ALLOCATOR = TiltAllocator(VEHICLE.jets, LIMITS, VEHICLE.servo.range_rad, HOVER)
 
 
 @given(st.floats(-2.0, 3.0), st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
-def test_allocation_stays_inside_and_accounts_for_everything(
-    collective: float, roll: float, pitch: float, yaw: float
-) -> None:
+def test_allocation_stays_inside_and_accounts_for_all(collective: float, roll: float, pitch: float, yaw: float) -> None:
     throttle, tilt, refused = ALLOCATOR.allocate(collective, (roll, pitch, yaw))[:3]
     assert all(LIMITS.throttle_min - 1e-15 <= t <= LIMITS.throttle_max + 1e-15 for t in throttle)
     assert all(abs(t) <= VEHICLE.servo.range_rad * (1 + 1e-15) for t in tilt)

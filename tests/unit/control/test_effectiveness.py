@@ -37,18 +37,14 @@ def allocator(draw: np.random.Generator, hinges: bool = True) -> EffectivenessAl
         axis = draw.normal(size=3)
         moved = [int(jet) for jet in range(count) if draw.random() < 0.4]
         half = len(moved) // 2
-        point = tuple(draw.uniform(-0.3, 0.3, 3).tolist())
-        turns.append(
-            HingeAxis(
-                point, tuple((axis / np.linalg.norm(axis)).tolist()), tuple(moved[:half]), tuple(moved[half:]), 0.8
-            )
-        )
+        point, axis = draw.uniform(-0.3, 0.3, 3), axis / np.linalg.norm(axis)
+        carried, deflected = tuple(moved[:half]), tuple(moved[half:])
+        turns.append(HingeAxis(tuple(point.tolist()), tuple(axis.tolist()), carried, deflected, 0.8))
     layout = Layout(stations, turns)
     mass = 0.45 * count * (LOW + SPAN) / GRAVITY * 0.8
-    movers = [HINGE] * len(turns)
-    return EffectivenessAllocator(
-        AllocationModel("any", layout, mass, TENSOR, LOW, SPAN, [(0.05, 0.95)] * count, [1.0] * count, movers)
-    )
+    limits, movers = [(0.05, 0.95)] * count, [HINGE] * len(turns)
+    model = AllocationModel("any", layout, mass, TENSOR, LOW, SPAN, limits, [1.0] * count, movers)
+    return EffectivenessAllocator(model)
 
 
 def hovers(seed: int, hinges: bool = True) -> tuple[EffectivenessAllocator, np.random.Generator] | None:
@@ -131,9 +127,8 @@ def square() -> EffectivenessAllocator:
     places = [(0.3, 0.3, 0.0), (-0.3, -0.3, 0.0), (0.3, -0.3, 0.0), (-0.3, 0.3, 0.0)] * 2
     stations = [Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)]
     layout = Layout(stations)
-    return EffectivenessAllocator(
-        AllocationModel("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [])
-    )
+    model = AllocationModel("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 0.95)] * 8, [1.0] * 8, [])
+    return EffectivenessAllocator(model)
 
 
 def test_what_fits_is_refused_exactly_nothing_and_hover_is_even() -> None:
@@ -164,9 +159,8 @@ def test_a_surface_gives_more_the_faster_the_air() -> None:
     layout = Layout([Station(place, UP, 0.03 * (-1) ** (n // 2)) for n, place in enumerate(places)])
     elevator = Effector(-1.0, 1.0, 0.0, 1.0, 1e-3, (0.0, 0.0, 0.0, 0.0, -0.01, 0.0))
     tensor = ((0.05, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.09))
-    block = EffectivenessAllocator(
-        AllocationModel("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
-    )
+    model = AllocationModel("w", layout, 5.0, tensor, LOW, SPAN, [(0.05, 0.95)] * 4, [1.0] * 4, [elevator])
+    block = EffectivenessAllocator(model)
     assert block.allocate(block.hover, (0.0, 1.0, 0.0)).tilt == (0.0,)
     block.pressure = 200.0
     done = block.allocate(block.hover, (0.0, 1.0, 0.0))

@@ -41,27 +41,21 @@ class Drawn:
         turns = []
         for _ in range(int(draw.integers(1, 5))):
             jet = draw.permutation(jets).tolist()
-            turns.append(
-                HingeAxis(place(draw), unit(draw), tuple(jet[:2]), tuple(jet[2:3]), float(draw.choice([1.0, 0.7])))
-            )
+            effect = float(draw.choice([1.0, 0.7]))
+            turns.append(HingeAxis(place(draw), unit(draw), tuple(jet[:2]), tuple(jet[2:3]), effect))
         self.layout = Layout(stations, turns)
         self.count = jets + len(turns) + 1
         # by their ranges: N, and rad
         self.scales = [*draw.uniform(10.0, 30.0, jets).tolist(), *draw.uniform(0.5, 2.0, self.count - jets).tolist()]
         self.norms = draw.uniform(0.01, 0.5, 6).tolist()
         fx, fy, fz, mx, my, mz = ELEVON
-        self.solver = Solver(
-            [
-                (each.position, each.axis, each.twist, [(n, e, jet in turns[n].carries) for n, e in chain])
-                for jet, (each, chain) in enumerate(zip(stations, self.layout.chains, strict=True))
-            ],
-            [(turn.point, turn.axis, -1.0, 1.0, 0.02, 0.1) for turn in turns],
-            [((mx, my, -fz, mz, fx, fy), -1.0, 1.0, 0.02, 0.1)],
-            self.scales,
-            self.norms,
-            WEIGHT,
-            EXACT,
-        )
+        jets_on_chains = [
+            (each.position, each.axis, each.twist, [(n, e, jet in turns[n].carries) for n, e in chain])
+            for jet, (each, chain) in enumerate(zip(stations, self.layout.chains, strict=True))
+        ]
+        hinges = [(turn.point, turn.axis, -1.0, 1.0, 0.02, 0.1) for turn in turns]
+        surfaces = [((mx, my, -fz, mz, fx, fy), -1.0, 1.0, 0.02, 0.1)]
+        self.solver = Solver(jets_on_chains, hinges, surfaces, self.scales, self.norms, WEIGHT, EXACT)
         self.movers = len(turns) + 1
 
     def at(self) -> list[float]:
@@ -77,20 +71,10 @@ class Drawn:
         return np.array([mx + bx, my + by, -fz - az, mz + bz, fx + ax, fy + ay])
 
     def solve(self, wanted: Any, last: list[float], **changed: Any) -> tuple[np.ndarray, np.ndarray]:
-        asked: dict[str, Any] = {
-            "wanted": np.asarray(wanted).tolist(),
-            "lift": WEIGHT,
-            "pressure": 100.0,
-            "passes": 60,
-            "rated": False,
-            "hurried": False,
-            "last": last,
-            "ends": [(0.0, 40.0)] * self.jets,
-            "levels": LEVELS,
-            "preferred": [WEIGHT / self.jets] * self.jets,
-            "reach": [(-1.0, 1.0)] * self.movers,
-            "stand": [0.0] * self.movers,
-        }
+        asked: dict[str, Any] = {"wanted": np.asarray(wanted).tolist(), "lift": WEIGHT, "pressure": 100.0, "passes": 60}
+        asked |= {"rated": False, "hurried": False, "last": last, "ends": [(0.0, 40.0)] * self.jets, "levels": LEVELS}
+        asked |= {"preferred": [WEIGHT / self.jets] * self.jets, "reach": [(-1.0, 1.0)] * self.movers}
+        asked |= {"stand": [0.0] * self.movers}
         found, missing = self.solver.solve(*(asked | changed).values())
         return np.array(found), np.array(missing)
 
@@ -117,9 +101,8 @@ def test_where_no_limit_is_met_it_is_the_nearest_solution_as_another_optimiser_f
     """Lagrange's conditions of the least squared distance, scaled, to where effectors are left."""
     drawn = Drawn(seed)
     near = np.array([WEIGHT / drawn.jets] * drawn.jets + [0.0] * drawn.movers)
-    wanted = drawn.wrench(
-        near + np.array([0.3] * drawn.jets + [0.01] * drawn.movers) * drawn.draw.normal(size=drawn.count), 100.0
-    )
+    away = np.array([0.3] * drawn.jets + [0.01] * drawn.movers) * drawn.draw.normal(size=drawn.count)
+    wanted = drawn.wrench(near + away, 100.0)
     free = {"ends": [(-1e3, 1e3)] * drawn.jets, "lift": WEIGHT}
     found, missing = drawn.solve(wanted, near.tolist(), **free)
     scales = np.array(drawn.scales)

@@ -118,9 +118,8 @@ def test_the_lean_is_asked_for_whatever_the_heading_is(yaw: float, roll: float, 
     angle = np.arccos(wanted[2])
     turn = 2.0 * np.sin(0.5 * angle) * axis / np.linalg.norm(axis)
     assert rates == pytest.approx((turn[0], turn[1], 0.0), abs=1e-12)
-    assert control.update_tilt_first(command, measured, (0.1, -0.2)) == pytest.approx(
-        (turn[0] + 0.1, turn[1] - 0.2, 0.0)
-    )
+    rates = control.update_tilt_first(command, measured, (0.1, -0.2))
+    assert rates == pytest.approx((turn[0] + 0.1, turn[1] - 0.2, 0.0))
     whole = np.array(control.update(command, measured)[:2])
     if abs(yaw) > 3.0:
         assert abs(whole @ turn[:2]) < 0.2 * np.linalg.norm(whole) * np.linalg.norm(turn)
@@ -147,11 +146,8 @@ def test_without_an_engine_surfaces_stay_at_zero() -> None:
 def test_without_an_engine_hinges_turn_it_and_late_throttles_are_not_asked_to() -> None:
     """Four gimballed jets below the centre: asked for attitude, throttles answered too late and pumped the swing."""
     stations = [Station((x, y, 0.2), UP, 0.0) for x in (0.2, -0.2) for y in (0.2, -0.2)]
-    turns = [
-        HingeAxis(station.position, axis, (), (jet,), 1.0)
-        for jet, station in enumerate(stations)
-        for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    ]
+    ahead, aside = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    turns = [HingeAxis(s.position, axis, (), (jet,), 1.0) for jet, s in enumerate(stations) for axis in (ahead, aside)]
     movers = [Effector(-0.26, 0.26, 0.0, 0.02, 1.0)] * 8
     layout = Layout(stations, turns)
     effectors = AllocationModel("square", layout, MASS, TENSOR, LOW, SPAN, [(0.05, 1.0)] * 4, [20.0] * 4, movers)

@@ -33,12 +33,8 @@ def engine(lead: EngineLead) -> tuple[Any, Any, Any, Any]:
     if zeta is None:
         system = (np.array([[-w]]), np.array([[w]]), np.array([[1.0]]), np.array([[0.0]]))
     else:
-        system = (
-            np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]]),
-            np.array([[0.0], [w * w]]),
-            np.array([[1.0, 0.0]]),
-            np.array([[0.0]]),
-        )
+        a, b = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]]), np.array([[0.0], [w * w]])
+        system = (a, b, np.array([[1.0, 0.0]]), np.array([[0.0]]))
     A, B, C, _, _ = cont2discrete(system, STEP)
     return A, B[:, 0], C[0], lead
 
@@ -66,11 +62,9 @@ def test_it_is_the_continuous_lead(lead: EngineLead) -> None:
     """C(s) as python-control has it; matched poles and zeros are off by (w T)^2 / 12 in the middle of the band."""
     w, zeta, a = lead.natural_rad_s, lead.damping, lead.pole_rad_s
     s = control.tf("s")
-    exact = (
-        (a / w) * (s + w) / (s + a)
-        if zeta is None
-        else (a / w) ** 2 * (s * s + 2 * zeta * w * s + w * w) / (s + a) ** 2
-    )
+    exact = (a / w) * (s + w) / (s + a)
+    if zeta is not None:
+        exact = (a / w) ** 2 * (s * s + 2 * zeta * w * s + w * w) / (s + a) ** 2
     over, under = lead_polynomials(lead, STEP)
     for hertz in (0.0, 0.05, 0.2, 0.5, 1.0, 2.0):
         z = np.exp(2j * pi * hertz * STEP)
@@ -113,9 +107,7 @@ def test_a_step_of_a_p220_takes_as_long_as_the_moved_poles_take() -> None:
 @pytest.mark.parametrize("limit", [1.5, 4.0])
 def test_what_is_refused_is_taken_back(limit: float) -> None:
     """Saturated, the lead is the feedback of the thrust and its slope that it would be with an observer in its place.
-
-    Then nothing winds up: the thrust comes as fast as the limit lets it, and stays.
-    """
+    Then nothing winds up: the thrust comes as fast as the limit lets it, and stays."""
     A, B, C, _ = engine(P220)
     lead = Lead(P220, STEP)
     K = np.asarray(control.acker(A, B[:, None], [exp(-P220.pole_rad_s * STEP)] * 2)).ravel()

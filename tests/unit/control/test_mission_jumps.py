@@ -58,9 +58,8 @@ def test_a_jump_on_the_spot_is_found(items: tuple[MissionItem, ...], idle: int |
 
 
 def test_it_is_recorded_and_read_again() -> None:
-    assert from_dict({"request": "MissionUpload", "items": [to_dict_of(FLOWN), to_dict_of(jump(0))]}).items[1] == jump(
-        0
-    )
+    stated = {"request": "MissionUpload", "items": [to_dict_of(FLOWN), to_dict_of(jump(0))]}
+    assert from_dict(stated).items[1] == jump(0)
 
 
 def to_dict_of(item: MissionItem) -> dict[str, object]:

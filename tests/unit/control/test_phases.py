@@ -45,9 +45,7 @@ def law_of(cascade: Cascade, kind: type[FlightLaw]) -> FlightLaw:
 
 
 @pytest.mark.parametrize(("scenario", "kinds"), LAWS.items())
-def test_a_vehicle_has_its_laws_and_hovers_by_the_last_or_its_surfaces(
-    scenario: str, kinds: list[type[FlightLaw]]
-) -> None:
+def test_a_vehicle_has_its_laws_and_hovers_by_the_last_or_its_surfaces(scenario: str, kinds: list) -> None:
     with cascade_of(scenario) as cascade:
         assert [type(law) for law in cascade.selector.laws] == kinds
         flying = type(Selector(cascade.selector.laws).select(asked()))

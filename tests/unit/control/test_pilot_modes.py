@@ -43,35 +43,16 @@ class World:
 
     def __init__(self, airborne: bool = False, **changes: Any) -> None:
         self.faults: list[Any] = []
-        self.place: dict[str, Any] = {
-            "north": 0.0,
-            "east": 0.0,
-            "altitude": 10.0 if airborne else STANDING,
-            "roll": 0.0,
-            "rate": (0.0, 0.0, 0.0),
-            "sink": 0.0,
-            "legs": not airborne,
-            "collective": HOVER if airborne else 0.05,
-            "lost": (),
-            "remaining": None,
-            "receiver": True,
-        } | changes
-        rates = (CONTROL.rate.roll, CONTROL.rate.pitch, CONTROL.rate.yaw)
-        self.pilot = Autopilot(
-            VEHICLE,
-            DT,
-            Thrust(HOVER),
-            ControlLoops(
-                AttitudeController(CONTROL.attitude),
-                AltitudeController(CONTROL.altitude, VEHICLE.mass_kg, lambda thrust: thrust / 120.0, DT),
-                RateController(rates, [NoPredictor() for _ in rates], DT),
-                lambda name, delay, tuning: [NoPredictor() for _ in rates],
-                "smith",
-                25.0,
-            ),
-            FaultCommands(self._inject, self.faults.clear),
-            EngineState.FLY if airborne else EngineState.IDLE,
-        )
+        self.place: dict[str, Any] = {"north": 0.0, "east": 0.0, "roll": 0.0, "rate": (0.0, 0.0, 0.0), "sink": 0.0}
+        self.place |= {"altitude": 10.0 if airborne else STANDING, "collective": HOVER if airborne else 0.05}
+        self.place |= {"legs": not airborne, "lost": (), "remaining": None, "receiver": True} | changes
+        rates, none = (CONTROL.rate.roll, CONTROL.rate.pitch, CONTROL.rate.yaw), [NoPredictor() for _ in range(3)]
+        attitude, rate = AttitudeController(CONTROL.attitude), RateController(rates, none, DT)
+        height = AltitudeController(CONTROL.altitude, VEHICLE.mass_kg, lambda thrust: thrust / 120.0, DT)
+        loops = ControlLoops(attitude, height, rate, lambda name, delay, tuning: none, "smith", 25.0)
+        faults = FaultCommands(self._inject, self.faults.clear)
+        engines = EngineState.FLY if airborne else EngineState.IDLE
+        self.pilot = Autopilot(VEHICLE, DT, Thrust(HOVER), loops, faults, engines)
         self.k = 0
         self.command: Command | None = None
         self.seconds(1.1)
@@ -258,9 +239,7 @@ def test_no_home_before_a_second_of_positions() -> None:
 
 def play(w: World, *story: Any) -> None:
     """A request is granted, a number of seconds pass, a table changes the world; all else says what must be so.
-
-    A mode is the present one, a text was said; a pair is an attribute and its value, or a request and its refusal.
-    """
+    A mode is the present one, a text was said; a pair is an attribute and its value, or a request and its refusal."""
     for step in story:
         match step:
             case dict():
@@ -536,17 +515,9 @@ def test_loss_of_control_is_said_once_and_messages_are_numbered_without_gaps() -
     assert [message.number for message in w.pilot.messages] == list(range(1, len(w.pilot.messages) + 1))
 
 
-def touched(
-    touchdown: Touchdown,
-    seconds: float,
-    legs: bool,
-    sink: float,
-    collective: float,
-    descending: bool = True,
-    lift: float | None = 1.0,
-) -> None:
-    for _ in range(round(seconds / DT)):
-        touchdown.update(sink, lift, Report(legs, collective), descending)
+def touched(one: Touchdown, time: float, legs: bool, sink: float, collective: float, descending: bool = True) -> None:
+    for _ in range(round(time / DT)):
+        one.update(sink, 1.0, Report(legs, collective), descending)
 
 
 def test_contact_counts_only_when_it_lasts() -> None:
@@ -611,43 +582,19 @@ def test_jumps_are_made_as_often_as_they_say() -> None:
     assert order((MissionItem("jump", target=1, repeat=1000), MissionItem("jump", target=0, repeat=1000))) == []
 
 
-CHANGES = st.fixed_dictionaries(
-    {},
-    optional={
-        "north": st.floats(-100, 100),
-        "altitude": st.sampled_from([STANDING, 2.0, 10.0]),
-        "roll": st.floats(-1.5, 1.5),
-        "sink": st.floats(-3, 3),
-        "legs": st.booleans(),
-        "collective": st.floats(0, 1),
-        "lost": st.sampled_from([(), (2,), (1, 6)]),
-        "remaining": st.none() | st.floats(0, 1),
-    },
-)
-LIKELY = st.sampled_from(
-    [
-        rq.Arm(),
-        rq.Arm(True),
-        rq.Takeoff(5.0),
-        rq.Land(),
-        rq.ReturnHome(),
-        rq.Kill(True),
-        STICKS,
-        LOW,
-        rq.OffboardPosition(1.0, 0.0, -5.0),
-        rq.MissionUpload(POINTS),
-        rq.MissionStart(),
-        rq.SetParameter("HJ_FENCE_RAD", 50.0),
-        *(rq.SetMode(mode.value) for mode in Mode),
-    ]
-)
+MOVING = {"north": st.floats(-100, 100), "altitude": st.sampled_from([STANDING, 2.0, 10.0]), "sink": st.floats(-3, 3)}
+SAID = {"legs": st.booleans(), "collective": st.floats(0, 1), "lost": st.sampled_from([(), (2,), (1, 6)])}
+MORE = {"roll": st.floats(-1.5, 1.5), "remaining": st.none() | st.floats(0, 1)}
+CHANGES = st.fixed_dictionaries({}, optional=MOVING | SAID | MORE)
+USUAL = [rq.Arm(), rq.Arm(True), rq.Takeoff(5.0), rq.Land(), rq.ReturnHome(), rq.Kill(True), STICKS, LOW]
+FLOWN = [rq.OffboardPosition(1.0, 0.0, -5.0), rq.MissionUpload(POINTS), rq.MissionStart()]
+MODES = [rq.SetParameter("HJ_FENCE_RAD", 50.0), *(rq.SetMode(mode.value) for mode in Mode)]
+LIKELY = st.sampled_from([*USUAL, *FLOWN, *MODES])
+REQUESTS = LIKELY | LIKELY | st.one_of(*ANY.values(), *(st.just(kind()) for kind in REST))
 
 
 @settings(max_examples=40)
-@given(
-    st.booleans(),
-    st.lists(st.tuples(LIKELY | LIKELY | st.one_of(*ANY.values(), *(st.just(kind()) for kind in REST)), CHANGES, st.integers(1, 60)), max_size=25),
-)  # fmt: skip
+@given(st.booleans(), st.lists(st.tuples(REQUESTS, CHANGES, st.integers(1, 60)), max_size=25))
 def test_nothing_that_may_be_asked_breaks_it(airborne: bool, story: list[tuple[Any, dict[str, Any], int]]) -> None:
     """Every request gets one answer, every step a finite command, and only an armed vehicle has its engines."""
     w, leant = World(airborne=airborne), 0.0

@@ -72,9 +72,7 @@ place = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
 @settings(max_examples=25)
 @given(place, place, st.integers(1, 3000), st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
 @example((50.0, 0.0), (0.0, 0.0), 1500, (5.0, 5.0))
-def test_limits_hold_for_any_change_of_target(
-    first: tuple[float, float], second: tuple[float, float], when: int, start: tuple[float, float]
-) -> None:
+def test_limits_hold_for_any_change_of_target(first: tuple, second: tuple, when: int, start: tuple) -> None:
     """Speed, acceleration and jerk stay within their limits, whatever is asked for and when, and it arrives."""
     a, jerk, speed = 1.5, 3.0, 4.0
     tracker = Tracker(a, jerk, DT)
@@ -151,9 +149,7 @@ def test_a_known_acceleration_is_followed_without_delay() -> None:
     late, period = SENSOR.latency_samples, SENSOR.period_samples
     for k in range(1, 1500):
         t = max(0, (k - late) // period * period) * DT
-        fix = estimator.update(
-            k, measured((0.5 * a[0] * t * t, 0.5 * a[1] * t * t), (a[0] * t, a[1] * t), a), still=False
-        )
+        fix = estimator.update(k, measured((0.5 * a[0] * t * t, 0.5 * a[1] * t * t), (a[0] * t, a[1] * t), a), False)
         now = k * DT
         assert fix.velocity == pytest.approx((a[0] * now, a[1] * now), abs=1e-9)
         assert fix.position == pytest.approx((0.5 * a[0] * now**2, 0.5 * a[1] * now**2), abs=1e-9)
@@ -215,9 +211,7 @@ def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
             past = [*past[1:], (p, v)]
             if k > late and (k - late) % period == 0:
                 z = past[0]
-            fix = estimator.update(
-                k, measured((z[0], 0.0), (z[1], 0.0), (0.0, 0.0)), still=False, is_pushed=told and pushed
-            )
+            fix = estimator.update(k, measured((z[0], 0.0), (z[1], 0.0), (0.0, 0.0)), False, is_pushed=told and pushed)
         if told:
             assert fix.disturbance[0] == pytest.approx(wind, rel=0.01)
             assert fix.velocity[0] == pytest.approx(v, abs=1.0)
@@ -280,9 +274,7 @@ Complex = NDArray[np.complex128]
 
 def roll_answer(delay: int = 25, gain: float = 1.0) -> ct.TransferFunction:
     """Roll set-point to roll: rate PI and attitude P on the identified model with Smith's predictor.
-
-    ``delay`` and ``gain`` are the plant's; the predictor keeps to the model's 25 samples and gain.
-    """
+    ``delay`` and ``gain`` are the plant's; the predictor keeps to the model's 25 samples and gain."""
     model, law = VEHICLE.identified["edf-as-flown"]["roll"], VEHICLE.control.rate.roll
     G = ct.tf([model.gain * c for c in polynomial(model.zeros)], polynomial(model.poles), DT)
     C = ct.tf([law.p + law.i * DT, -law.p], [1, -1], DT)
@@ -297,10 +289,8 @@ def roll_answer(delay: int = 25, gain: float = 1.0) -> ct.TransferFunction:
 
 def loops(vehicle: Vehicle, answer: Complex, w: NDArray[np.float64]) -> tuple[Complex, Complex]:
     """The open loop at the lean command, and at the acceleration that the true lean gives.
-
     The estimator with its settled gains, spread evenly over the steps between two fixes: exact at frequencies far
-    below that of the fixes (63 rad/s), and the loop crosses at 1.
-    """
+    below that of the fixes (63 rad/s), and the loop crosses at 1."""
     gains, sensor = vehicle.control.position, vehicle.sensors.gnss
     L = np.array(settling_gains(gains, sensor, DT)[0][-1]) / sensor.period_samples
     late = sensor.latency_samples
@@ -334,7 +324,6 @@ def test_the_attitude_loop_below_is_as_fast_as_the_gains_assume() -> None:
 
 def closed_loop(lean_gain: float, extra: int, start: float, steps: int = 25_000) -> NDArray[np.float64]:
     """The real blocks around the linear attitude loop: position after a start at ``start`` m, without noise.
-
     ``lean_gain``: true acceleration per acceleration that the measured lean stands for; ``extra`` samples more delay.
     """
     answer = ct.ss(roll_answer())
@@ -387,9 +376,7 @@ def led_roll_answer(vehicle: Vehicle, engine: str, z: Complex) -> Complex:
     ("aircraft", "lowest", "gains_db", "peaks"),
     [("hexjet", 0.02, (10.0, 8.0), (1.5, 1.7)), ("hexjet-p220", 0.01, (16.0, 11.0), (1.3, 1.5))],
 )
-def test_margins_of_the_position_loop(
-    aircraft: str, lowest: float, gains_db: tuple[float, float], peaks: tuple[float, float]
-) -> None:
+def test_margins_of_the_position_loop(aircraft: str, lowest: float, gains_db: tuple, peaks: tuple) -> None:
     """Stated in the aircraft's README, as are 54 degrees at the command and 42 at the plant."""
     vehicle, _ = load_vehicle(aircraft)
     w = np.geomspace(lowest, 30.0, 900)

@@ -95,10 +95,8 @@ def test_a_ground_station_may_read_where_the_engines_are() -> None:
         assert tuple(values[f"CA_ROTOR{number}_P{letter}"] for letter in "XYZ") == jet.position_m
         assert values[f"CA_ROTOR{number}_KM"] == jet.reaction_m
     assert not [name for name in values if name[:-1].endswith("_A")]  # straight up, as PX4 takes it to be
-    canted = [
-        jet.model_copy(update={"axis": (0.0, 0.6, -0.8)}) if n == 1 else jet for n, jet in enumerate(vehicle.jets)
-    ]
-    values = Parameters(table(vehicle.control, settings, "smith", 0.0, "", canted)).values
+    bent = [jet.model_copy(update={"axis": (0.0, 0.6, -0.8)}) if n == 1 else jet for n, jet in enumerate(vehicle.jets)]
+    values = Parameters(table(vehicle.control, settings, "smith", 0.0, "", bent)).values
     told = {name: value for name, value in values.items() if name[:-1].endswith("_A")}
     assert told == {"CA_ROTOR1_AX": 0.0, "CA_ROTOR1_AY": 0.6, "CA_ROTOR1_AZ": -0.8}
     with pytest.raises(InputError, match=r"CA_ROTOR1_PX = 0\.3: cannot be changed, it is -0\.08"):
@@ -227,15 +225,11 @@ def test_new_attitude_gains_do_not_bump() -> None:
     law = AttitudeController(CONTROL.attitude)
     command, here = Command((0.3, 0.0, 0.0), 10.0), measured(0.1)
     before = law.update(command, here)
-    law.retune(
-        CONTROL.attitude.model_copy(update={"gain_1_s": (7.0, 2.0, 3.0), "rate_limit_rad_s": (0.5, 3.8, 2.0)}), DT
-    )
+    new = CONTROL.attitude.model_copy(update={"gain_1_s": (7.0, 2.0, 3.0), "rate_limit_rad_s": (0.5, 3.8, 2.0)})
+    law.retune(new, DT)
     assert law.update(command, here) == pytest.approx(before, abs=1e-15)
     rates = np.array([law.update(command, here) for _ in range(4000)])
-    fresh = AttitudeController(
-        CONTROL.attitude.model_copy(update={"gain_1_s": (7.0, 2.0, 3.0), "rate_limit_rad_s": (0.5, 3.8, 2.0)})
-    )
-    after = fresh.update(command, here)
+    after = AttitudeController(new).update(command, here)
     assert rates[-1] == pytest.approx(after, abs=1e-9)
     size = np.max(np.abs(np.subtract(after, before)))
     assert np.max(np.abs(np.diff(rates, axis=0, prepend=[before]))) <= size * DT / 0.5
@@ -254,9 +248,8 @@ def test_new_height_gains_do_not_bump() -> None:
     changed.retune(new)
     # the integral takes its step with the new law's error: 0.3 m/s less climb rate is asked for
     off = VEHICLE.mass_kg * CONTROL.altitude.integral_1_s2 * 0.3 * DT / 120.0
-    assert changed.update(command, here, Unallocated()) == pytest.approx(
-        kept.update(command, here, Unallocated()), abs=1.1 * off
-    )
+    usual = kept.update(command, here, Unallocated())
+    assert changed.update(command, here, Unallocated()) == pytest.approx(usual, abs=1.1 * off)
     previous, largest = changed.update(command, here, Unallocated()), 0.0
     for _ in range(1000):
         now = changed.update(command, here, Unallocated())
@@ -310,11 +303,7 @@ def test_a_parameter_reaches_its_block() -> None:
     act.set("HJ_PRED_TYPE", PREDICTORS["filtered-smith"].value)
     act.set("HJ_PRED_DELAY", 30.5)
     act.set("HJ_PRED_FILT", 0.4)
-    assert [(name, delay) for name, delay, _ in made] == [
-        ("filtered-smith", 25.0),
-        ("filtered-smith", 30.5),
-        ("filtered-smith", 30.5),
-    ]
+    assert [each[:2] for each in made] == [("filtered-smith", delay) for delay in (25.0, 30.5, 30.5)]
     assert made[-1][2].filter_s == 0.4
     assert table_.changed().keys() == {
         "HJ_ATT_ROLL", "HJ_RLIM_ROLL", "HJ_ROLL_P", "HJ_ROLL_I", "HJ_ALT_P", "HJ_CLIMB_I", "HJ_PRED_TYPE", "HJ_PRED_DELAY", "HJ_PRED_FILT",

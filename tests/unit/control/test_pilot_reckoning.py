@@ -112,9 +112,8 @@ def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
             x[:2] += STEP * (x[2:4] + 0.5 * STEP * u)
             x[2:4] += STEP * u
         F = np.block([[eye, T * eye, 0.5 * T * T * turn], [zero, eye, T * turn], [zero, zero, eye]])
-        Q = np.array(
-            [[noise * T**3 / 3, noise * T**2 / 2, 0.0], [noise * T**2 / 2, noise * T, 0.0], [0.0, 0.0, 1e-6 * T]]
-        )
+        a, b, c = noise * T**3 / 3, noise * T**2 / 2, noise * T
+        Q = np.array([[a, b, 0.0], [b, c, 0.0], [0.0, 0.0, 1e-6 * T]])
         P = F @ P @ F.T + np.kron(Q, eye)
         z = np.concatenate([0.3 * rng.standard_normal(2), 0.02 * rng.standard_normal(2)])
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
@@ -122,9 +121,8 @@ def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
         P = (np.eye(6) - K @ H) @ P @ (np.eye(6) - K @ H).T + K @ R @ K.T
         one.correct(seen._replace(position=(z[0], z[1], 0.0), velocity=(z[2], z[3], 0.0)), False, 0.0)
         assert one.filter.deviation == pytest.approx(np.sqrt([P[0, 0], P[2, 2]]), rel=1e-9)
-        assert [one.filter.p, one.filter.v, one.filter.u] == pytest.approx(
-            [complex(*x[i : i + 2]) for i in (0, 2, 4)], abs=1e-9
-        )
+        expected = [complex(*x[i : i + 2]) for i in (0, 2, 4)]
+        assert [one.filter.p, one.filter.v, one.filter.u] == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_deviations_are_those_of_the_errors() -> None:
@@ -134,10 +132,8 @@ def test_the_deviations_are_those_of_the_errors() -> None:
         motion, one = Motion(off=(0.05, 0.03), seed=seed), DeadReckoning(SENSORS, STEP)
         for k in range(1, 12_501):
             one.whole.update(k, motion.step(wander(k), 0.0, k <= 5000), False)
-        places, speeds = (
-            motion.p - [one.filter.p.real, one.filter.p.imag],
-            motion.v - [one.filter.v.real, one.filter.v.imag],
-        )
+        places = motion.p - [one.filter.p.real, one.filter.p.imag]
+        speeds = motion.v - [one.filter.v.real, one.filter.v.imag]
         errors += list(zip(places.tolist(), speeds.tolist(), strict=True))
     place, speed = np.sqrt(np.mean(np.square(errors), axis=0))
     assert 0.2 * one.filter.deviation[0] < place < one.filter.deviation[0]
@@ -179,9 +175,7 @@ def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_t
 
 def test_the_drag_learnt_at_speed_is_no_push_at_rest() -> None:
     """A linear drag, known to no one, while the receiver stops at speed and the vehicle is braked by its lean.
-
-    With the last push kept the velocity comes out wrong by what braking took of the drag; reckoned it does not.
-    """
+    With the last push kept the velocity comes out wrong by what braking took of the drag; reckoned it does not."""
     gains = VEHICLE.control.position
     speed, drag = 5.0, 0.04
     for reckons, most in ((False, None), (True, 0.05)):

@@ -181,9 +181,7 @@ def test_the_force_of_a_contact_does_not_outweigh_the_barometer() -> None:
 
 def test_the_deviation_is_the_errors_own() -> None:
     """A hundred flights with the stated noise, two seconds of which without barometer and receiver.
-
-    The standard deviation of a hundred errors is within 25 % of the true one in 999 of 1000 cases.
-    """
+    The standard deviation of a hundred errors is within 25 % of the true one in 999 of 1000 cases."""
     errors, stated = [], []
     for seed in range(100):
         random = np.random.default_rng(seed)

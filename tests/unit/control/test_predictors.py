@@ -33,14 +33,9 @@ def integrating(delay: float) -> RateModel:
     """433 / (s (0.039 s + 1)), zero-order hold by scipy: a pure integrator and one lag."""
     (numerator,), *_ = cont2discrete(([433.0], [0.039, 1.0, 0.0]), STEP)
     top = np.trim_zeros(numerator, "f")
-    return RateModel(
-        gain=float(top[0]),
-        zeros=[float(zero) for zero in np.roots(top)],
-        poles=[1.0, float(np.exp(-STEP / 0.039))],
-        delay_samples=delay,
-        sample_time_s=STEP,
-        source="test",
-    )
+    zeros, poles = [float(zero) for zero in np.roots(top)], [1.0, float(np.exp(-STEP / 0.039))]
+    more = {"delay_samples": delay, "sample_time_s": STEP, "source": "test"}
+    return RateModel(gain=float(top[0]), zeros=zeros, poles=poles, **more)
 
 
 class Held:
@@ -88,9 +83,7 @@ class Knows:
 @pytest.mark.parametrize("made", [roll_model, quadrotor_model], ids=["hexjet", "quadrotor"])
 def test_a_perfect_model_and_the_full_state_give_the_future(made: Callable[[float], RateModel], delay: float) -> None:
     """What is predicted at t_k is the rate at t_k + delay, whole samples or not.
-
-    1e-9 rad/s against rates of some 10 rad/s: rounding of a few hundred operations.
-    """
+    1e-9 rad/s against rates of some 10 rad/s: rounding of a few hundred operations."""
     model = made(delay)
     state_model = StateModel(model)
     observer, plant = Knows(), Held(state_model, delay)
@@ -107,10 +100,8 @@ def test_a_perfect_model_and_the_full_state_give_the_future(made: Callable[[floa
 @pytest.mark.parametrize("disturbance", [False, True])
 def test_a_model_observer_converges(disturbance: bool) -> None:
     """From a wrong start, and with a constant disturbance where it has a state for one, to what the plant does.
-
     The observer's poles are at exp(-20 T): after 300 steps an error is down by exp(-24), some 1e-10 with its powers
-    of k; what remains is far below 1e-6 of a state of about 10.
-    """
+    of k; what remains is far below 1e-6 of a state of about 10."""
     model = roll_model(0.0)
     state_model = StateModel(model)
     observer = ModelObserver(state_model, 20.0, disturbance)
@@ -170,10 +161,8 @@ def test_with_a_filter_of_1_it_is_smiths_bit_for_bit(delay: float) -> None:
 @pytest.mark.parametrize("time_constant", [0.0, 0.05, 0.15])
 def test_a_constant_disturbance_leaves_no_error_on_an_integrating_plant(delay: float, time_constant: float) -> None:
     """Closed form: at rest the command is minus the disturbance and the rate is 0.
-
     Smith's then says -K h T d; the filtered one says 0, for F(1) = 1 and F'(1) = h cancel ramp and constant.  The
-    models' ramps grow to about 700 rad/s, of which 1e-9 is rounding.
-    """
+    models' ramps grow to about 700 rad/s, of which 1e-9 is rounding."""
     model, d = integrating(delay), 0.02
     smith, filtered = SmithPredictor(model), FilteredSmithPredictor(model, *robustness_filter(model, time_constant))
     for _ in range(20_000):

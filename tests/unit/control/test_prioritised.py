@@ -135,9 +135,7 @@ EMPTY: list[list[float]] = [[0.0, 0.0, 0.0]] * 4
         ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]], [1e100, 1e100, -1e100, 5.0], [1.0, 1.0, 0.0]),
     ],
 )  # fmt: skip
-def test_rows_that_are_not_independent(
-    rows: list[list[float]], wanted: list[float], exact: list[float], along_first: bool
-) -> None:
+def test_rows_that_are_not_independent(rows: list, wanted: list[float], exact: list[float], along_first: bool) -> None:
     x = prioritise(rows, wanted, LEVELS, [0.1] * 3, [0.0] * 3, [1.0] * 3, along_first)
     assert x == pytest.approx(exact, abs=1e-12)
 

@@ -42,10 +42,8 @@ def body(
     lost: int, duration: float, late: float = 1.0, fire: float = 0.02, added: int = 0, pushed: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Leans [rad], spins [rad/s] and total thrusts [N] of a free rigid body that loses a rotor while it hovers.
-
     Rotation matrix, Euler's equations, motors as engines/motor states them with their delay
-    times ``late``; the law looks on from ``fire`` s after the loss on.
-    """
+    times ``late``; the law looks on from ``fire`` s after the loss on."""
     block = law(added=added)
     levers = np.array([(-jet.position_m[1], jet.position_m[0], jet.reaction_m) for jet in VEHICLE.jets]).T
     inertia, damping, left = np.array(INERTIA), np.array(DAMPING), np.exp(-STEP / LAG)

@@ -105,10 +105,9 @@ def test_no_other_module_compares_a_predictors_name() -> None:
 
 def test_one_from_elsewhere_flies_as_what_it_is(mine: PredictorSpec) -> None:
     assert np.array_equal(roll("mine"), roll("filtered-smith"))
-    own = {"control": {"predictor": {"own": {"mine": {"tau_s": 0.6}}}}}
-    assert np.array_equal(
-        roll("mine", vehicle=own), roll("filtered-smith", vehicle={"control": {"predictor": {"filter_s": 0.6}}})
-    )
+    own, theirs = {"own": {"mine": {"tau_s": 0.6}}}, {"filter_s": 0.6}
+    slow, other = ({"control": {"predictor": each}} for each in (own, theirs))
+    assert np.array_equal(roll("mine", vehicle=slow), roll("filtered-smith", vehicle=other))
 
 
 def test_one_that_needs_no_model_flies_with_any_engine(plain: PredictorSpec) -> None:
@@ -116,15 +115,13 @@ def test_one_that_needs_no_model_flies_with_any_engine(plain: PredictorSpec) -> 
 
 
 def test_what_it_lacks_is_said_in_one_line(mine: PredictorSpec, plain: PredictorSpec) -> None:
-    with pytest.raises(
-        InputError, match=r"controller 'mine' needs an identified model of hexjet with engine 'turbojet'"
-    ):
+    message = r"controller 'mine' needs an identified model of hexjet with engine 'turbojet'"
+    with pytest.raises(InputError, match=message):
         roll("mine", engine="turbojet")
     from hexjet_design.design import design
 
-    with pytest.raises(
-        InputError, match=r"controller plain: states no frequency response, which a design needs; allowed: auto, "
-    ):
+    message = r"controller plain: states no frequency response, which a design needs; allowed: auto, "
+    with pytest.raises(InputError, match=message):
         design("edf", controller="plain")
 
 
@@ -199,9 +196,7 @@ def loop() -> tuple[Channel, Tuning]:
 
 
 @pytest.mark.parametrize("name", candidates())
-def test_responses_in_time_from_the_frequency_response_are_those_of_the_state_space(
-    name: str, loop: tuple[Channel, Tuning]
-) -> None:
+def test_responses_in_time_from_the_frequency_response_are_those_of_the_state_space(name: str, loop: tuple) -> None:
     """So a predictor that states its frequency response alone is designed with what is exact for the others."""
     closed = ClosedLoop(FrequencyGrid(loop[0]), replace(loop[1], controller=name))
     assert not closed.unstable_poles
@@ -211,9 +206,7 @@ def test_responses_in_time_from_the_frequency_response_are_those_of_the_state_sp
         assert np.abs(ours - theirs).max() < 1e-8 * np.abs(theirs).max()  # FADED, and rounding grown by its root
 
 
-def test_a_design_searches_and_measures_it_like_the_one_that_it_is(
-    mine: PredictorSpec, loop: tuple[Channel, Tuning]
-) -> None:
+def test_a_design_searches_and_measures_it_like_the_one_that_it_is(mine: PredictorSpec, loop: tuple) -> None:
     """The same box for its parameter, and the same objective and requirements, once with a state space and once without."""
     channel, start = loop
     need = Requirements()
@@ -224,11 +217,8 @@ def test_a_design_searches_and_measures_it_like_the_one_that_it_is(
     for share in (0.3, 0.5, 0.6):
         x = ours.low + share * (ours.high - ours.low)
         one, other = ours.tuning(x), theirs.tuning(x)
-        assert (one.gains, one.angle_gain, MINE.own(one.predictor)["tau_s"]) == (
-            other.gains,
-            other.angle_gain,
-            other.predictor.filter_s,
-        )
+        expected = (other.gains, other.angle_gain, other.predictor.filter_s)
+        assert (one.gains, one.angle_gain, MINE.own(one.predictor)["tau_s"]) == expected
         a, b = ClosedLoop(FrequencyGrid(channel), one), ClosedLoop(FrequencyGrid(channel), other)
         assert a.unstable_poles == b.unstable_poles
         if not b.unstable_poles:

@@ -76,9 +76,7 @@ def told_of_names(notes: Sequence[str], packed: Callable[[Path], Path]) -> bool:
 
 
 @pytest.mark.parametrize("packed", PACKED)
-def test_an_fmu_from_another_system_is_fit_and_flies(
-    packed: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_fmu_of_another_system_flies(packed: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Checked as a flight has it checked, in a child, which validates it."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path = packed(foreign(tmp_path, "other", "lag=0.1"))
@@ -139,9 +137,7 @@ def stating(folder: Path, attributes: str, name: str = "odd") -> Path:
         ('causality="local" variability="constant"', False),
     ],
 )
-def test_a_variability_that_fmi_does_not_allow_is_read_over_and_told(
-    attributes: str, settable: bool, tmp_path: Path
-) -> None:
+def test_a_variability_that_fmi_forbids_is_read_over_and_told(attributes: str, settable: bool, tmp_path: Path) -> None:
     spec = load(stating(tmp_path, attributes))
     assert [v.name for v in spec.archive.parameters] == (["v_min"] if settable else [])
     if "local" not in attributes:

@@ -6,21 +6,9 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import engine_tools as tools
 import numpy as np
 import pytest
-from engine_tools import (
-    BOTH,
-    FAULT_THROTTLE,
-    FAULTS,
-    NEWTON_PER_KGF,
-    STEP,
-    archive,
-    build_faulty,
-    driven,
-    edit_description,
-    paper_thrust,
-    throttles,
-)
 
 from cosim.base.errors import EngineError, InputError
 from cosim.engine import EngineBank, EngineSpec, load_engine
@@ -30,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("built_engines")
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
-    return build_faulty(tmp_path_factory.mktemp("faulty"))
+    return tools.build_faulty(tmp_path_factory.mktemp("faulty"))
 
 
 @pytest.fixture
@@ -44,28 +32,28 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
 
 
 def spec_of(name: str, fmi: int = 3) -> EngineSpec:
-    return load_engine(name if fmi == 3 else f"{name}-fmi2", {}, STEP)
+    return load_engine(name if fmi == 3 else f"{name}-fmi2", {}, tools.STEP)
 
 
 @pytest.mark.parametrize("shape", ["step", "ramp", "random"])
-@pytest.mark.parametrize(("name", "fmi"), BOTH)
+@pytest.mark.parametrize(("name", "fmi"), tools.BOTH)
 def test_six_engines_follow_the_papers_difference_equation(name: str, fmi: int, shape: str, workplace: Path) -> None:
     # six different throttles, so that no engine can be taken for another
-    throttle = np.outer(throttles()[shape], np.linspace(0.1, 1.0, 6))
-    with EngineBank(spec_of(name, fmi), 6, STEP) as bank:
+    throttle = np.outer(tools.throttles()[shape], np.linspace(0.1, 1.0, 6))
+    with EngineBank(spec_of(name, fmi), 6, tools.STEP) as bank:
         assert bank.reset(0.0).thrust == (0.0,) * 6
         thrust = np.array([bank.step(k, tuple(row)).thrust for k, row in enumerate(throttle.tolist())])
     for i in range(6):
-        np.testing.assert_allclose(thrust[:, i], paper_thrust(name, throttle[:, i]), rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(thrust[:, i], tools.paper_thrust(name, throttle[:, i]), rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_the_bank_and_fmpys_wrappers_agree_bit_for_bit(fmi: int, tmp_path: Path) -> None:
-    throttle = throttles()["random"]
-    with driven(archive("turbojet", fmi), tmp_path) as engine:
+    throttle = tools.throttles()["random"]
+    with tools.driven(tools.archive("turbojet", fmi), tmp_path) as engine:
         engine.start()
         expected = engine.run(throttle)
-    with EngineBank(spec_of("turbojet", fmi), 1, STEP) as bank:
+    with EngineBank(spec_of("turbojet", fmi), 1, tools.STEP) as bank:
         bank.reset(0.0)
         thrust = [bank.step(k, (u,)).thrust[0] for k, u in enumerate(throttle.tolist())]
     assert np.array(thrust).tobytes() == expected.tobytes()
@@ -73,9 +61,9 @@ def test_the_bank_and_fmpys_wrappers_agree_bit_for_bit(fmi: int, tmp_path: Path)
 
 @pytest.mark.parametrize("name", ["turbojet", "edf", "edf-as-flown-fmi2"])
 def test_reset_starts_in_equilibrium(name: str) -> None:
-    spec = load_engine(name, {}, STEP)
+    spec = load_engine(name, {}, tools.STEP)
     assert spec.start == "throttle_start"
-    with EngineBank(spec, 6, STEP) as bank:
+    with EngineBank(spec, 6, tools.STEP) as bank:
         for throttle in (0.45, 0.8):  # twice, to see that a second reset is as good as the first
             steady = bank.reset(throttle).thrust
             assert steady == (pytest.approx(throttle * spec.curve.thrust[-1], rel=1e-9),) * 6
@@ -86,14 +74,14 @@ def test_reset_starts_in_equilibrium(name: str) -> None:
 def test_engines_without_a_start_parameter_are_run_up(faulty: Mapping[int, Path]) -> None:
     """Thrust after the run-up is that of an engine that started there, and flight step 0 comes next."""
     known = spec_of("edf")
-    throttle = throttles()["random"].tolist()
-    with EngineBank(known, 1, STEP) as bank:
+    throttle = tools.throttles()["random"].tolist()
+    with EngineBank(known, 1, tools.STEP) as bank:
         first = bank.reset(0.4).thrust
         expected = [first, *(bank.step(k, (u,)).thrust for k, u in enumerate(throttle))]
     for path in faulty.values():
-        spec = load_engine(str(path), {}, STEP, unchecked=True)
+        spec = load_engine(str(path), {}, tools.STEP, unchecked=True)
         assert spec.start is None
-        with EngineBank(spec, 2, STEP) as bank:
+        with EngineBank(spec, 2, tools.STEP) as bank:
             for _ in range(2):
                 first = bank.reset(0.4).thrust
                 thrust = [first, *(bank.step(k, (u, u)).thrust for k, u in enumerate(throttle))]
@@ -104,27 +92,27 @@ def test_engines_without_a_start_parameter_are_run_up(faulty: Mapping[int, Path]
 
 def test_engines_of_different_kinds_in_one_bank() -> None:
     names = ["edf", "turbojet-fmi2", "edf-as-flown"]
-    with EngineBank([load_engine(name, {}, STEP) for name in names], 3, STEP) as bank:
+    with EngineBank([load_engine(name, {}, tools.STEP) for name in names], 3, tools.STEP) as bank:
         bank.reset(0.0)
         thrust = np.array([bank.step(k, (1.0, 1.0, 1.0)).thrust for k in range(100)])
     for i, name in enumerate(["edf", "turbojet", "edf-as-flown"]):
-        np.testing.assert_allclose(thrust[:, i], paper_thrust(name, np.ones(100)), rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(thrust[:, i], tools.paper_thrust(name, np.ones(100)), rtol=0.0, atol=1e-12)
 
 
 def test_parameters_reach_every_engine() -> None:
-    spec = load_engine("edf", {"delay_samples": 7, "gain": 0.5}, STEP)
-    with EngineBank(spec, 6, STEP) as bank:
+    spec = load_engine("edf", {"delay_samples": 7, "gain": 0.5}, tools.STEP)
+    with EngineBank(spec, 6, tools.STEP) as bank:
         bank.reset(0.0)
         thrust = [bank.step(k, (1.0,) * 6).thrust for k in range(9)]
     assert thrust[6] == (0.0,) * 6
-    assert thrust[7] == (pytest.approx(0.5 * NEWTON_PER_KGF),) * 6
+    assert thrust[7] == (pytest.approx(0.5 * tools.NEWTON_PER_KGF),) * 6
 
 
 def test_a_control_step_of_several_internal_steps() -> None:
     with EngineBank(load_engine("edf", {}, 0.012), 1, 0.012) as coarse:
         coarse.reset(0.0)
         thrust = [coarse.step(k, (1.0,)).thrust[0] for k in range(50)]
-    np.testing.assert_allclose(thrust, paper_thrust("edf", np.ones(150))[2::3], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(thrust, tools.paper_thrust("edf", np.ones(150))[2::3], rtol=0.0, atol=1e-12)
 
 
 IN_FLIGHT = {
@@ -146,16 +134,14 @@ ONLY = {2: ("pending",), 3: ("terminate", "early", "event")}
 @pytest.mark.parametrize(
     ("fmi", "fault"), [(fmi, fault) for fmi in (2, 3) for fault in IN_FLIGHT if fault not in ONLY[5 - fmi]]
 )
-def test_a_failure_in_flight_names_engine_step_and_time(
-    faulty: Mapping[int, Path], fmi: int, fault: str, workplace: Path
-) -> None:
-    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS[fault]}, STEP, unchecked=True)
-    with EngineBank(spec, 6, STEP) as bank:
+def test_a_failure_in_flight_names_engine_step_and_time(faulty: Mapping, fmi: int, fault: str, workplace: Path) -> None:
+    spec = load_engine(str(faulty[fmi]), {"fault": tools.FAULTS[fault]}, tools.STEP, unchecked=True)
+    with EngineBank(spec, 6, tools.STEP) as bank:
         bank.reset(0.3)
         for k in range(812):
             bank.step(k, (0.6,) * 6)
         with pytest.raises(EngineError) as caught:
-            bank.step(812, (0.6, 0.6, FAULT_THROTTLE, 0.6, 0.6, 0.6))
+            bank.step(812, (0.6, 0.6, tools.FAULT_THROTTLE, 0.6, 0.6, 0.6))
         text, _, reached = str(caught.value).partition("; it came as far as its own time ")
         assert text == f"engine 3 ({faulty[fmi].name}): {IN_FLIGHT[fault]}"
         if fmi == 2 and fault == "discard":  # only FMI 2.0 can ask; this engine has been run up, so its time is ahead
@@ -175,34 +161,34 @@ def test_a_failure_in_flight_names_engine_step_and_time(
         ("error", "doStep returned error before the flight: compressor surge; flame out"),
     ],
 )
-def test_a_failure_at_the_start_names_the_engine(
+def test_a_failure_at_start_names_the_engine(
     faulty: Mapping[int, Path], fmi: int, fault: str, words: str, workplace: Path
 ) -> None:
-    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS[fault]}, STEP, unchecked=True)
-    with EngineBank(spec, 2, STEP) as bank, pytest.raises(EngineError) as caught:
-        bank.reset(FAULT_THROTTLE)
+    spec = load_engine(str(faulty[fmi]), {"fault": tools.FAULTS[fault]}, tools.STEP, unchecked=True)
+    with EngineBank(spec, 2, tools.STEP) as bank, pytest.raises(EngineError) as caught:
+        bank.reset(tools.FAULT_THROTTLE)
     words = words.format("2SetReal " if fmi == 2 else "3SetFloat64 ")
     assert str(caught.value) == f"engine 1 ({faulty[fmi].name}): {words}"
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_warning_is_not_a_failure(faulty: Mapping[int, Path], fmi: int) -> None:
-    spec = load_engine(str(faulty[fmi]), {"fault": FAULTS["warning"]}, STEP, unchecked=True)
-    with EngineBank(spec, 1, STEP) as bank:
+    spec = load_engine(str(faulty[fmi]), {"fault": tools.FAULTS["warning"]}, tools.STEP, unchecked=True)
+    with EngineBank(spec, 1, tools.STEP) as bank:
         bank.reset(0.3)
-        assert bank.step(0, (FAULT_THROTTLE,)).thrust[0] > 0.0
+        assert bank.step(0, (tools.FAULT_THROTTLE,)).thrust[0] > 0.0
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_throttle_that_is_not_finite_is_stopped_before_the_engine(value: float) -> None:
-    with EngineBank(spec_of("edf"), 2, STEP) as bank:
+    with EngineBank(spec_of("edf"), 2, tools.STEP) as bank:
         bank.reset(0.0)
         with pytest.raises(EngineError, match=r"^engine 2 \(edf\.fmu\): throttle is not finite at step 0 \(0 s\)$"):
             bank.step(0, (0.5, value))
 
 
 def test_steps_come_one_after_the_other() -> None:
-    with EngineBank(spec_of("edf"), 1, STEP) as bank:
+    with EngineBank(spec_of("edf"), 1, tools.STEP) as bank:
         bank.reset(0.0)
         bank.step(0, (0.1,))
         for wrong in (0, 2, -1):
@@ -214,7 +200,7 @@ def test_steps_come_one_after_the_other() -> None:
 
 
 def test_stepping_before_reset_or_after_close_is_an_error() -> None:
-    bank = EngineBank(spec_of("edf"), 1, STEP)
+    bank = EngineBank(spec_of("edf"), 1, tools.STEP)
     with pytest.raises(EngineError, match="fmi3DoStep is not allowed before initialization"):
         bank.step(0, (0.1,))
     bank.close()
@@ -225,20 +211,20 @@ def test_stepping_before_reset_or_after_close_is_an_error() -> None:
 
 def test_an_fmu_that_may_be_instantiated_once_gets_libraries_of_its_own(tmp_path: Path, workplace: Path) -> None:
     once = '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true" '
-    path = edit_description(archive("edf", 3), tmp_path / "once.fmu", "<CoSimulation ", once)
-    with EngineBank(load_engine(str(path), {}, STEP, unchecked=True), 3, STEP) as bank:
+    path = tools.edit_description(tools.archive("edf", 3), tmp_path / "once.fmu", "<CoSimulation ", once)
+    with EngineBank(load_engine(str(path), {}, tools.STEP, unchecked=True), 3, tools.STEP) as bank:
         assert len({instance.fmu.dll._handle for instance in bank._instances}) == 3
         bank.reset(0.0)
         thrust = np.array([bank.step(k, (0.2, 0.5, 1.0)).thrust for k in range(50)])
-    np.testing.assert_allclose(thrust[:, 1], paper_thrust("edf", np.full(50, 0.5)), rtol=0.0, atol=1e-12)
-    with EngineBank(spec_of("edf"), 3, STEP) as bank:
+    np.testing.assert_allclose(thrust[:, 1], tools.paper_thrust("edf", np.full(50, 0.5)), rtol=0.0, atol=1e-12)
+    with EngineBank(spec_of("edf"), 3, tools.STEP) as bank:
         assert len({instance.fmu.dll._handle for instance in bank._instances}) == 1
 
 
 def test_an_archive_that_changed_since_it_was_loaded_is_refused(tmp_path: Path, workplace: Path) -> None:
     path = tmp_path / "engine.fmu"
-    path.write_bytes(archive("edf", 3).read_bytes())
-    spec = load_engine(str(path), {}, STEP, unchecked=True)
-    path.write_bytes(archive("turbojet", 3).read_bytes())
+    path.write_bytes(tools.archive("edf", 3).read_bytes())
+    spec = load_engine(str(path), {}, tools.STEP, unchecked=True)
+    path.write_bytes(tools.archive("turbojet", 3).read_bytes())
     with pytest.raises(InputError, match=r"engine\.fmu: was changed while it was in use"):
-        EngineBank(spec, 6, STEP)
+        EngineBank(spec, 6, tools.STEP)

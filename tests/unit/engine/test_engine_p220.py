@@ -96,10 +96,8 @@ def test_no_throttle_makes_the_thrust_leave_its_bounds(tmp_path: Path) -> None:
 
 def test_speed_and_fuel_follow_the_thrust(tmp_path: Path) -> None:
     """The ends are the data sheet's; between them the speed is that measured by Momin et al., to 3 % of it.
-
     The comparison is with the cubic that the same laboratory uses for this engine: T = 2.749e-4 n^3 - 0.03007 n^2 +
-    1.958 n - 33.08, n in 1000 rpm.
-    """
+    1.958 n - 33.08, n in 1000 rpm."""
     with driven(archive("p220", 3), tmp_path) as engine:
         for throttle in np.linspace(0.0, 1.0, 21):
             engine.fmu.reset()

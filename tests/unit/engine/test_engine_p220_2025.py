@@ -94,9 +94,7 @@ def test_it_is_the_authors_own_integration(tmp_path: Path) -> None:
     # rows of those responses: throttle in percent, time since it moved, thrust in N
     [(30.0, 30.0, 1.0, 68.2489), (30.0, 90.0, 8.0, 202.4753), (90.0, 50.0, 8.0, 110.5545)],
 )
-def test_it_is_the_authors_steady_thrust(
-    before: float, after: float, seconds: float, thrust: float, tmp_path: Path
-) -> None:
+def test_it_is_the_authors_thrust(before: float, after: float, seconds: float, thrust: float, tmp_path: Path) -> None:
     with driven(archive("p220-2025", 3), tmp_path) as engine:
         engine.start(throttle_start=before / 100.0)
         assert engine.run(np.full(round(seconds / STEP), after / 100.0))[-1] == pytest.approx(thrust, abs=1e-3)

@@ -22,26 +22,12 @@ from places import TOOLS
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient, EngineOutput
 from cosim.engine import EngineBank, EngineSpec, library, load_engine
+from cosim.engine.fmu import units
 from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import INPUTS, OUTPUTS
 from cosim.engine.fmu.ports import find_ports, look_for_ports, split_unit
-from cosim.engine.fmu.units import (
-    ANGULAR_SPEED,
-    FORCE,
-    MASS_FLOW,
-    PRESSURE,
-    QUANTITIES,
-    RATIO,
-    SPEED,
-    TEMPERATURE,
-    Quantity,
-    Unit,
-    UnitError,
-    find_unit,
-    to_si,
-)
 from cosim.engine.fmu.variables import Variable
 
 pytestmark = pytest.mark.usefixtures("built_engines")
@@ -77,98 +63,99 @@ def lag(throttle: Sequence[float], first: float = 0.0, step: float = STEP) -> li
     ("quantity", "unit", "value", "si"),
     [
         # one value each that everybody knows, from a source other than the table
-        (FORCE, "lbf", 1.0, 4.4482216152605),
-        (FORCE, "kN", 0.25, 250.0),
-        (FORCE, "kgf", 1.0, 9.80665),
-        (PRESSURE, "psi", 14.695948775513, 101325.0),
-        (PRESSURE, "inHg", 29.92125, 101325.0),
-        (PRESSURE, "mmHg", 760.0, 101325.0),
-        (PRESSURE, "bar", 1.01325, 101325.0),
-        (PRESSURE, "hPa", 1013.25, 101325.0),
-        (TEMPERATURE, "degC", 15.0, 288.15),
-        (TEMPERATURE, "degF", 59.0, 288.15),
-        (TEMPERATURE, "degF", -40.0, 233.15),
-        (TEMPERATURE, "degR", 518.67, 288.15),
-        (SPEED, "kt", 100.0, 51.444444),
-        (SPEED, "mph", 100.0, 44.704),
-        (SPEED, "ft/s", 100.0, 30.48),
-        (SPEED, "km/h", 36.0, 10.0),
-        (ANGULAR_SPEED, "rpm", 60.0, 2.0 * math.pi),
-        (ANGULAR_SPEED, "Hz", 1.0, 2.0 * math.pi),
-        (ANGULAR_SPEED, "deg/s", 180.0, math.pi),
-        (MASS_FLOW, "kg/h", 3600.0, 1.0),
-        (MASS_FLOW, "g/min", 600.0, 0.01),
-        (MASS_FLOW, "pph", 7936.6414, 1.0),
-        (RATIO, "%", 50.0, 0.5),
+        (units.FORCE, "lbf", 1.0, 4.4482216152605),
+        (units.FORCE, "kN", 0.25, 250.0),
+        (units.FORCE, "kgf", 1.0, 9.80665),
+        (units.PRESSURE, "psi", 14.695948775513, 101325.0),
+        (units.PRESSURE, "inHg", 29.92125, 101325.0),
+        (units.PRESSURE, "mmHg", 760.0, 101325.0),
+        (units.PRESSURE, "bar", 1.01325, 101325.0),
+        (units.PRESSURE, "hPa", 1013.25, 101325.0),
+        (units.TEMPERATURE, "degC", 15.0, 288.15),
+        (units.TEMPERATURE, "degF", 59.0, 288.15),
+        (units.TEMPERATURE, "degF", -40.0, 233.15),
+        (units.TEMPERATURE, "degR", 518.67, 288.15),
+        (units.SPEED, "kt", 100.0, 51.444444),
+        (units.SPEED, "mph", 100.0, 44.704),
+        (units.SPEED, "ft/s", 100.0, 30.48),
+        (units.SPEED, "km/h", 36.0, 10.0),
+        (units.ANGULAR_SPEED, "rpm", 60.0, 2.0 * math.pi),
+        (units.ANGULAR_SPEED, "Hz", 1.0, 2.0 * math.pi),
+        (units.ANGULAR_SPEED, "deg/s", 180.0, math.pi),
+        (units.MASS_FLOW, "kg/h", 3600.0, 1.0),
+        (units.MASS_FLOW, "g/min", 600.0, 0.01),
+        (units.MASS_FLOW, "pph", 7936.6414, 1.0),
+        (units.RATIO, "%", 50.0, 0.5),
     ],
 )
-def test_units_known_by_name(quantity: Quantity, unit: str, value: float, si: float) -> None:
-    factor, offset = to_si(unit, None, quantity)
+def test_units_known_by_name(quantity: units.Quantity, unit: str, value: float, si: float) -> None:
+    factor, offset = units.to_si(unit, None, quantity)
     assert factor * value + offset == pytest.approx(si, rel=1e-6)
 
 
 def test_every_unit_belongs_to_one_quantity() -> None:
     """So that a name rules out every port but its own."""
-    for one in QUANTITIES:
-        for other in QUANTITIES:
+    for one in units.QUANTITIES:
+        for other in units.QUANTITIES:
             shared = set(one.units) & set(other.units)
             assert one is other or not shared, (one.name, other.name)
 
 
 def test_a_units_case_counts_only_where_it_must() -> None:
-    assert find_unit("RPM", ANGULAR_SPEED) == find_unit("rpm", ANGULAR_SPEED)
-    assert find_unit("mN", FORCE) == (1e-3, 0.0)
-    assert find_unit("MN", FORCE) == (1e6, 0.0)
-    assert find_unit("Mn", FORCE) is None
+    assert units.find_unit("RPM", units.ANGULAR_SPEED) == units.find_unit("rpm", units.ANGULAR_SPEED)
+    assert units.find_unit("mN", units.FORCE) == (1e-3, 0.0)
+    assert units.find_unit("MN", units.FORCE) == (1e6, 0.0)
+    assert units.find_unit("Mn", units.FORCE) is None
 
 
 def test_a_declared_unit_goes_before_its_name_unless_they_differ() -> None:
     newtons = (1, 1, -2, 0, 0, 0, 0, 0)
-    assert to_si("tonne-force", Unit(newtons, 9806.65), FORCE) == (9806.65, 0.0)
-    assert to_si("lbf", Unit(newtons, 4.448), FORCE) == (4.448, 0.0)  # rounded by its author
-    with pytest.raises(UnitError, match="is in N, which the FMU defines as 1000 N and which is 1 N"):
-        to_si("N", Unit(newtons, 1000.0), FORCE)
-    with pytest.raises(UnitError, match=r"is in degC, which the FMU defines as 1 K and which is 1 K above 273.15 K"):
-        to_si("degC", Unit((0, 0, 0, 0, 1, 0, 0, 0)), TEMPERATURE)
-    with pytest.raises(UnitError, match="is in kg; it must be a force, such as N"):
-        to_si("kg", Unit((1, 0, 0, 0, 0, 0, 0, 0)), FORCE)
-    with pytest.raises(UnitError, match="is in furlong, which the FMU does not define; known: N, newton, "):
-        to_si("furlong", None, FORCE)
+    assert units.to_si("tonne-force", units.Unit(newtons, 9806.65), units.FORCE) == (9806.65, 0.0)
+    assert units.to_si("lbf", units.Unit(newtons, 4.448), units.FORCE) == (4.448, 0.0)  # rounded by its author
+    with pytest.raises(units.UnitError, match="is in N, which the FMU defines as 1000 N and which is 1 N"):
+        units.to_si("N", units.Unit(newtons, 1000.0), units.FORCE)
+    message = r"is in degC, which the FMU defines as 1 K and which is 1 K above 273.15 K"
+    with pytest.raises(units.UnitError, match=message):
+        units.to_si("degC", units.Unit((0, 0, 0, 0, 1, 0, 0, 0)), units.TEMPERATURE)
+    with pytest.raises(units.UnitError, match="is in kg; it must be a force, such as N"):
+        units.to_si("kg", units.Unit((1, 0, 0, 0, 0, 0, 0, 0)), units.FORCE)
+    with pytest.raises(units.UnitError, match="is in furlong, which the FMU does not define; known: N, newton, "):
+        units.to_si("furlong", None, units.FORCE)
 
 
 @pytest.mark.parametrize(
     ("name", "base", "factor"),
     [
-        ("rpm", Unit((0, 0, -1, 0, 0, 0, 0, 1), math.pi / 30.0), math.pi / 30.0),
-        ("rpm", Unit((0, 0, -1, 0, 0, 0, 0, 0), 1.0 / 60.0), math.pi / 30.0),  # as turns per second
-        ("rad/s", Unit((0, 0, -1, 0, 0, 0, 0, 0)), 1.0),
-        ("Hz", Unit((0, 0, -1, 0, 0, 0, 0, 0)), 2.0 * math.pi),
+        ("rpm", units.Unit((0, 0, -1, 0, 0, 0, 0, 1), math.pi / 30.0), math.pi / 30.0),
+        ("rpm", units.Unit((0, 0, -1, 0, 0, 0, 0, 0), 1.0 / 60.0), math.pi / 30.0),  # as turns per second
+        ("rad/s", units.Unit((0, 0, -1, 0, 0, 0, 0, 0)), 1.0),
+        ("Hz", units.Unit((0, 0, -1, 0, 0, 0, 0, 0)), 2.0 * math.pi),
     ],
 )
-def test_a_turn_without_radians_goes_by_its_name(name: str, base: Unit, factor: float) -> None:
-    assert to_si(name, base, ANGULAR_SPEED) == (pytest.approx(factor, rel=1e-15), 0.0)
+def test_a_turn_without_radians_goes_by_its_name(name: str, base: units.Unit, factor: float) -> None:
+    assert units.to_si(name, base, units.ANGULAR_SPEED) == (pytest.approx(factor, rel=1e-15), 0.0)
 
 
 def test_a_frequency_of_unknown_name_is_no_speed_of_rotation() -> None:
-    with pytest.raises(UnitError, match="is in 1/s; it must be a speed of rotation, such as rad/s"):
-        to_si("1/s", Unit((0, 0, -1, 0, 0, 0, 0, 0)), ANGULAR_SPEED)
+    with pytest.raises(units.UnitError, match="is in 1/s; it must be a speed of rotation, such as rad/s"):
+        units.to_si("1/s", units.Unit((0, 0, -1, 0, 0, 0, 0, 0)), units.ANGULAR_SPEED)
 
 
 @pytest.mark.parametrize(
     ("name", "quantity", "expected"),
     [
-        ("thrust_lbf", FORCE, ("thrust", "lbf")),
-        ("thrust-lbs", FORCE, ("thrust", "lbs")),
-        ("net_thrust_kN", FORCE, ("net_thrust", "kN")),
-        ("fuel_flow_kg_per_h", MASS_FLOW, ("fuel_flow", "kg/h")),
-        ("fuel-flow-rate-pph", MASS_FLOW, ("fuel_flow_rate", "pph")),
-        ("omega_rad_s", ANGULAR_SPEED, ("omega", "rad/s")),
-        ("egt_degC", TEMPERATURE, ("egt", "degC")),
-        ("thrust", FORCE, ("thrust", None)),
-        ("N", FORCE, ("N", None)),  # a unit alone is a name
+        ("thrust_lbf", units.FORCE, ("thrust", "lbf")),
+        ("thrust-lbs", units.FORCE, ("thrust", "lbs")),
+        ("net_thrust_kN", units.FORCE, ("net_thrust", "kN")),
+        ("fuel_flow_kg_per_h", units.MASS_FLOW, ("fuel_flow", "kg/h")),
+        ("fuel-flow-rate-pph", units.MASS_FLOW, ("fuel_flow_rate", "pph")),
+        ("omega_rad_s", units.ANGULAR_SPEED, ("omega", "rad/s")),
+        ("egt_degC", units.TEMPERATURE, ("egt", "degC")),
+        ("thrust", units.FORCE, ("thrust", None)),
+        ("N", units.FORCE, ("N", None)),  # a unit alone is a name
     ],
 )
-def test_a_unit_behind_a_name(name: str, quantity: Quantity, expected: tuple[str, str | None]) -> None:
+def test_a_unit_behind_a_name(name: str, quantity: units.Quantity, expected: tuple[str, str | None]) -> None:
     assert split_unit(name, quantity) == expected
 
 
@@ -282,13 +269,7 @@ def test_a_throttle_that_starts_outside_its_supposed_range_is_refused() -> None:
         ("1", 0.0, 1.0, (1.0, 0.0), (1.0, 0.75, 0.0)),  # a lever that works the other way
     ],
 )
-def test_the_throttles_range(
-    unit: str | None,
-    low: float | None,
-    high: float | None,
-    stated: tuple[float, float] | None,
-    expected: tuple[float, float, float],
-) -> None:
+def test_the_throttles_range(unit: Any, low: Any, high: Any, stated: Any, expected: tuple) -> None:
     ports = [variable("throttle", "input", unit=unit, min=low, max=high), variable("thrust", "output")]
     throttle = find_ports(ports, PortMap(throttle_range=stated))[0]["throttle"]
     assert tuple(throttle.value(u) for u in (0.0, 0.25, 1.0)) == expected
@@ -427,9 +408,7 @@ def test_an_engine_of_pythonfmu_in_pounds_with_a_mapping_file(pythons: Mapping[s
         np.testing.assert_allclose([o.spool_speed[i] for o in outputs], 1e5 * math.pi / 30.0 * x, rtol=1e-12)
 
 
-def test_a_parameter_given_goes_before_the_mapping_files_and_a_port_may_be_left_unconnected(
-    pythons: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_parameter_given_goes_first_and_a_port_may_be_left_unconnected(pythons: Mapping, tmp_path: Path) -> None:
     path = mapping(tmp_path, pythons["pythonfmu"], MAPPING.replace('spool_speed = "N1"', 'spool_speed = ""'))
     spec = load(path, {"scale": 1.0})
     assert spec.thrust_at(1.0) == pytest.approx(POUND_FORCE, rel=1e-9)
@@ -511,9 +490,7 @@ WRONG_MAPPINGS = [
 
 
 @pytest.mark.parametrize(("old", "new", "words"), WRONG_MAPPINGS)
-def test_a_wrong_mapping_file_gets_one_clear_line(
-    old: str, new: str, words: str, pythons: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_wrong_mapping_file_gets_one_line(old: str, new: str, words: str, pythons: Mapping, tmp_path: Path) -> None:
     assert old in MAPPING
     path = mapping(tmp_path, pythons["pythonfmu"], MAPPING.replace(old, new, 1))
     assert refusal(path).startswith(words.format(fmu=tmp_path / "LbfEngine.fmu", folder=tmp_path))
@@ -578,11 +555,8 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A mapping file beside the engine of odd_engine.c."""
     folder = tmp_path_factory.mktemp("odd")
     source = TOOLS / "odd_engine.c"
-    contents = {
-        "modelDescription.xml": ODD_DESCRIPTION.encode(),
-        "sources/odd_engine.c": source.read_bytes(),
-        "sources/buildDescription.xml": ODD_BUILD.encode(),
-    }
+    contents = {"modelDescription.xml": ODD_DESCRIPTION.encode(), "sources/odd_engine.c": source.read_bytes()}
+    contents["sources/buildDescription.xml"] = ODD_BUILD.encode()
     for name, data in contents.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(data)
@@ -654,9 +628,8 @@ def test_the_ambient_is_set_when_it_changes_and_only_then(odd: Path) -> None:
         for wrong in [(1.0, 2.0), Ambient(1.0, 2.0, (0.0,)), Ambient(1.0, 2.0, (0.0, 0.0, 0.0))]:
             with pytest.raises(TypeError, match="pressure, temperature and 2 air speeds"):
                 bank.step(0, (0.5, 0.5), wrong)
-        with pytest.raises(
-            EngineError, match=r"^engine 1 \(odd\.fmu\): ambient_pressure is not finite at step 0 \(0 s\)$"
-        ):
+        message = r"^engine 1 \(odd\.fmu\): ambient_pressure is not finite at step 0 \(0 s\)$"
+        with pytest.raises(EngineError, match=message):
             bank.step(0, (0.5, 0.5), air._replace(pressure=math.nan))
 
 
@@ -715,9 +688,8 @@ def test_an_fmu_with_an_input_clock_is_refused(odd: Path) -> None:
 
     path = rewrite(odd.with_name("odd.fmu"), odd.with_name("ticks.fmu"), change)
     ports = PortMap({"throttle": "levers[1]", "thrust": "forces[2]"})
-    with pytest.raises(
-        InputError, match=r"has the input clock ecu\.tick: input clocks of FMI 3\.0 left in version 0\.3\.0"
-    ):
+    message = r"has the input clock ecu\.tick: input clocks of FMI 3\.0 left in version 0\.3\.0"
+    with pytest.raises(InputError, match=message):
         read_archive(path, ports)
 
 

@@ -330,9 +330,7 @@ def test_the_parameters_follow_from_the_data_sheet(name: str, sizing: Any) -> No
         ("turbine-220", (220.0, 117e3, 720.0, 0.580), (9.0, 35e3, 490.0, 0.104)),
     ],
 )
-def test_thrust_speed_temperature_and_fuel_are_the_data_sheets(
-    name: str, full: tuple[float, ...], idle: tuple[float, ...], tmp_path: Path
-) -> None:
+def test_thrust_speed_heat_and_fuel_are_the_data_sheets(name: str, full: tuple, idle: tuple, tmp_path: Path) -> None:
     for throttle, (thrust, speed, egt, fuel) in ((1.0, full), (0.0, idle)):
         with turbine(name, tmp_path, throttle) as engine:
             found = fly(engine, np.full(50, throttle))[-1]
@@ -380,9 +378,7 @@ def rise(thrust: Array, low: float, high: float) -> float:
         ("turbine-220", (3.0, 5.0), (2.0, 4.0)),
     ],
 )
-def test_it_spools_up_slower_than_down(
-    name: str, up: tuple[float, float], down: tuple[float, float], tmp_path: Path
-) -> None:
+def test_it_spools_up_slower_than_down(name: str, up: tuple, down: tuple, tmp_path: Path) -> None:
     with turbine(name, tmp_path) as engine:
         accelerated = fly(engine, np.ones(4000))
         chopped = fly(engine, np.zeros(5000), first=4000)
@@ -405,9 +401,7 @@ def test_it_spools_up_slower_than_down(
 @pytest.mark.parametrize(("name", "lag"), [("turbine-20", 0.33), ("turbine-100", 1.02), ("turbine-220", 1.04)])
 def test_small_changes_are_as_late_as_those_of_identified_engines(name: str, lag: float, tmp_path: Path) -> None:
     """Lag at low frequency, the area between command and answer: the ECU's gains were chosen for it, at half thrust.
-
-    The thrust comes a little before the speed, for it needs the fuel alone.
-    """
+    The thrust comes a little before the speed, for it needs the fuel alone."""
     with turbine(name, tmp_path, 0.5, delay_samples=0.0) as engine:
         start = engine.get("thrust")
         thrust = fly(engine, np.full(5000, 0.501))[:, 0]

@@ -79,7 +79,7 @@ def test_a_wrong_table_is_one_line(tmp_path: Path, old: str, new: str, message: 
 def test_a_switch_is_no_uncertain_number(tmp_path: Path) -> None:
     source = find_source(str(mapping(tmp_path)))
     switch = [
-        v.__class__(**{**v.__dict__, "type": "Boolean"}) if v.name == "pole" else v for v in source.archive.parameters
+        type(v)(**{**v.__dict__, "type": "Boolean"}) if v.name == "pole" else v for v in source.archive.parameters
     ]
     with pytest.raises(InputError, match="pole is a fixed Boolean; allowed: fixed or tunable numbers"):
         source.mapping.uncertainty.check_parameters(switch, None, "fan.toml")
@@ -137,9 +137,7 @@ def test_the_factor_gives_the_correlation_again(rank: int) -> None:
     assert np.allclose(lower, np.tril(lower))
 
 
-def test_a_replay_draws_each_parameter_cut_off_at_its_own_deviation_whatever_it_is_correlated_with(
-    tmp_path: Path,
-) -> None:
+def test_a_replay_draws_each_parameter_cut_off_at_its_own_deviation_whatever_the_correlation(tmp_path: Path) -> None:
     engine = load_engine(str(mapping(tmp_path)), {}, 0.004, unchecked=True)
     drawn = list(draw_vehicles(cast(Model, SimpleNamespace(engine=engine)), Choices(draws=6000)))
     pole, gain = (np.array([change.parameters[name] for change in drawn]) for name in ("pole", "gain"))

@@ -92,9 +92,7 @@ def test_the_command_says_it_and_whether_it_is_enough(hexjet: Hexjet, tmp_path: 
         ("gone.fmu", "gone.fmu: no such file"),
     ],
 )
-def test_what_is_no_engine_is_named_in_a_line(
-    name: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_engine_is_told_so(name: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     renamed(Path("mine.fmu"))
     Path("mine.toml").write_text("")

@@ -45,9 +45,8 @@ class Flight(failsafe_flights.Flight):
 
     def told(self) -> dict[str, Any]:
         """The first of each message, by name, of what a station would get now."""
-        view = TelemetryState(
-            VehicleConstants(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), FlightEvents()
-        )
+        about = VehicleConstants(Geodesy(52.0, 13.0, 0.0), 6)
+        view = TelemetryState(about, snapshot(self.sample, self.pilot.status), FlightEvents())
         return {stream.name: found[0] for stream in STREAMS if (found := stream.make_messages(view))}
 
 
@@ -136,12 +135,8 @@ def test_the_bit_of_the_sensor_that_is_dead_is_the_one_that_goes(sensor: str, bi
 def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tmp_path: Path) -> None:
     waiting = make_ground_scenario(Scenario.load("hover"), 16.0)
     log = RequestLog(tmp_path / REQUESTS)
-    asked = [
-        (1.2, rq.SetParameter("SYS_FAILURE_EN", 1)),
-        (1.3, rq.Arm()),
-        (1.4, rq.Takeoff(8.0)),
-        *((9.0, rq.InjectFault("sensor_dropout", sensor=sensor)) for sensor in ("barometer", "gnss")),
-    ]
+    faults = [(9.0, rq.InjectFault("sensor_dropout", sensor=sensor)) for sensor in ("barometer", "gnss")]
+    asked = [(1.2, rq.SetParameter("SYS_FAILURE_EN", 1)), (1.3, rq.Arm()), (1.4, rq.Takeoff(8.0)), *faults]
     for at, request in asked:
         log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
     log.close()

@@ -18,13 +18,8 @@ from cosim.spec.scenario import Scenario
 
 def test_the_run_is_what_was_recorded_and_flies_again_as_that(tmp_path: Path) -> None:
     exchange = Exchange()
-    session = Session(
-        Scenario.load("hover"),
-        exchange,
-        factor=None,
-        duration=6.0,
-        records=RecordOptions(tmp_path / "run", report=False, log_mb=1.0),
-    )
+    records = RecordOptions(tmp_path / "run", report=False, log_mb=1.0)
+    session = Session(Scenario.load("hover"), exchange, factor=None, duration=6.0, records=records)
     row = estimate_hourly_mb(session.info) * 1e6 / 3600.0 * 0.004
     (run,) = session.run()
     rows = int(1e6 / row)
@@ -42,12 +37,7 @@ def test_the_run_is_what_was_recorded_and_flies_again_as_that(tmp_path: Path) ->
 
 
 def test_without_a_limit_everything_is_recorded(tmp_path: Path) -> None:
-    session = Session(
-        Scenario.load("hover"),
-        Exchange(),
-        factor=None,
-        duration=2.0,
-        records=RecordOptions(tmp_path / "run", report=False, log_mb=None),
-    )
+    records = RecordOptions(tmp_path / "run", report=False, log_mb=None)
+    session = Session(Scenario.load("hover"), Exchange(), factor=None, duration=2.0, records=records)
     (run,) = session.run()
     assert len(run.log) == 500

@@ -187,9 +187,7 @@ PLACE = {"x": round(LAT * 1e7), "y": round(LON * 1e7)}
         (command_int(179, 0, 0.0, **PLACE, z=42.0), rq.SetHome(50.0, -20.0, 30.0), 0.02),
     ],
 )
-def test_places_heights_and_headings_by_either_message(
-    desk: Desk, message: Any, wanted: Request, within: float
-) -> None:
+def test_places_and_headings_by_either_message(desk: Desk, message: Any, wanted: Request, within: float) -> None:
     ack, asked = result(desk, message)
     assert ack == ACCEPTED
     assert near(asked, [wanted], within), asked

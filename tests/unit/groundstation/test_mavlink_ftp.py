@@ -56,9 +56,8 @@ class Client:
         self.sequence = 0
 
     def put(self, code: int, data: bytes = b"", offset: int = 0, size: int | None = None) -> None:
-        head = struct.pack(
-            "<HBBBBBBI", self.sequence, self.session, code, len(data) if size is None else size, 0, 0, 0, offset
-        )
+        size = len(data) if size is None else size
+        head = struct.pack("<HBBBBBBI", self.sequence, self.session, code, size, 0, 0, 0, offset)
         self.station.send("FILE_TRANSFER_PROTOCOL", 0, *TO, list((head + data).ljust(251, b"\0")))
 
     def get(self, seconds: float = 0.5) -> Reply | None:
@@ -363,7 +362,7 @@ def download(station: Station, number: int, size: int, chunk: int = 512 * 90) ->
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])
-def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
+def test_a_run_is_listed_and_got_as_the_ulog_of_export(
     runs: Path, store: LogStore, tmp_path: Path, loss: float
 ) -> None:
     station = Bench(LogService(store), loss=loss).station()

@@ -10,7 +10,7 @@ import random
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import Any
 
 import pytest
@@ -181,9 +181,7 @@ def _strange(kind: Any, chance: random.Random) -> Any:
     raw = bytearray(chance.randbytes(kind.unpacker.size))
     for place in range(0, len(raw) - 3, 4):
         if chance.random() < 0.3:
-            raw[place : place + 4] = struct.pack(
-                "<f", chance.choice([nan, float("inf"), -float("inf"), 0.0, 1.0, 3e38])
-            )
+            raw[place : place + 4] = struct.pack("<f", chance.choice([nan, inf, -inf, 0.0, 1.0, 3e38]))
     message = message_of(kind, bytes(raw))
     for field, value in (("target_system", 1), ("target_component", 1), ("target", 1)):
         if field in kind.fieldnames:

@@ -58,9 +58,8 @@ class Wire:
 
     def send(self, message: Any) -> None:
         sender = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self.bench.link.dispatch_frames(
-            self.peer.feed(message.pack(sender), self.bench.time), self.peer, self.bench.time
-        )
+        frames = self.peer.feed(message.pack(sender), self.bench.time)
+        self.bench.link.dispatch_frames(frames, self.peer, self.bench.time)
 
 
 def run(bench: Bench, seconds: float, each: Callable[[], None] = lambda: None) -> None:

@@ -16,20 +16,8 @@ from mavlink_bench import TICK, Bench, StandInPeer, Station, refuse
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import ZERO3, Disturbance
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Home, Mode
-from cosim.control.autopilot.requests import (
-    Answer,
-    FenceUpload,
-    ItemKind,
-    MissionClear,
-    MissionItem,
-    MissionSetCurrent,
-    MissionUpload,
-    RallyUpload,
-    Request,
-    Result,
-    ZoneKind,
-)
 from cosim.groundstation.mavlink.services.items import PARAM5, Item, ItemError, to_item, to_mission_item
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.service import make_service_text
@@ -77,40 +65,31 @@ class Vehicle:
 
     def __init__(self, **link: Any) -> None:
         self.bench = Bench(**link)
-        self.items: tuple[MissionItem, ...] = ()
-        self.status: Any = SimpleNamespace(
-            mission_count=0,
-            mission_current=0,
-            mission_reached=-1,
-            mission_done=False,
-            mode=Mode.HOLD,
-            armed=False,
-            home=Home(0.0, 0.0, HOME),
-            zones=(),
-            rally=(),
-        )
+        self.items: tuple[rq.MissionItem, ...] = ()
+        self.status: Any = SimpleNamespace(mode=Mode.HOLD, armed=False, home=Home(0.0, 0.0, HOME), zones=(), rally=())
+        vars(self.status).update(mission_count=0, mission_current=0, mission_reached=-1, mission_done=False)
         self.service = MissionService(lambda: self.items, lambda: self.status, self.bench.ask, PLACE)
         self.bench.services.append(self.service)
         self.bench.pilot = self.pilot
         self.station = self.bench.station()
         self.bench.tick()
 
-    def pilot(self, request: Request) -> Answer:
-        if isinstance(request, MissionUpload):
+    def pilot(self, request: rq.Request) -> rq.Answer:
+        if isinstance(request, rq.MissionUpload):
             self.items = request.items
-        elif isinstance(request, MissionClear):
+        elif isinstance(request, rq.MissionClear):
             self.items = ()
-        elif isinstance(request, FenceUpload):
+        elif isinstance(request, rq.FenceUpload):
             self.status.zones = request.zones
-        elif isinstance(request, RallyUpload):
+        elif isinstance(request, rq.RallyUpload):
             self.status.rally = request.points
-        elif isinstance(request, MissionSetCurrent) and request.index >= len(self.items):
+        elif isinstance(request, rq.MissionSetCurrent) and request.index >= len(self.items):
             return refuse(f"mission item {request.index}: there are {len(self.items)}")
-        elif isinstance(request, MissionSetCurrent):
+        elif isinstance(request, rq.MissionSetCurrent):
             self.status.mission_current = request.index
         if self.status is not None:
             self.status.mission_count = len(self.items)
-        return Answer(True, Result.ACCEPTED, "")
+        return rq.Answer(True, rq.Result.ACCEPTED, "")
 
 
 @pytest.fixture
@@ -173,8 +152,8 @@ def test_an_uploaded_mission_is_flown_as_it_was_meant_and_comes_back_as_it_was_s
     assert upload(vehicle.station, SQUARE) == ACCEPTED
     kinds = [item.kind for item in vehicle.items]
     assert kinds == [
-        ItemKind.TAKEOFF, ItemKind.WAYPOINT, ItemKind.SPEED, ItemKind.WAYPOINT,
-        ItemKind.DELAY, ItemKind.WAYPOINT, ItemKind.JUMP, ItemKind.RETURN,
+        rq.ItemKind.TAKEOFF, rq.ItemKind.WAYPOINT, rq.ItemKind.SPEED, rq.ItemKind.WAYPOINT,
+        rq.ItemKind.DELAY, rq.ItemKind.WAYPOINT, rq.ItemKind.JUMP, rq.ItemKind.RETURN,
     ]  # fmt: skip
     takeoff, first, speed, second, delay, third, jump, _ = vehicle.items
     assert takeoff.altitude == 10.0 + HOME
@@ -222,7 +201,7 @@ def test_a_text_that_fills_its_last_piece_is_ended() -> None:
 def test_up_and_down_with_a_fifth_of_the_frames_lost(seed: int) -> None:
     vehicle = Vehicle(loss=0.2, seed=seed)
     assert upload(vehicle.station, SQUARE) == ACCEPTED
-    assert sum(isinstance(request, MissionUpload) for request in vehicle.bench.asked) == 1
+    assert sum(isinstance(request, rq.MissionUpload) for request in vehicle.bench.asked) == 1
     assert len(vehicle.items) == len(SQUARE)
     assert same(download(vehicle.station), SQUARE)
 
@@ -240,7 +219,7 @@ def test_the_old_messages_in_degrees_work_too(vehicle: Vehicle) -> None:
 
 
 def test_a_mission_from_elsewhere_is_written_as_items_that_mean_the_same(flown: Vehicle) -> None:
-    flown.items = (*flown.items[1:6], MissionItem(ItemKind.LAND, 5.0, 6.0), MissionItem(ItemKind.LAND))
+    flown.items = (*flown.items[1:6], rq.MissionItem(rq.ItemKind.LAND, 5.0, 6.0), rq.MissionItem(rq.ItemKind.LAND))
     for message, item in zip(download(flown.station), flown.items, strict=True):
         again = to_mission_item(item_of(message), PLACE, 99.0)
         assert again.kind is item.kind
@@ -261,7 +240,10 @@ def test_loiter_items_are_flown_by_a_vehicle_that_hovers(vehicle: Vehicle) -> No
     ]
     assert upload(vehicle.station, loiter) == ACCEPTED
     stay, circle, there, here = vehicle.items
-    assert [item.kind for item in vehicle.items] == [*(ItemKind.STAY, ItemKind.CIRCLE), *[ItemKind.ALTITUDE] * 2]
+    assert [item.kind for item in vehicle.items] == [
+        *(rq.ItemKind.STAY, rq.ItemKind.CIRCLE),
+        *[rq.ItemKind.ALTITUDE] * 2,
+    ]
     assert stay.yaw == pytest.approx(radians(90.0))
     assert (circle.turns, circle.radius, circle.clockwise) == (2.0, 8.0, False)
     assert [item.altitude for item in vehicle.items] == [height + HOME for height in (10.0, 12.0, 14.0, 9.0)]
@@ -355,7 +337,7 @@ def test_an_item_that_cannot_be_flown_is_refused_with_its_reason(flown: Vehicle,
 def test_what_is_unknown_not_there_or_too_much_has_its_code(flown: Vehicle, message: tuple[Any], code: int) -> None:
     flown.station.send(*message)
     assert flown.station.wait("MISSION_ACK").type == code
-    assert [type(request) for request in flown.bench.asked] == [MissionUpload]
+    assert [type(request) for request in flown.bench.asked] == [rq.MissionUpload]
     assert not flown.service.is_busy
 
 
@@ -375,7 +357,7 @@ def test_the_pilots_refusal_is_the_end_of_the_upload(vehicle: Vehicle) -> None:
     vehicle.bench.pilot = lambda request: refuse("upload refused: the mission is being flown")
     assert upload(vehicle.station, SQUARE) == DENIED
     assert vehicle.station.wait("STATUSTEXT").text == "upload refused: the mission is being flown"
-    vehicle.bench.pilot = lambda request: refuse("no answer", Result.FAILED)
+    vehicle.bench.pilot = lambda request: refuse("no answer", rq.Result.FAILED)
     assert upload(vehicle.station, SQUARE) == ERROR
 
 
@@ -394,9 +376,7 @@ def test_a_place_high_up_and_far_away_is_where_it_is() -> None:
     z=st.floats(width=32),
     home=st.floats(-1000.0, 1000.0),
 )
-def test_no_item_is_a_surprise(
-    command: int, frame: int, params: tuple[float, float, float, float], x: int, y: int, z: float, home: float
-) -> None:
+def test_no_item_is_a_surprise(command: int, frame: int, params: tuple, x: int, y: int, z: float, home: float) -> None:
     """Any item is flown or refused with a code that MAVLink has."""
     code = None
     try:
@@ -495,10 +475,10 @@ def test_a_fence_travels_both_ways(flown: Vehicle) -> None:
     before = flown.items
     assert upload(flown.station, FENCE, kind=1) == ACCEPTED
     polygon, circle, other = flown.status.zones
-    assert polygon.kind is ZoneKind.STAY_IN_POLYGON
+    assert polygon.kind is rq.ZoneKind.STAY_IN_POLYGON
     assert [pytest.approx(corner, abs=0.02) for corner in CORNERS] == list(polygon.points)  # 1e-7 deg are 1 cm
-    assert (circle.kind, circle.radius) == (ZoneKind.STAY_OUT_OF_CIRCLE, 5.0)
-    assert (other.kind, len(other.points)) == (ZoneKind.STAY_OUT_OF_POLYGON, 3)
+    assert (circle.kind, circle.radius) == (rq.ZoneKind.STAY_OUT_OF_CIRCLE, 5.0)
+    assert (other.kind, len(other.points)) == (rq.ZoneKind.STAY_OUT_OF_POLYGON, 3)
     back = download(flown.station, 1)
     assert [(m.command, m.param1, m.mission_type) for m in back] == [(i.command, i.params[0], 1) for i in FENCE]
     # a hundredth of a second of arc there and back
@@ -546,7 +526,7 @@ def test_all_lists_are_cleared_at_once(flown: Vehicle) -> None:
         (2, [at(0.0, 0.0, 9.0, frame=8, command=5100)], FRAME, "frame 8 is not known here"),
     ],
 )
-def test_what_is_no_fence_and_no_rally_point_is_refused(
+def test_what_is_no_fence_and_no_rally_is_refused(
     vehicle: Vehicle, kind: int, items: list[Item], code: int, text: str
 ) -> None:
     assert upload(vehicle.station, items, kind=kind) == code
@@ -566,7 +546,7 @@ def test_a_mission_with_a_camera_flies_the_rest_and_says_what_it_left_out(vehicl
     survey = [SQUARE[0], do(206, 25.0), *SQUARE[1:4], do(195), do(2000, 0.0, 1.0), do(206, 0.0), SQUARE[7]]
     assert upload(vehicle.station, survey) == ACCEPTED
     kinds = [item.kind for item in vehicle.items]
-    assert kinds.count(ItemKind.LEFT_OUT) == 4
+    assert kinds.count(rq.ItemKind.LEFT_OUT) == 4
     assert len(kinds) == len(survey)  # every other keeps its number
     text = "4 items left out, no such payload: DO_SET_CAM_TRIGG_DIST, DO_SET_ROI_LOCATION, IMAGE_START_CAPTURE"
     assert text in said(vehicle)

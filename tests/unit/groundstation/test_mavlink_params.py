@@ -244,7 +244,7 @@ def test_a_change_from_elsewhere_is_told(vehicle: Vehicle) -> None:
         ("generic", b"HJ_PRED_TYPE", 0.5, REAL32, RANGE),
     ],
 )
-def test_a_set_that_is_refused_says_why_and_changes_nothing(
+def test_a_refused_set_says_why_and_changes_nothing(
     personality: str, name: bytes, value: float, kind: int, code: int
 ) -> None:
     vehicle = Vehicle(personality)
@@ -277,7 +277,7 @@ def test_whole_numbers_are_set_in_the_words_of_each_autopilot(personality: str, 
         (refuse("the loop is unstable", Result.TEMPORARILY_REJECTED), "HJ_ROLL_P", 0.0, REAL32, NOT_PERMITTED),
     ],
 )
-def test_the_pilots_own_refusal_is_told(
+def test_the_pilots_refusal_is_told(
     vehicle: Vehicle, refusal: Answer, name: str, value: float, kind: int, code: int
 ) -> None:
     vehicle.bench.pilot = lambda request: refusal

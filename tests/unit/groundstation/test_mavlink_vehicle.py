@@ -30,6 +30,9 @@ def one(desk: Desk, name: str) -> object:
     return found[1]
 
 
+FLYING = {"armed": True, "landed": LandedState.IN_AIR, "engines": EngineState.FLY}
+
+
 def show(desk: Desk, **changes: object) -> None:
     """Let the pilot be in this state for a step."""
     desk.bench.pilot.status = status(**changes)
@@ -99,15 +102,14 @@ def test_the_wind_is_the_vehicles_own_estimate(desk: Desk) -> None:
     number = BY_NAME["WIND_COV"].id
     assert result_of(desk, number) != 0  # on the ground nothing pushes
     push, velocity = (0.05, -0.08), (1.0, 0.5)
-    flying = {"armed": True, "landed": LandedState.IN_AIR, "engines": EngineState.FLY}
-    show(desk, fix=Fix((3.0, 4.0), velocity, push), **flying)
+    show(desk, fix=Fix((3.0, 4.0), velocity, push), **FLYING)
     vehicle = load_vehicle("hexjet")[0]
     drag = 0.5 * standard_density(22.0) * vehicle.aero.drag_area_m2[0]
     speeds = [copysign(sqrt(vehicle.mass_kg * abs(b) / drag), b) for b in push]
     assert fields(desk, "WIND_COV", "wind_x", "wind_y") == pytest.approx(
         [v + speed for v, speed in zip(velocity, speeds, strict=True)], rel=1e-6
     )
-    show(desk, fix=Fix((3.0, 4.0), velocity, push), positioned=False, **flying)
+    show(desk, fix=Fix((3.0, 4.0), velocity, push), positioned=False, **FLYING)
     assert result_of(desk, number) != 0
 
 
@@ -115,14 +117,7 @@ def test_the_wind_is_the_vehicles_own_estimate(desk: Desk) -> None:
 def test_no_wind_is_told_while_it_leans_further_than_it_may_be_asked_to(desk: Desk, lean: float, told: bool) -> None:
     """At 81 degrees, on its way over, it told a wind that there was not; it may be asked for 20."""
     seen = sample().measured._replace(attitude=from_euler(0.0, radians(lean), 1.5))
-    show(
-        desk,
-        fix=Fix((3.0, 4.0), (1.0, 0.5), (0.05, -0.08)),
-        armed=True,
-        landed=LandedState.IN_AIR,
-        engines=EngineState.FLY,
-        seen=seen,
-    )
+    show(desk, fix=Fix((3.0, 4.0), (1.0, 0.5), (0.05, -0.08)), seen=seen, **FLYING)
     ack = desk.ask(command(512, float(BY_NAME["WIND_COV"].id)))[0]
     assert (ack.result == 0) is told
 
@@ -150,14 +145,8 @@ def test_engines_are_told_in_two_messages_of_four(desk: Desk) -> None:
     assert [m.ecu_index for m in controllers] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     last = controllers[5]
     # 1 g/s of kerosene of 808 kg/m^3; a quarter of full thrust
-    told = [
-        last.rpm,
-        last.fuel_flow,
-        last.engine_load,
-        last.throttle_position,
-        last.exhaust_gas_temperature,
-        last.health,
-    ]
+    names = ("rpm", "fuel_flow", "engine_load", "throttle_position", "exhaust_gas_temperature", "health")
+    told = [getattr(last, name) for name in names]
     assert told == pytest.approx([rpm[5], 0.001 / 808.0 * 6e7, 25.0, 60.0, 600.0, 1.0])
     assert (last.ignition_voltage, last.fuel_pressure) == (0.0, 0.0)  # these two say "unknown" with 0, and not with NaN
 
@@ -201,9 +190,8 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     assert fuel == pytest.approx([full, nan, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1], nan_ok=True)
     assert fields(desk, "BATTERY_STATUS", "battery_remaining", "battery_function") == [75, 2]
     assert fields(desk, "SYS_STATUS", "battery_remaining") == [75]
-    electric = TelemetryState(
-        replace(ABOUT, fuel_capacity=nan), snapshot(sample(), status(remaining=0.4)), FlightEvents()
-    )
+    tankless = replace(ABOUT, fuel_capacity=nan)
+    electric = TelemetryState(tankless, snapshot(sample(), status(remaining=0.4)), FlightEvents())
     built = {stream.name: stream.make_messages(electric) for stream in STREAMS}
     assert built["FUEL_STATUS"] == []
     assert built["BATTERY_STATUS"][0].battery_remaining == 40
@@ -236,9 +224,8 @@ def test_the_predictor_message_has_every_axis(desk: Desk) -> None:
     for row, wanted in zip(rows, expected, strict=True):
         assert row == pytest.approx(wanted, nan_ok=True)
     values = {m.name: m.value for m in desk.ask(command(512, 251.0))[1:]}
-    assert values == pytest.approx(
-        {"rate_p": 0.1, "pred_p": 0.11, "pred_err": 0.01, "model_p": 0.7, "delay_ms": 100.0}, rel=1e-5
-    )
+    expected = {"rate_p": 0.1, "pred_p": 0.11, "pred_err": 0.01, "model_p": 0.7, "delay_ms": 100.0}
+    assert values == pytest.approx(expected, rel=1e-5)
 
 
 def test_outputs_are_sent_as_pulses_and_as_fractions(desk: Desk) -> None:
@@ -254,9 +241,8 @@ def test_the_target_is_sent_locally_and_on_the_globe(desk: Desk) -> None:
     assert result_of(desk, 85) == 1  # there is none now
     show(desk, target=Home(50.0, -20.0, 30.0), yaw=0.7)
     wanted = ("coordinate_frame", "x", "y", "z", "yaw", "type_mask")
-    assert fields(desk, "POSITION_TARGET_LOCAL_NED", *wanted) == pytest.approx(
-        [1, 50.0, -20.0, -30.0, 0.7, 0b1001_1111_1000]
-    )
+    found = fields(desk, "POSITION_TARGET_LOCAL_NED", *wanted)
+    assert found == pytest.approx([1, 50.0, -20.0, -30.0, 0.7, 0b1001_1111_1000])
     lat, lon, _ = GEODESY.to_geodetic(50.0, -20.0, 30.0)
     told = fields(desk, "POSITION_TARGET_GLOBAL_INT", "lat_int", "lon_int", "alt")
     assert told == [round(lat * 1e7), round(lon * 1e7), 42.0]

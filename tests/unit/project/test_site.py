@@ -170,12 +170,8 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("sphinx", reason="no sphinx: pip install '.[docs]'")
     import subprocess
 
-    done = subprocess.run(
-        [sys.executable, str(DOCS / "website.py"), str(tmp_path / "site")],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"HEXJET_PURE": "1"},
-    )
+    command = [sys.executable, str(DOCS / "website.py"), str(tmp_path / "site")]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"HEXJET_PURE": "1"})
     assert done.returncode == 0, done.stderr
     built = list((tmp_path / "site").rglob("*.html"))
     assert len(built) > 50

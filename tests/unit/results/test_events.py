@@ -10,15 +10,7 @@ import pytest
 from pyulog import ULog
 
 from cosim import fly
-from cosim.results.events import (
-    find_contacts,
-    find_disturbances,
-    find_faults,
-    find_phases,
-    find_verdicts,
-    list_events,
-    spans,
-)
+from cosim.results import events
 from cosim.results.export import export_log
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
@@ -55,7 +47,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
-    found = [(event.kind, event.text) for event in list_events(run)]
+    found = [(event.kind, event.text) for event in events.list_events(run)]
     assert found == [
         ("disturbance", "wind of 3 m/s"),
         ("fault", "jet 6: flame-out"),
@@ -63,7 +55,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
         ("disturbance", "gust of 5 m/s"),
         ("fault", "left servo: jammed"),
     ]
-    by_text = {event.text: event for event in list_events(run)}
+    by_text = {event.text: event for event in events.list_events(run)}
     assert (by_text["jet 6: flame-out"].time_s, by_text["jet 6: flame-out"].end_s) == (1.0, 2.0)
     assert (by_text["gust of 5 m/s"].time_s, by_text["gust of 5 m/s"].end_s) == (2.5, 3.0)
     assert by_text["left servo: jammed"].end_s is None
@@ -73,7 +65,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
 
 def test_the_log_alone_tells_of_faults(run: Run) -> None:
     """A flight that was killed has not written down the faults that came by command."""
-    assert [(each.time_s, each.end_s, each.text) for each in find_faults(run.log, STEP)] == [
+    assert [(each.time_s, each.end_s, each.text) for each in events.find_faults(run.log, STEP)] == [
         (1.0, 2.0, "jet 6: a fault acts"),
         (3.0, None, "left servo: a fault acts"),
     ]
@@ -81,15 +73,15 @@ def test_the_log_alone_tells_of_faults(run: Run) -> None:
 
 def test_spans_of_a_mask_begin_and_end_with_it() -> None:
     mask = np.array([1, 1, 0, 0, 1, 0, 1], dtype=bool)
-    assert spans(mask, 0.5) == [(0.0, 1.0), (2.0, 2.5), (3.0, None)]
-    assert spans(np.zeros(3, dtype=bool), 0.5) == []
+    assert events.spans(mask, 0.5) == [(0.0, 1.0), (2.0, 2.5), (3.0, None)]
+    assert events.spans(np.zeros(3, dtype=bool), 0.5) == []
 
 
 def test_contacts_without_bounces() -> None:
     second = round(1.0 / STEP)
     ground = np.repeat([1.0, 0.0, 1.0, 0.0, 1.0], [second, second, 10, 10, second])
     log = MemoryLog([np.stack((ground, np.zeros_like(ground)))], ("on_ground", "hull_contact"))
-    found = [(each.time_s, each.text) for each in find_contacts(log, STEP)]
+    found = [(each.time_s, each.text) for each in events.find_contacts(log, STEP)]
     assert found == [(1.0, "leaves the ground"), (pytest.approx(2.08), "touches the ground")]
 
 
@@ -99,28 +91,23 @@ def test_phases_by_what_carries_the_vehicle_and_by_modes() -> None:
     lift = np.repeat([0.0, 0.2, 0.6, 0.4, 0.6, 0.0], [2 * second, second, second // 2, 10, second // 2 - 10, second])
     table = np.stack((ground, np.zeros_like(ground), 5.0 * 9.80665 * lift, np.full_like(ground, 5.0)))
     log = MemoryLog([table], ("on_ground", "hull_contact", "wing_lift_N", "mass_kg"))
-    found = find_phases(log, STEP)
-    assert [phase.name for phase in found] == [
-        "on the ground",
-        "on its jets",
-        "transition",
-        "on the wing",
-        "on the ground",
-    ]
+    found = events.find_phases(log, STEP)
+    carried = ["on the ground", "on its jets", "transition", "on the wing", "on the ground"]
+    assert [phase.name for phase in found] == carried
     assert [phase.start_s for phase in found] == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])  # a gap of 40 ms is none
     assert [phase.end_s for phase in found] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0])
     plain = MemoryLog([table[:2]], ("on_ground", "hull_contact"))
-    assert [phase.name for phase in find_phases(plain, STEP)] == ["on the ground", "in the air", "on the ground"]
+    assert [phase.name for phase in events.find_phases(plain, STEP)] == ["on the ground", "in the air", "on the ground"]
     states = [(0, "HOLD", False), (500, "HOLD", True), (750, "LAND", True)]
     record = [{"k": k, "kind": "state", "mode": mode, "armed": armed} for k, mode, armed in states]
-    assert find_phases(log, STEP, record) == [(0.0, 2.0, "disarmed"), (2.0, 3.0, "HOLD"), (3.0, 5.0, "LAND")]
-    assert find_phases(log, STEP, record[:1]) == []  # one alone is no news
+    assert events.find_phases(log, STEP, record) == [(0.0, 2.0, "disarmed"), (2.0, 3.0, "HOLD"), (3.0, 5.0, "LAND")]
+    assert events.find_phases(log, STEP, record[:1]) == []  # one alone is no news
 
 
 def test_what_the_monitor_believes_in_words() -> None:
     health = np.array([1.0, 1.0, 0.5, 0.5, 1.0, 0.0])
     log = MemoryLog([health[None, :]], ("health_2",))
-    assert [(each.time_s, each.text) for each in find_verdicts(log, 1.0)] == [
+    assert [(each.time_s, each.text) for each in events.find_verdicts(log, 1.0)] == [
         (2.0, "jet 2 reported weak: 50 % of its command"),
         (4.0, "jet 2 reported healthy again"),
         (5.0, "jet 2 reported failed"),
@@ -152,7 +139,7 @@ def test_every_fault_and_disturbance_has_words() -> None:
     )
     assert {type(fault) for fault in scenario.fault} == set(get_args(Fault))
     assert [fault.describe() for fault in scenario.fault] == [text for _, text in stated]
-    found = [(each.text, each.end_s) for each in find_disturbances(scenario, 20.0)]
+    found = [(each.text, each.end_s) for each in events.find_disturbances(scenario, 20.0)]
     assert found == [
         ("force of 5 N", 2.0),
         ("moment of 2 N m", 2.0),
@@ -163,7 +150,7 @@ def test_every_fault_and_disturbance_has_words() -> None:
 
 
 def test_the_strips_have_their_bands(run: Run) -> None:
-    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=run.summary.step_s, events=list_events(run)))
+    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=run.summary.step_s, events=events.list_events(run)))
     bands = {(each["t"], each["end"]) for each in said["events"] if each["banded"]}
     bands |= set(Reader(run.log, run.summary.step_s).upsets())
     assert {(start, 4.0 if end is None else end) for start, end in bands} == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}
@@ -174,7 +161,7 @@ def test_the_page_tells_of_them(run: Run) -> None:
     write_report(open_run(run.folder), run.folder / "again.html")
     page = (run.folder / "again.html").read_text()
     assert "What happened" in page
-    for event in list_events(run):
+    for event in events.list_events(run):
         assert event.text in page
     assert "Nothing disturbed" not in page
 

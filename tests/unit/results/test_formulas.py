@@ -13,18 +13,7 @@ from hypothesis import strategies as st
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.results.requirements.formula import (
-    After,
-    AfterEvent,
-    AllOrAny,
-    Comparison,
-    Formula,
-    Not,
-    Number,
-    Signal,
-    Throughout,
-    Until,
-)
+from cosim.results.requirements import formula as fm
 from cosim.results.requirements.grammar import parse_formula
 from cosim.results.requirements.units import UNITS, factor_between, unit_of
 
@@ -36,7 +25,7 @@ class Rows:
 
     def __init__(self, signals: Mapping[str, Sequence[float]], events: Mapping[str, Sequence[int]] = {}) -> None:
         self.rows, self.step_s = len(next(iter(signals.values()))), STEP
-        self.margins: dict[Formula, Array] = {}
+        self.margins: dict[fm.Formula, Array] = {}
         self._signals, self._events = signals, events
 
     def signal(self, name: str) -> Array:
@@ -197,59 +186,61 @@ def test_errors_say_where_and_what_is_allowed(text: str, message: str) -> None:
 
 NUMBERS = st.sampled_from([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
 ATOMS = st.builds(
-    lambda name, limit, is_upper: Comparison(
-        *((Signal(name), Number(limit, None)) if is_upper else (Number(limit, None), Signal(name))), "1", name
+    lambda name, limit, is_upper: fm.Comparison(
+        *((fm.Signal(name), fm.Number(limit, None)) if is_upper else (fm.Number(limit, None), fm.Signal(name))),
+        "1",
+        name,
     ),
     st.sampled_from(["a", "b"]),
     NUMBERS,
     st.booleans(),
 )
 SECONDS = st.sampled_from([0.0, 0.5, 1.0, 1.5, 3.0, 40.0])
-FORMULAS: st.SearchStrategy[Formula] = st.recursive(
+FORMULAS: st.SearchStrategy[fm.Formula] = st.recursive(
     ATOMS,
     lambda part: st.one_of(
-        st.builds(Not, part),
-        st.builds(lambda parts, either: AllOrAny(tuple(parts), either), st.lists(part, min_size=2, max_size=3), st.booleans()),
-        st.builds(Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
-        st.builds(Until, part, part, st.one_of(st.just(inf), SECONDS)),
-        st.builds(After, SECONDS, part),
-        st.builds(AfterEvent, st.sampled_from(["once", "often", "never"]), part),
+        st.builds(fm.Not, part),
+        st.builds(fm.AllOrAny, st.lists(part, min_size=2, max_size=3).map(tuple), st.booleans()),
+        st.builds(fm.Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
+        st.builds(fm.Until, part, part, st.one_of(st.just(inf), SECONDS)),
+        st.builds(fm.After, SECONDS, part),
+        st.builds(fm.AfterEvent, st.sampled_from(["once", "often", "never"]), part),
     ),
     max_leaves=6,
 )  # fmt: skip
 EVENTS = {"once": [2], "often": [0, 3, 4], "never": []}
 
 
-def defined(of: Formula, rows: Rows, row: int) -> float:
+def defined(of: fm.Formula, rows: Rows, row: int) -> float:
     """Return the margin in one row by the definition, all rows of a span looked at; NaN: unknown."""
     match of:
-        case Comparison():
+        case fm.Comparison():
             return float(of.greater.values(rows)[row] - of.less.values(rows)[row])
-        case Not():
+        case fm.Not():
             return -defined(of.of, rows, row)
-        case AllOrAny():
+        case fm.AllOrAny():
             margins = [defined(part, rows, row) for part in of.parts]
             known = [value for value in margins if not isnan(value)]
             sure = [value for value in known if (value > 0.0 if of.either else value < 0.0)]
             if len(known) < len(margins) and not sure:
                 return nan
             return max(known) if of.either else min(known)
-        case Throughout():
+        case fm.Throughout():
             known = [
                 value for value in (defined(of.of, rows, k) for k in span(of.seconds, rows, row)) if not isnan(value)
             ]
             return nan if not known else max(known) if of.once else min(known)
-        case Until():
+        case fm.Until():
             best = -inf
             for end in span(of.seconds, rows, row):
                 then = defined(of.then, rows, end)
                 before = [defined(of.of, rows, k) for k in range(row, end)]
                 best = max(best, -inf if isnan(then) else min([then, *(v for v in before if not isnan(v))]))
             return best
-        case After():
+        case fm.After():
             later = row + round(of.seconds / STEP)
             return defined(of.of, rows, later) if later < rows.rows else nan
-        case AfterEvent():
+        case fm.AfterEvent():
             margins = [defined(of.of, rows, k) for k in rows.event_rows(of.event) if row <= k < rows.rows]
             return min((value for value in margins if not isnan(value)), default=nan)
     raise AssertionError
@@ -261,7 +252,7 @@ def span(seconds: float, rows: Rows, row: int) -> range:
 
 @settings(max_examples=400)
 @given(FORMULAS, st.data())
-def test_margins_are_those_of_the_definition(formula: Formula, data: st.DataObject) -> None:
+def test_margins_are_those_of_the_definition(formula: fm.Formula, data: st.DataObject) -> None:
     """And the comparison and the row that decide have the margin of the whole."""
     values = st.lists(st.one_of(NUMBERS, st.just(nan)), min_size=6, max_size=6)
     rows = Rows({"a": data.draw(values), "b": data.draw(values)}, EVENTS)
@@ -274,22 +265,22 @@ def test_margins_are_those_of_the_definition(formula: Formula, data: st.DataObje
             assert sign * comparison.margins(rows)[at] == value
 
 
-def rtamt_text(of: Formula) -> str:
+def rtamt_text(of: fm.Formula) -> str:
     """Return a formula in rtamt's language, whose times are rows here."""
     match of:
-        case Comparison():
-            upper = isinstance(of.greater, Number)
+        case fm.Comparison():
+            upper = isinstance(of.greater, fm.Number)
             signal, number = (of.less, of.greater) if upper else (of.greater, of.less)
-            assert isinstance(signal, Signal)
-            assert isinstance(number, Number)
+            assert isinstance(signal, fm.Signal)
+            assert isinstance(number, fm.Number)
             return f"({signal.name} {'<' if upper else '>'} ({number.value}))".replace("(-", "(0 - ")
-        case Not():
+        case fm.Not():
             return f"(not {rtamt_text(of.of)})"
-        case AllOrAny():
+        case fm.AllOrAny():
             return "(" + (" or " if of.either else " and ").join(map(rtamt_text, of.parts)) + ")"
-        case Throughout():
+        case fm.Throughout():
             return f"({'eventually' if of.once else 'always'}{bounds(of.seconds)} {rtamt_text(of.of)})"
-        case Until():
+        case fm.Until():
             return f"({rtamt_text(of.of)} until{bounds(of.seconds)} {rtamt_text(of.then)})"
     raise AssertionError
 
@@ -298,13 +289,13 @@ def bounds(seconds: float) -> str:
     return "" if seconds == inf else f"[0:{round(seconds / STEP)}]"
 
 
-SHARED: st.SearchStrategy[Formula] = st.recursive(
+SHARED: st.SearchStrategy[fm.Formula] = st.recursive(
     ATOMS,
     lambda part: st.one_of(
-        st.builds(Not, part),
-        st.builds(lambda left, right, either: AllOrAny((left, right), either), part, part, st.booleans()),
-        st.builds(Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
-        st.builds(Until, part, part, SECONDS.filter(bool)),
+        st.builds(fm.Not, part),
+        st.builds(lambda left, right, either: fm.AllOrAny((left, right), either), part, part, st.booleans()),
+        st.builds(fm.Throughout, part, st.booleans(), st.one_of(st.just(inf), SECONDS)),
+        st.builds(fm.Until, part, part, SECONDS.filter(bool)),
     ),
     max_leaves=6,
 )
@@ -312,7 +303,7 @@ SHARED: st.SearchStrategy[Formula] = st.recursive(
 
 @settings(max_examples=150)
 @given(SHARED, st.lists(st.tuples(NUMBERS, NUMBERS), min_size=8, max_size=8))
-def test_margins_are_those_of_rtamt(formula: Formula, values: list[tuple[float, float]]) -> None:
+def test_margins_are_those_of_rtamt(formula: fm.Formula, values: list[tuple[float, float]]) -> None:
     rtamt: Any = pytest.importorskip("rtamt", reason="rtamt is not installed: pip install rtamt")
     specification = rtamt.StlDiscreteTimeSpecification()
     for name in ("a", "b"):

@@ -14,31 +14,10 @@ from scipy.optimize import brentq
 from scipy.signal import lti
 
 from cosim.base.arrays import Array
+from cosim.results import metrics as mt
 from cosim.results import wording
 from cosim.results.log.columns import NAMES
 from cosim.results.log.recorder import MemorySink, Recorder
-from cosim.results.metrics import (
-    POSITION_SETPOINT,
-    AxisMetrics,
-    EffortMetrics,
-    PositionMetrics,
-    Reach,
-    SpeedMetrics,
-    _axis_metrics,
-    activity,
-    altitude_metrics,
-    check_expectations,
-    find_steps,
-    flatten,
-    flight_metrics,
-    fuel_burnt,
-    metric_names,
-    overshoot,
-    saturation,
-    settling_time,
-    touchdown,
-    wrap,
-)
 from cosim.results.summary import summarize
 from cosim.spec.scenario import Range
 
@@ -57,11 +36,11 @@ def time(seconds: float) -> Array:
     return STEP * np.arange(round(seconds / STEP))
 
 
-def of_axis(setpoint: Array, angle: Array, **rates: Any) -> AxisMetrics:
+def of_axis(setpoint: Array, angle: Array, **rates: Any) -> mt.AxisMetrics:
     zero = np.zeros_like(setpoint)
     rate_setpoint, rate = rates.get("rate_setpoint", zero), rates.get("rate", zero)
     log = {"roll_setpoint_rad": setpoint, "roll_rad": angle, "rate_p_setpoint_rad_s": rate_setpoint}
-    return _axis_metrics(log | {"rate_p_rad_s": rate}, "roll", "p", STEP)
+    return mt._axis_metrics(log | {"rate_p_rad_s": rate}, "roll", "p", STEP)
 
 
 def stepped(zeta: float, size: float, before_s: float = 0.5, after_s: float = 6.0) -> tuple[Array, Array]:
@@ -107,15 +86,15 @@ def test_a_response_that_never_settles_has_no_settling_time() -> None:
     late = pair.copy()
     late[-1] = 0.01  # the first step settles, the second does not
     assert of_axis(pair, late).settling_time_s is None
-    assert settling_time(np.array([1.0, 0.0, 0.06]), 1.0, STEP) is None
-    assert settling_time(np.array([1.0, 0.06, 0.05]), 1.0, STEP) == 2 * STEP
-    assert settling_time(np.array([0.05, 0.0]), -1.0, STEP) == 0.0
-    assert settling_time(np.array([1.0, 0.0, nan]), 1.0, STEP) is None
+    assert mt.settling_time(np.array([1.0, 0.0, 0.06]), 1.0, STEP) is None
+    assert mt.settling_time(np.array([1.0, 0.06, 0.05]), 1.0, STEP) == 2 * STEP
+    assert mt.settling_time(np.array([0.05, 0.0]), -1.0, STEP) == 0.0
+    assert mt.settling_time(np.array([1.0, 0.0, nan]), 1.0, STEP) is None
 
 
 def test_a_doublet_is_judged_by_each_of_its_steps() -> None:
     setpoint = np.repeat([0.0, 0.1, -0.1, 0.0], [100, 500, 500, 500])
-    assert find_steps(setpoint, setpoint, STEP) == [(100, 600, 0.1), (600, 1100, -0.2), (1100, 1600, 0.1)]
+    assert mt.find_steps(setpoint, setpoint, STEP) == [(100, 600, 0.1), (600, 1100, -0.2), (1100, 1600, 0.1)]
     angle = setpoint.copy()
     angle[150] += 0.02  # 20 % of 0.1
     angle[700] -= 0.05  # 25 % of 0.2
@@ -127,10 +106,10 @@ def test_a_doublet_is_judged_by_each_of_its_steps() -> None:
 
 
 def test_overshoot_counts_in_the_direction_of_the_step() -> None:
-    assert overshoot(np.array([0.2, 0.0, -0.05]), 0.2) == pytest.approx(25.0)
-    assert overshoot(np.array([0.2, 0.0, -0.05]), -0.2) == pytest.approx(100.0)
-    assert overshoot(np.array([0.2, 0.1]), 0.2) == 0.0
-    assert overshoot(np.array([nan]), 0.2) is None
+    assert mt.overshoot(np.array([0.2, 0.0, -0.05]), 0.2) == pytest.approx(25.0)
+    assert mt.overshoot(np.array([0.2, 0.0, -0.05]), -0.2) == pytest.approx(100.0)
+    assert mt.overshoot(np.array([0.2, 0.1]), 0.2) == 0.0
+    assert mt.overshoot(np.array([nan]), 0.2) is None
 
 
 def test_a_start_away_from_the_setpoint_is_a_step() -> None:
@@ -185,13 +164,13 @@ def test_an_offset_at_the_end_is_not_an_oscillation() -> None:
 def test_heading_is_compared_around_the_circle() -> None:
     found = of_axis(np.full(500, pi - 0.01), np.full(500, -pi + 0.01))
     assert found.max_abs_error_rad == pytest.approx(0.02)
-    steps = find_steps(np.repeat([pi - 0.1, -pi + 0.1], 500), np.repeat([pi - 0.1, -pi + 0.1], 500), STEP)
+    steps = mt.find_steps(np.repeat([pi - 0.1, -pi + 0.1], 500), np.repeat([pi - 0.1, -pi + 0.1], 500), STEP)
     assert [step.size for step in steps] == [pytest.approx(0.2)]
 
 
 @given(st.floats(-1e3, 1e3))
 def test_wrapped_angles_are_the_same_angles(angle: float) -> None:
-    wrapped = float(wrap(np.array([angle]))[0])
+    wrapped = float(mt.wrap(np.array([angle]))[0])
     assert -pi < wrapped <= pi or angle == -pi
     # the argument's own rounding, magnified by nothing
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-12)
@@ -220,11 +199,11 @@ def test_values_beyond_all_bounds_do_not_stop_the_metrics() -> None:
     wild = np.array([0.0, 1e200, nan, float("inf"), -1e300])
     found = of_axis(np.zeros(5), np.zeros(5), rate=wild)
     assert found.rate_rmse_rad_s == pytest.approx(1e300 / sqrt(3.0))  # three of the five are numbers
-    assert altitude_metrics(np.zeros(5), wild).max_abs_error_m == 1e300
+    assert mt.altitude_metrics(np.zeros(5), wild).max_abs_error_m == 1e300
 
 
 def test_altitude_errors_skip_steps_without_a_set_point() -> None:
-    found = altitude_metrics(np.array([nan, 10.0, 10.0]), np.array([0.0, 13.0, 6.0]))
+    found = mt.altitude_metrics(np.array([nan, 10.0, 10.0]), np.array([0.0, 13.0, 6.0]))
     assert found.rmse_m == pytest.approx(sqrt(12.5))
     assert found.max_abs_error_m == 4.0
     assert found.final_error_m == 4.0
@@ -233,7 +212,7 @@ def test_altitude_errors_skip_steps_without_a_set_point() -> None:
 def test_the_ground_carries_what_is_asked_to_be_lower() -> None:
     setpoint, altitude = np.array([1.0, 5.0, -3.0, -3.0]), np.array([0.5, 4.0, 1.0, 0.1])
     contact = np.array([True, False, False, True])
-    found = altitude_metrics(setpoint, altitude, contact)
+    found = mt.altitude_metrics(setpoint, altitude, contact)
     # below on the ground counts, above in the air counts, above on the ground does not
     assert found.rmse_m == pytest.approx(sqrt((0.5**2 + 1.0 + 16.0) / 4.0))
     assert found.max_abs_error_m == 4.0
@@ -249,7 +228,7 @@ class Made(dict[str, Array]):
         if name.startswith("health_"):
             return np.ones(self.rows)
         return np.full(
-            self.rows, nan if name in POSITION_SETPOINT or name.startswith(("fuel_", "altitude_set")) else 0.0
+            self.rows, nan if name in mt.POSITION_SETPOINT or name.startswith(("fuel_", "altitude_set")) else 0.0
         )
 
     @property
@@ -272,7 +251,7 @@ def test_drift_is_the_distance_from_the_start_and_speed_is_that_over_the_ground(
         velocity_north_m_s=3.0 * t / t[-1],
         velocity_east_m_s=-4.0 * t / t[-1],
     )
-    found = flight_metrics(log, STEP)
+    found = mt.flight_metrics(log, STEP)
     assert found.position.drift_m == pytest.approx(5.0)
     assert found.position.final_drift_m == pytest.approx(5.0 * abs(np.sin(0.5 * pi * t[-1])))
     assert found.position.rmse_m is found.position.max_abs_error_m is found.position.final_error_m is None
@@ -283,14 +262,14 @@ def test_the_place_asked_for_is_what_position_errors_are_from() -> None:
     log = made(
         4, north_m=[0, 3, 3, 6], east_m=[0, 4, 4, 8], north_setpoint_m=[nan, 0, 3, 6], east_setpoint_m=[nan, 0, 4, 7]
     )
-    found = flight_metrics(log, STEP).position
+    found = mt.flight_metrics(log, STEP).position
     assert (found.drift_m, found.final_drift_m) == (10.0, 10.0)
     assert (found.max_abs_error_m, found.final_error_m) == (5.0, 1.0)
     assert found.rmse_m == pytest.approx(sqrt(26.0 / 3.0))
 
 
 def test_saturation_is_what_was_refused_or_stands_at_its_end() -> None:
-    reach = Reach(throttle=((0.05, 1.0),) * 6, tilt_rad=0.5)
+    reach = mt.Reach(throttle=((0.05, 1.0),) * 6, tilt_rad=0.5)
     log = made(
         8,
         **{f"throttle_{jet}": np.full(8, 0.5) for jet in range(1, 7)},
@@ -301,23 +280,25 @@ def test_saturation_is_what_was_refused_or_stands_at_its_end() -> None:
     log["throttle_2"] = np.array([0.05, 0.5, 0.5, 0.5, 0.5, 0.05, 0.999, 0.06])
     log["throttle_6"] = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 0.05])
     log["health_6"] = np.array([1, 1, 1, 1, 1, 1, 1, 0.0])  # given up: its throttle is closed for that
-    assert saturation(log, reach).tolist() == [True, False, True, True, False, True, True, False]
-    assert flight_metrics(log, STEP, reach).effort.saturated_percent == pytest.approx(100.0 * 4 / 7)
-    assert saturation(log, None).tolist() == [True, False, True] + 5 * [False]
+    assert mt.saturation(log, reach).tolist() == [True, False, True, True, False, True, True, False]
+    assert mt.flight_metrics(log, STEP, reach).effort.saturated_percent == pytest.approx(100.0 * 4 / 7)
+    assert mt.saturation(log, None).tolist() == [True, False, True] + 5 * [False]
     standing = made(3, on_ground=[1, 1, 1], refused_roll=[1, 1, 1])
-    assert flight_metrics(standing, STEP, reach).effort.saturated_percent is None
+    assert mt.flight_metrics(standing, STEP, reach).effort.saturated_percent is None
 
 
 def test_activity_is_the_way_of_a_command_per_second() -> None:
     t = time(12.0)
     sine = 0.3 * np.sin(2.0 * pi * 0.25 * t)  # a crest and a trough in 4 s, each on a row: 4 times 0.3
     to_the_last_row = 0.3 * 12.0 - 0.3 * abs(np.sin(2.0 * pi * 0.25 * (t[-1] - 12.0)))
-    assert activity([sine], STEP) == pytest.approx(to_the_last_row / t[-1])
-    assert activity([sine, np.zeros(t.size), np.full(t.size, nan)], STEP) == pytest.approx(to_the_last_row / t[-1] / 2)
-    assert activity([np.zeros(1)], STEP) is activity([], STEP) is None
+    assert mt.activity([sine], STEP) == pytest.approx(to_the_last_row / t[-1])
+    assert mt.activity([sine, np.zeros(t.size), np.full(t.size, nan)], STEP) == pytest.approx(
+        to_the_last_row / t[-1] / 2
+    )
+    assert mt.activity([np.zeros(1)], STEP) is mt.activity([], STEP) is None
     ramp = np.linspace(0.0, 1.0, 251)
     log = made(251, throttle_1=ramp, tilt_left_command_rad=-ramp)
-    effort = flight_metrics(log, STEP).effort
+    effort = mt.flight_metrics(log, STEP).effort
     assert effort.saturated_percent == 0.0
     assert effort.throttle_1_s == pytest.approx(1.0 / 6.0)
     assert effort.tilt_rad_s == pytest.approx(0.5)
@@ -326,16 +307,20 @@ def test_activity_is_the_way_of_a_command_per_second() -> None:
 def test_fuel_burnt_is_what_left_the_tank_or_what_the_engines_say() -> None:
     flow = np.array([0.1, 0.2, 0.3, 9.9])  # the last acts after the last row
     left = 5.0 - np.concatenate(([0.0], np.cumsum(2.0 * flow[:-1] * STEP)))
-    assert fuel_burnt(left, [flow, flow], STEP) == pytest.approx(1.2 * STEP)
-    assert fuel_burnt(np.full(4, nan), [flow, flow, np.full(4, nan)], STEP) == pytest.approx(1.2 * STEP)
-    assert fuel_burnt(np.full(4, nan), [np.full(4, nan)], STEP) is None
-    assert fuel_burnt(np.full(4, 2.0), [np.full(4, nan)], STEP) is None  # a tank that nobody reports to stays full
-    assert fuel_burnt(np.zeros(0), [], STEP) is None
+    assert mt.fuel_burnt(left, [flow, flow], STEP) == pytest.approx(1.2 * STEP)
+    assert mt.fuel_burnt(np.full(4, nan), [flow, flow, np.full(4, nan)], STEP) == pytest.approx(1.2 * STEP)
+    assert mt.fuel_burnt(np.full(4, nan), [np.full(4, nan)], STEP) is None
+    assert mt.fuel_burnt(np.full(4, 2.0), [np.full(4, nan)], STEP) is None  # a tank that nobody reports to stays full
+    assert mt.fuel_burnt(np.zeros(0), [], STEP) is None
 
 
 def test_an_empty_log_has_empty_metrics() -> None:
-    nothing = flight_metrics(made(0), STEP)
-    assert (nothing.position, nothing.speed, nothing.effort) == (PositionMetrics(), SpeedMetrics(), EffortMetrics())
+    nothing = mt.flight_metrics(made(0), STEP)
+    assert (nothing.position, nothing.speed, nothing.effort) == (
+        mt.PositionMetrics(),
+        mt.SpeedMetrics(),
+        mt.EffortMetrics(),
+    )
 
 
 def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> None:
@@ -347,25 +332,25 @@ def test_touchdown_is_the_descent_before_the_first_contact_after_a_flight() -> N
     down = np.linspace(-1.0, 1.0, contact.size)
     landing = stand + hop + 5 + fly
     down[landing - 1] = 0.7
-    assert touchdown(contact, altitude, down) == 0.7
-    assert touchdown(contact[:landing], altitude[:landing], down[:landing]) is None  # still flying
-    assert touchdown(np.ones(50, bool), altitude[:50], down[:50]) is None  # never left
+    assert mt.touchdown(contact, altitude, down) == 0.7
+    assert mt.touchdown(contact[:landing], altitude[:landing], down[:landing]) is None  # still flying
+    assert mt.touchdown(np.ones(50, bool), altitude[:50], down[:50]) is None  # never left
     fall = np.linspace(2.0, 0.1, 205)
-    assert touchdown(np.repeat([False, True], [200, 5]), fall, fall) == fall[199]  # began in the air
-    assert touchdown(np.zeros(0, bool), np.zeros(0), np.zeros(0)) is None
+    assert mt.touchdown(np.repeat([False, True], [200, 5]), fall, fall) == fall[199]  # began in the air
+    assert mt.touchdown(np.zeros(0, bool), np.zeros(0), np.zeros(0)) is None
 
 
 def test_missed_expectations_are_named() -> None:
     flat = {"roll.overshoot_percent": 41.25, "roll.settling_time_s": None, "altitude.rmse_m": 0.5}
-    assert check_expectations(flat, {"roll.overshoot_percent": Range(min=41.25, max=41.25)}) == []
-    assert check_expectations(flat, {"roll.overshoot_percent": Range(max=25.0)}) == [
+    assert mt.check_expectations(flat, {"roll.overshoot_percent": Range(min=41.25, max=41.25)}) == []
+    assert mt.check_expectations(flat, {"roll.overshoot_percent": Range(max=25.0)}) == [
         "roll.overshoot_percent = 41.25, expected at most 25"
     ]
-    assert check_expectations(flat, {"altitude.rmse_m": Range(min=1.0), "roll.settling_time_s": Range(max=2.0)}) == [
+    assert mt.check_expectations(flat, {"altitude.rmse_m": Range(min=1.0), "roll.settling_time_s": Range(max=2.0)}) == [
         "altitude.rmse_m = 0.5, expected at least 1",
         "roll.settling_time_s: this flight has none, expected at most 2",
     ]
-    assert check_expectations(flat, {"roll.overshoot": Range(min=1.0, max=2.0)}) == [
+    assert mt.check_expectations(flat, {"roll.overshoot": Range(min=1.0, max=2.0)}) == [
         "unknown metric 'roll.overshoot'; did you mean 'roll.overshoot_percent'? "
         "allowed: altitude.rmse_m, roll.overshoot_percent, roll.settling_time_s"
     ]
@@ -377,12 +362,12 @@ def test_every_metric_has_a_name_for_expectations() -> None:
     for sample in samples(2000):
         recorder.observe(sample)
     recorder.flush()
-    metrics = flight_metrics(sink.log(), STEP)
-    assert tuple(flatten(metrics)) == metric_names()
-    assert wording.DIGITS.keys() == set(metric_names())
-    assert flatten(metrics)["roll.rmse_rad"] == metrics.axes["roll"].rmse_rad
-    assert flatten(metrics)["altitude.rmse_m"] == metrics.altitude.rmse_m
-    assert summarize(setup(), sink.log(), "completed", "", 1.0).flat_metrics == flatten(metrics)
+    metrics = mt.flight_metrics(sink.log(), STEP)
+    assert tuple(mt.flatten(metrics)) == mt.metric_names()
+    assert wording.DIGITS.keys() == set(mt.metric_names())
+    assert mt.flatten(metrics)["roll.rmse_rad"] == metrics.axes["roll"].rmse_rad
+    assert mt.flatten(metrics)["altitude.rmse_m"] == metrics.altitude.rmse_m
+    assert summarize(setup(), sink.log(), "completed", "", 1.0).flat_metrics == mt.flatten(metrics)
     roll, pitch = metrics.axes["roll"], metrics.axes["pitch"]
     assert roll.commanded
     assert not pitch.commanded

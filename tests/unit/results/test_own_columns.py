@@ -144,9 +144,8 @@ def test_predictors_show_through_the_cascade_under_their_axes(monkeypatch: pytes
         # of a predictor whose place another takes in flight nothing is known from there on
         simulation.reset()
         gains = simulation.vehicle.control.rate
-        simulation.cascade.rate.retune(
-            (gains.roll, gains.pitch, gains.yaw), built_in(HOVER, simulation.vehicle, simulation.engine)
-        )
+        rates = (gains.roll, gains.pitch, gains.yaw)
+        simulation.cascade.rate.retune(rates, built_in(HOVER, simulation.vehicle, simulation.engine))
         assert all(isnan(value) for value in simulation.step().own)
 
 

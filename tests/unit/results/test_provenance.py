@@ -29,7 +29,7 @@ def design(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_run_names_its_design_everywhere_and_flies_again_alone(
+def test_a_run_names_its_design_and_flies_again_alone(
     design: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
@@ -84,7 +84,7 @@ def test_a_program_names_a_design_as_the_command_does(
         ({"step_s": 0.002}, "my-design.toml", "designed for steps of 0.004 s, not of 0.002 s"),
     ],
 )
-def test_a_design_that_is_for_something_else_is_refused_to_a_program(
+def test_a_design_for_something_else_is_refused_to_a_program(
     design: Path, changes: dict[str, object], given: str, message: str
 ) -> None:
     scenario = Scenario.load("hover").replace(controller="baseline", expect=[], **changes)
@@ -154,9 +154,8 @@ def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
     model.write_bytes(toml_text({"identified": stated}).encode())
     run_command(["fly", "roll-doublet", "--model", str(model), "--set", "duration_s=0.2", "--out", str(out)])
     summary = open_run(out).summary
-    assert [(given.kind, given.file, given.changed) for given in summary.parameter_files] == [
-        ("models", "model.toml", ())
-    ]
+    (given,) = summary.parameter_files
+    assert (given.kind, given.file, given.changed) == ("models", "model.toml", ())
     assert summary.controller_shown == f"smith, models model {summary.parameter_files[0].sha256[:8]}"
 
 

@@ -34,16 +34,6 @@ from cosim.results.report.log_reader import Reader, choose_rows
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflate, figure_json
 from cosim.results.report.panels import ATTITUDE, jet_rows, make_rest_columns
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import (
-    FlightData,
-    Packed,
-    describe_shape,
-    extremes,
-    group_length,
-    pack,
-    quantisation_step,
-    run_data,
-)
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
 from cosim.results.run import Run
@@ -56,6 +46,16 @@ Change = Callable[[Sample], Sample]
 
 def flown(steps: int = 2000, outcome: str = "completed", reason: str = "", **more: Any) -> Run:
     return write_run_page(record(steps, outcome=outcome, reason=reason, **more))
+
+
+def turning(sample: Sample) -> Sample:
+    """Asked for more and more roll."""
+    return sample._replace(command=sample.command._replace(attitude=(sample.time, 0.0, 0.0)))
+
+
+def swung(by: float) -> Change:
+    """Rolling by so much more."""
+    return lambda s: s._replace(state=s.state._replace(euler=(by * s.state.euler[0], 0.0, 0.0)))
 
 
 @pytest.fixture(scope="module")
@@ -117,14 +117,12 @@ def test_every_strip_names_columns_that_are_there(run: Run) -> None:
     json.loads(figure_json(figures))
 
 
-def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(run: Run, monkeypatch: Any) -> None:
     reach = Reach(throttle=((0.0, 0.46),) * 6)  # within what the doublet asks for
     end = len(run.log) * STEP
 
     def bands() -> list[tuple[float, float]]:
-        said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=STEP, reach=reach))
+        said, _ = signals_data.run_data(signals_data.FlightData(run.log, "one", BLUE, step_s=STEP, reach=reach))
         return [(start, end if stop is None else stop) for start, stop in said["saturated"]]
 
     share = flight_metrics(run.log, STEP, reach).effort.saturated_percent
@@ -137,7 +135,7 @@ def test_the_bands_of_saturation_are_the_steps_that_the_metric_counts(
     monkeypatch.setattr(signals_data, "MAX_INTERVALS", 2)
     widest = int(np.argmax(gaps))
     assert bands() == [(all_of_them[0][0], all_of_them[widest][1]), (all_of_them[widest + 1][0], all_of_them[-1][1])]
-    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=STEP))
+    said, _ = signals_data.run_data(signals_data.FlightData(run.log, "one", BLUE, step_s=STEP))
     assert said["saturated"] == []
 
 
@@ -198,7 +196,7 @@ def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
 
 def test_a_wing_is_drawn_with_what_turns_its_surfaces_and_thrust_where_it_points() -> None:
     vehicle, _ = load_vehicle("jetwing")
-    panels = describe_shape(vehicle)["panels"]
+    panels = signals_data.describe_shape(vehicle)["panels"]
     assert {panel["column"] for panel in panels} == {
         None, "deflection_aileron", "deflection_elevator", "deflection_rudder"
     }  # fmt: skip
@@ -244,10 +242,8 @@ def test_disturbances_are_shaded_and_what_is_not_there_is_left_out(run: Run, tmp
     ((start, end),) = Reader(run.log, STEP).upsets()
     # on for 6 < t < 7: from the row at 6.004 s to the one that begins at 7 s
     assert (start, end) == (pytest.approx(6.004), pytest.approx(7.0))
-    assert [(panel["title"], panel["unit"]) for panel in figures["outside"]["panels"]] == [
-        ("Moment", "N m"),
-        ("Wind", "m/s"),
-    ]
+    panels = [(panel["title"], panel["unit"]) for panel in figures["outside"]["panels"]]
+    assert panels == [("Moment", "N m"), ("Wind", "m/s")]
     assert not any(label.endswith("refused") for label in signals(figures["effort"]))
     calm = flown(100, change=lambda s: s._replace(state=s.state._replace(wind=(0.0, 0.0, 0.0))))
     assert "outside" not in run_figures(calm.log, calm.summary)
@@ -320,7 +316,7 @@ def test_a_packed_column_is_what_it_was_to_half_a_step(kind: str, rows: int) -> 
         "far": 1e9 + 1e-3 * rng.normal(size=rows),
         "tiny": 1e-200 * rng.normal(size=rows),
     }[kind]
-    column = pack(values)
+    column = signals_data.pack(values)
     again = unpack(column, rows)
     assert np.array_equal(np.isnan(again), np.isnan(values))
     assert np.nanmax(np.abs(again - values)) <= 0.5 * column.step * (1.0 + 1e-6)
@@ -333,18 +329,18 @@ def test_a_packed_column_is_what_it_was_to_half_a_step(kind: str, rows: int) -> 
 
 
 def test_a_column_without_a_number_is_not_carried() -> None:
-    assert pack(np.full(5, nan)) is None
+    assert signals_data.pack(np.full(5, nan)) is None
 
 
 def test_the_extremes_of_a_group_come_in_their_order() -> None:
     values = np.array([3.0, 9.0, -1.0, 4.0, 2.0, 2.0, 2.0, 2.0, nan, 5.0, nan, 4.0, nan, nan, nan, nan, 7.0, 8.0])
     expected = [9.0, -1.0, 2.0, 2.0, 5.0, 4.0, nan, nan, 7.0, 8.0]
-    assert np.array_equal(extremes(values, 4), expected, equal_nan=True)
+    assert np.array_equal(signals_data.extremes(values, 4), expected, equal_nan=True)
 
 
 @pytest.mark.parametrize(("steps", "group"), [(1, 1), (150_000, 1), (150_001, 4), (300_000, 4), (900_000, 12)])
 def test_a_page_has_at_most_so_many_rows(steps: int, group: int) -> None:
-    assert group_length(steps) == group
+    assert signals_data.group_length(steps) == group
     assert 2 * -(-steps // group) <= 150_000 + 1 or group == 1
 
 
@@ -353,14 +349,13 @@ def test_a_long_flight_says_what_its_page_leaves_out(monkeypatch: pytest.MonkeyP
     rng = np.random.default_rng(7)
     values = np.cumsum(rng.normal(size=1003))
     log = MemoryLog([values[None]], ("roll_rad",))
-    whole, _ = run_data(FlightData(log, "Mine", "#2f7de1", step_s=0.004))
+    whole, _ = signals_data.run_data(signals_data.FlightData(log, "Mine", "#2f7de1", step_s=0.004))
     assert (whole["rows"], whole["step"], whole["group"], whole["thinned"]) == (1003, 0.004, 1, "")
     monkeypatch.setattr(signals_data, "MAX_ROWS", 300)
-    said, data = run_data(FlightData(log, "Mine", "#2f7de1", step_s=0.004))
+    said, data = signals_data.run_data(signals_data.FlightData(log, "Mine", "#2f7de1", step_s=0.004))
     (column,) = said["columns"]
-    drawn = unpack(
-        Packed(**{key: column[key] for key in Packed._fields if key != "data"}, data=data["roll_rad"]), said["rows"]
-    )
+    about = {key: column[key] for key in signals_data.Packed._fields if key != "data"}
+    drawn = unpack(signals_data.Packed(**about, data=data["roll_rad"]), said["rows"])
     assert said["group"] == 8
     assert said["rows"] == drawn.size == 252
     assert said["step"] == pytest.approx(0.016)
@@ -372,26 +367,22 @@ def test_a_long_flight_says_what_its_page_leaves_out(monkeypatch: pytest.MonkeyP
     for row, value in enumerate(drawn):
         near = values[8 * (row // 2) : 8 * (row // 2) + 8]
         assert np.min(np.abs(near - value)) <= tolerance
-    assert quantisation_step(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
+    assert signals_data.quantisation_step(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
 
 
 def test_the_page_is_whole_and_needs_nothing_else(run: Run, tmp_path: Path) -> None:
     page = page_of(run, tmp_path)
     told = page.figures["flight-data"]
     assert page.places == set(told["figures"]) == set(run_figures(run.log, run.summary))
-    loaded = [
-        attrs
-        for tag, attrs in page.elements
-        if tag in ("script", "link", "img", "iframe") and {"src", "href"} & set(attrs)
-    ]
-    assert loaded == []
+    loading = ("script", "link", "img", "iframe")
+    assert not [attrs for tag, attrs in page.elements if tag in loading and {"src", "href"} & set(attrs)]
     style = re.search(r"<style>(.*?)</style>", (tmp_path / "report.html").read_text(), re.DOTALL)
     assert "url(" not in style[1]
     assert "@import" not in style[1]
     (said,) = told["runs"]
     for about in said["columns"]:
         text = page.data.get(f"data-0-{about['data']}", "")
-        column = Packed(*(about[key] for key in Packed._fields[:-1]), text)
+        column = signals_data.Packed(*(about[key] for key in signals_data.Packed._fields[:-1]), text)
         values = unpack(column, said["rows"])
         if about["name"] in run.log.columns:
             exact = run.log[about["name"]]
@@ -438,7 +429,7 @@ def test_a_run_in_a_folder_says_how_to_fly_it_again(tmp_path: Path) -> None:
 
 
 def test_what_is_expected_and_not_met_is_plain_to_see(tmp_path: Path) -> None:
-    run = flown(change=lambda s: s._replace(state=s.state._replace(euler=(2.0 * s.state.euler[0], 0.0, 0.0))))
+    run = flown(change=swung(2.0))
     text = page_of(run, tmp_path).text
     assert "Not as expected: roll.overshoot_percent = " in text
     assert re.search(r"roll overshoot expected [\d.]+ % ≤ 35 % -[\d.]+ % -\d+ % – broken", " ".join(text.split()))
@@ -473,7 +464,9 @@ def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
     page = page_of(run, tmp_path)
     (said,) = page.figures["flight-data"]["runs"]
     about = next(each for each in said["columns"] if each["name"] == "roll_setpoint_rad")
-    column = Packed(*(about[key] for key in Packed._fields[:-1]), page.data["data-0-roll_setpoint_rad"])
+    column = signals_data.Packed(
+        *(about[key] for key in signals_data.Packed._fields[:-1]), page.data["data-0-roll_setpoint_rad"]
+    )
     setpoint = unpack(column, said["rows"])
     assert np.isnan(setpoint[:100]).all()
     assert np.isfinite(setpoint[100:]).all()
@@ -481,17 +474,9 @@ def test_values_that_are_no_numbers_are_gaps(tmp_path: Path) -> None:
 
 def test_text_of_a_scenario_cannot_become_markup(tmp_path: Path) -> None:
     evil = "</script><script>alert(1)</script><img src=x onerror=alert(1)> & \"quoted\" 'too'"
-    run = flown(
-        20,
-        "failed",
-        evil,
-        title=evil,
-        description=evil,
-        engine=evil,
-        delay_ledger=[DelayRow(element=evil, owner=evil, kind=evil, samples=1.0)],
-        versions={evil: evil},
-        sha256={evil: evil},
-    )
+    told = {"title": evil, "description": evil, "engine": evil, "versions": {evil: evil}, "sha256": {evil: evil}}
+    row = DelayRow(element=evil, owner=evil, kind=evil, samples=1.0)
+    run = flown(20, "failed", evil, delay_ledger=[row], **told)
     compare_report([run, flown(20)], tmp_path / "compare.html")
     for page in (page_of(run, tmp_path), Page(tmp_path / "compare.html")):
         assert not [tag for tag, attrs in page.elements if tag == "img" or "onerror" in attrs]
@@ -512,12 +497,7 @@ def test_verdicts(run: Run) -> None:
     words = verdict(run.summary)
     assert words.startswith("Flew all 8.00 s. Roll: 25 % overshoot, settled within 0.85 s, ")
     assert "Pitch" not in words
-    lost = flown(
-        1500,
-        "diverged",
-        "leaned past 90 deg",
-        change=lambda s: s._replace(command=s.command._replace(attitude=(s.time, 0.0, 0.0))),
-    )
+    lost = flown(1500, "diverged", "leaned past 90 deg", change=turning)
     assert verdict(lost.summary).startswith("Diverged after 6.00 s of 8 s: leaned past 90 deg.")
     still = flown(100, change=lambda s: s._replace(command=Command((0.0, 0.0, 0.0), 30.0)))
     assert "Largest attitude error" in verdict(still.summary)
@@ -525,11 +505,7 @@ def test_verdicts(run: Run) -> None:
 
 
 def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
-    ringing = flown(
-        folder=tmp_path / "a",
-        controller="baseline",
-        change=lambda s: s._replace(state=s.state._replace(euler=(1.5 * s.state.euler[0], 0.0, 0.0))),
-    )
+    ringing = flown(folder=tmp_path / "a", controller="baseline", change=swung(1.5))
     calm = flown(folder=tmp_path / "b")
     path = tmp_path / "comparison.html"
     compare_report([ringing, calm], path)
@@ -557,9 +533,8 @@ def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
 
 
 def test_the_set_point_is_that_of_the_longest_run(run: Run) -> None:
-    figures = comparison_figures(
-        [ComparedFlight("abc"[n], each.log, each) for n, each in enumerate((flown(500), run, flown(100)))], {}
-    )
+    flights = [ComparedFlight("abc"[n], each.log, each) for n, each in enumerate((flown(500), run, flown(100)))]
+    figures = comparison_figures(flights, {})
     last = figures["attitude"]["panels"][0]["signals"][3:]
     assert [(signal["run"], signal["label"]) for signal in last] == [(1, "set-point")]
 

@@ -22,6 +22,7 @@ from cosim.campaign.analysis.table import read_flight_table
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import MARGIN_OF, fly_one, kinds
+from cosim.results import requirements as rs
 from cosim.results.contacts import CONTACTS
 from cosim.results.expectations import check_expected
 from cosim.results.limits import find_exceeded
@@ -30,15 +31,6 @@ from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import check_expectations
 from cosim.results.report.flight import write_report
 from cosim.results.report.requirements import by_margin, compared_margins, margins_over_time
-from cosim.results.requirements import (
-    FailedFlight,
-    FlightSignals,
-    Requirement,
-    RequirementResult,
-    flight_requirements,
-    range_requirements,
-    smallest_margin,
-)
 from cosim.results.requirements.signals import event_times
 from cosim.results.requirements.stated import note_first_row
 from cosim.results.run import Run, open_run
@@ -53,19 +45,17 @@ STEP = 0.1
 LEVEL = {"name": "level", "formula": "always(abs(roll_deg) < 30)"}
 
 
-def flight(
-    metrics: Mapping[str, float | None] | None = None, times: Mapping[str, list[float]] | None = None, **columns: Any
-) -> FlightSignals:
+def flight(metrics: Mapping | None = None, times: Mapping | None = None, **columns: Any) -> rs.FlightSignals:
     """Return a flight of which some columns are given and all others are 0."""
     rows = len(next(iter(columns.values())))
     table = np.zeros((len(NAMES), rows))
     for name, values in columns.items():
         table[NAMES.index(name)] = values
-    return FlightSignals(MemoryLog([table], NAMES, COLUMNS), STEP, metrics or {}, times or {})
+    return rs.FlightSignals(MemoryLog([table], NAMES, COLUMNS), STEP, metrics or {}, times or {})
 
 
 def test_a_margin_has_its_instant_and_its_comparison() -> None:
-    requirement = Requirement(name="level", formula="always(abs(roll_deg) < 30 and pitch_deg > -10)")
+    requirement = rs.Requirement(name="level", formula="always(abs(roll_deg) < 30 and pitch_deg > -10)")
     assessed = requirement.assess(flight(roll_rad=np.radians([0, -20, 5]), pitch_rad=np.radians([0, 0, -7])))
     assert (assessed.margin, assessed.kept) == (pytest.approx(3.0), True)
     assert assessed.decided_at_s == pytest.approx(0.2)
@@ -75,7 +65,7 @@ def test_a_margin_has_its_instant_and_its_comparison() -> None:
 
 
 def test_a_margin_over_time_turns_with_not() -> None:
-    assessed = Requirement(name="a", formula="not eventually(altitude_m > 5)").assess(flight(altitude_m=[1, 4, 2]))
+    assessed = rs.Requirement(name="a", formula="not eventually(altitude_m > 5)").assess(flight(altitude_m=[1, 4, 2]))
     assert assessed.margin == 1.0
     np.testing.assert_array_equal(assessed.margin_over_time, [4.0, 1.0, 3.0])
 
@@ -110,27 +100,27 @@ def test_events_are_those_of_the_log_and_of_the_scenario() -> None:
 
 
 def test_what_was_never_tested_is_not_kept() -> None:
-    requirement = Requirement(name="a", formula='after("touches the ground", altitude_m < 1)')
+    requirement = rs.Requirement(name="a", formula='after("touches the ground", altitude_m < 1)')
     assessed = requirement.assess(flight(altitude_m=[9.0, 9.0]))
     assert (assessed.margin, assessed.kept, assessed.note) == (None, False, "never tested in this flight")
-    assert RequirementResult.of(assessed).scaled == -1.0
-    never = Requirement(name="b", formula='until(altitude_m > 3, "touches the ground")').assess(
+    assert rs.RequirementResult.of(assessed).scaled == -1.0
+    late = rs.Requirement(name="b", formula='until(altitude_m > 3, "touches the ground")').assess(
         flight(altitude_m=[9.0])
     )
-    assert (never.margin, never.kept) == (None, False)
+    assert (late.margin, late.kept) == (None, False)
 
 
 def test_a_lost_flight_keeps_nothing_the_less_the_earlier() -> None:
-    requirement = Requirement(name="level", formula=LEVEL["formula"])
-    ends = [(end, requirement.assess(flight(roll_rad=[0.1]), FailedFlight(end, 10.0))) for end in (0.0, 5.0, 10.0)]
+    requirement = rs.Requirement(name="level", formula=LEVEL["formula"])
+    ends = [(end, requirement.assess(flight(roll_rad=[0.1]), rs.FailedFlight(end, 10.0))) for end in (0.0, 5.0, 10.0)]
     assert [assessed.margin for _, assessed in ends] == [-60.0, -45.0, -30.0]
     assert [assessed.kept for _, assessed in ends] == [False] * 3
     assert [assessed.decided_at_s for _, assessed in ends] == [0.0, 5.0, 10.0]
-    worse = requirement.assess(flight(roll_rad=np.radians([0.0, 100.0])), FailedFlight(9.0, 10.0))
+    worse = requirement.assess(flight(roll_rad=np.radians([0.0, 100.0])), rs.FailedFlight(9.0, 10.0))
     assert (worse.margin, worse.decided_at_s) == (pytest.approx(-70.0), STEP)
-    assert smallest_margin([RequirementResult.of(ends[0][1])], FailedFlight(5.0, 10.0)) == (-2.0, "level")
-    assert smallest_margin([], FailedFlight(5.0, 10.0)) == (-1.5, "flown")
-    assert smallest_margin([], None) == (None, "")
+    assert rs.smallest_margin([rs.RequirementResult.of(ends[0][1])], rs.FailedFlight(5.0, 10.0)) == (-2.0, "level")
+    assert rs.smallest_margin([], rs.FailedFlight(5.0, 10.0)) == (-1.5, "flown")
+    assert rs.smallest_margin([], None) == (None, "")
 
 
 @pytest.mark.parametrize("value", [None, 0.0, 0.4999, 0.5, np.nextafter(0.5, 1.0), 3.0])
@@ -139,9 +129,9 @@ def test_limits_and_ranges_say_what_they_said(name: str, value: float | None) ->
     """To the last bit: a requirement made of one is kept where the limit or the range is."""
     values, signals = {name: value}, flight({name: value}, roll_rad=[0.0])
     for allowed in (Range(max=0.5), Range(min=0.5), Range(min=0.1, max=0.5)):
-        (result,) = (r.assess(signals) for r in range_requirements({name: allowed}, "expect"))
+        (result,) = (r.assess(signals) for r in rs.range_requirements({name: allowed}, "expect"))
         assert result.kept is not bool(check_expectations(values, {name: allowed}))
-    (limited,) = (r.assess(signals) for r in flight_requirements({name: 0.5}, {}, []))
+    (limited,) = (r.assess(signals) for r in rs.flight_requirements({name: 0.5}, {}, []))
     assert limited.kept is not bool(find_exceeded({name: 0.5}, values))
 
 
@@ -190,7 +180,7 @@ def test_a_run_says_them_again(flown: Run, tmp_path: Path) -> None:
     again = open_run(tmp_path / "run")
     assert again.summary == run.summary
     assert Scenario.load(tmp_path / "run" / "scenario.toml").require == flown.scenario.require
-    signals = FlightSignals(again.log, STEP / 25.0, again.summary.flat_metrics, again.summary.event_times_s)
+    signals = rs.FlightSignals(again.log, STEP / 25.0, again.summary.flat_metrics, again.summary.event_times_s)
     for result in again.summary.requirements:
         if result.source == "require":
             assert result.requirement.assess(signals).margin == result.margin
@@ -340,13 +330,13 @@ def test_a_campaign_says_which_requirement_was_broken(tmp_path: Path) -> None:
         ([0.0, 0.0], "diverged", Verdict.LOST, -6.667),
     ],
 )
-def test_the_verdict_of_a_survey_is_a_requirement(
+def test_a_surveys_verdict_is_a_requirement(
     degrees: list[float], outcome: str, verdict: Verdict, margin: float | None
 ) -> None:
     table = np.zeros((len(NAMES), len(degrees)))
     table[NAMES.index("yaw_setpoint_rad")] = np.radians(degrees)
-    flown = FlightSignals(MemoryLog([table], NAMES, COLUMNS), 0.5, {}, {})
-    lost = None if outcome == "completed" else FailedFlight(0.5 * len(degrees), 1.5)
-    held = Requirement(name="held", formula=held_formula(1.5)).assess(flown, lost)
+    flown = rs.FlightSignals(MemoryLog([table], NAMES, COLUMNS), 0.5, {}, {})
+    lost = None if outcome == "completed" else rs.FailedFlight(0.5 * len(degrees), 1.5)
+    held = rs.Requirement(name="held", formula=held_formula(1.5)).assess(flown, lost)
     assert held.margin == (margin if margin is None else pytest.approx(margin, abs=1e-3))
     assert judge(outcome, held.margin) is verdict

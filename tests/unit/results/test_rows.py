@@ -16,22 +16,10 @@ from flights import STEP, samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.base import signals as sg
 from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.protocols import Column
-from cosim.base.signals import (
-    AXES,
-    JETS,
-    Actuation,
-    Command,
-    ControlSignals,
-    Disturbance,
-    EngineOutput,
-    Measured,
-    Sample,
-    State,
-    Unallocated,
-)
 from cosim.results._rows import Rows
 from cosim.results.log.columns import COLUMNS, NAMES, LoggedVehicle, log_columns
 from cosim.results.log.recorder import MemorySink, Recorder
@@ -45,29 +33,31 @@ def tuples(size: int, values: st.SearchStrategy[Any] = NUMBERS) -> st.SearchStra
 
 
 @st.composite
-def any_sample(draw: st.DrawFn, jets: int) -> Sample:
+def any_sample(draw: st.DrawFn, jets: int) -> sg.Sample:
     """Any numbers at all on the wires of a vehicle of so many jets."""
     vector, number, every_jet = tuples(3), NUMBERS, tuples(jets)
     added = tuples(3, st.floats(allow_nan=False, min_value=0.0))  # never -0, as what disturbs never is
-    names = {"command": Command, "state": State, "measured": Measured}
+    names = {"command": sg.Command, "state": sg.State, "measured": sg.Measured}
     fields: dict[str, list[st.SearchStrategy[Any]]] = {
         "command": [vector, number, st.none() | vector, st.none() | number, st.none() | tuples(2)],
         "state": [vector, vector, tuples(4), vector, vector, vector, number, vector, number, number, number, vector],
         "measured": [vector, tuples(4, st.floats(-1.0, 1.0)), vector, vector, number, vector],
     }
     made = {name: record(*draw(st.tuples(*fields[name]))) for name, record in names.items()}
-    return Sample(
+    return sg.Sample(
         k=draw(st.integers()),
         time=draw(number),
-        control=ControlSignals(draw(vector), draw(vector), draw(vector), draw(number), draw(number)),
-        actuation=Actuation(draw(every_jet), draw(tuples(2)), Unallocated(*draw(tuples(4)))),
+        control=sg.ControlSignals(draw(vector), draw(vector), draw(vector), draw(number), draw(number)),
+        actuation=sg.Actuation(draw(every_jet), draw(tuples(2)), sg.Unallocated(*draw(tuples(4)))),
         tilt=draw(tuples(2)),
-        engines=EngineOutput(*draw(st.tuples(*[every_jet] * 4))),
-        disturbance=Disturbance(draw(vector), draw(vector), draw(added), payload=draw(tuples(4)), torque_output=draw(added)),
+        engines=sg.EngineOutput(*draw(st.tuples(*[every_jet] * 4))),
+        disturbance=sg.Disturbance(
+            draw(vector), draw(vector), draw(added), payload=draw(tuples(4)), torque_output=draw(added)
+        ),
         fuel=draw(number),
         spool_moment=draw(vector),
         faults=draw(tuples(12)),
-        health=draw(tuples(jets) | tuples(JETS)),
+        health=draw(tuples(jets) | tuples(sg.JETS)),
         **made,
     )  # fmt: skip
 
@@ -81,7 +71,7 @@ def euler_angles(quaternions: np.ndarray) -> np.ndarray:
     return np.stack((roll, pitch, yaw))
 
 
-def expected(sample: Sample, source: str) -> float:
+def expected(sample: sg.Sample, source: str) -> float:
     """Return what a column of this source has in the row of a sample, read through the records' names."""
     source, _, instead = source.partition(" unless ")
     if not source or (instead and place_of(sample, instead) is not None):
@@ -89,12 +79,12 @@ def expected(sample: Sample, source: str) -> float:
     angle, _, quaternion = source.partition(" of ")
     if quaternion:
         attitude = np.array(place_of(sample, quaternion), dtype=float)
-        return float(euler_angles(attitude[:, None])[AXES.index(angle), 0])
+        return float(euler_angles(attitude[:, None])[sg.AXES.index(angle), 0])
     values = [place_of(sample, place) for place in source.split(" + ")]
     return nan if None in values else float(sum(values[1:], values[0]))
 
 
-def place_of(sample: Sample, place: str) -> Any:
+def place_of(sample: sg.Sample, place: str) -> Any:
     """Return what stands at a place like ``state.euler.0``, or None if a field on the way to it is None."""
     value: Any = sample
     for name in place.split("."):
@@ -102,7 +92,7 @@ def place_of(sample: Sample, place: str) -> Any:
     return value
 
 
-def table_of(flight: list[Sample], columns: tuple[Column, ...] = COLUMNS) -> np.ndarray:
+def table_of(flight: list[sg.Sample], columns: tuple[Column, ...] = COLUMNS) -> np.ndarray:
     sink = MemorySink()
     recorder = Recorder(STEP, sink, columns)
     for sample in flight:
@@ -111,7 +101,7 @@ def table_of(flight: list[Sample], columns: tuple[Column, ...] = COLUMNS) -> np.
     return np.concatenate(sink.tables, axis=1)
 
 
-def good() -> Sample:
+def good() -> sg.Sample:
     (sample,) = samples(1)
     return sample
 
@@ -122,8 +112,8 @@ def rows_of(capacity: int, patience: float, hand_on: Any) -> Rows:
 
 
 @settings(max_examples=60)
-@given(st.integers(1, JETS).flatmap(lambda jets: st.lists(any_sample(jets), min_size=1, max_size=3)))
-def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[Sample]) -> None:
+@given(st.integers(1, sg.JETS).flatmap(lambda jets: st.lists(any_sample(jets), min_size=1, max_size=3)))
+def test_every_bit_ends_in_the_column_that_bears_its_name(flight: list[sg.Sample]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):
         columns = log_columns(LoggedVehicle(len(flight[0].actuation.throttle)))
         table = table_of(flight, columns)
@@ -201,19 +191,7 @@ def replaced(value: Any, path: tuple[Any, ...], part: Any) -> Any:
     return value._replace(**{first: replaced(getattr(value, first), rest, part)})
 
 
-WRONG: list[Any] = [
-    None,
-    "text",
-    b"",
-    object(),
-    [1.0, 2.0, 3.0],
-    (),
-    (None,) * 3,
-    (1.0,) * 30,
-    2 + 1j,
-    float,
-    Raising(),
-]
+WRONG = [None, "text", b"", object(), [1.0, 2.0, 3.0], (), (None,) * 3, (1.0,) * 30, 2 + 1j, float, Raising()]
 
 
 def test_what_is_no_sample_is_refused_and_leaves_no_trace() -> None:
@@ -330,10 +308,8 @@ def test_the_columns_are_there_after_any_number_of_rows(capacity: int) -> None:
             columns = np.asarray(rows)
             assert columns.shape == (len(COLUMNS) + 4, capacity)  # and the measured quaternion
             assert columns[0, :count].tolist() == [each.time for each in flight[:count]]
-            assert (
-                columns[NAMES.index("fuel_kg"), :count].tobytes()
-                == np.array([e.fuel for e in flight[:count]]).tobytes()
-            )
+            fuel = np.array([each.fuel for each in flight[:count]])
+            assert columns[NAMES.index("fuel_kg"), :count].tobytes() == fuel.tobytes()
         rows.clear()
 
 
@@ -391,12 +367,8 @@ def test_a_source_that_no_sample_has_is_refused(source: str, complaint: str) -> 
 def test_a_vehicle_of_eight_engines_has_eight_columns_of_each() -> None:
     columns = log_columns(LoggedVehicle(8))
     eight = tuple(float(jet) for jet in range(1, 9))
-    sample = good()._replace(
-        actuation=Actuation(eight, (0.0, 0.0), Unallocated()),
-        engines=EngineOutput(eight, eight, eight, eight),
-        health=eight,
-        faults=(0.0,) * 14,
-    )
+    engines, actuation = sg.EngineOutput(*[eight] * 4), sg.Actuation(eight, (0.0, 0.0), sg.Unallocated())
+    sample = good()._replace(actuation=actuation, engines=engines, health=eight, faults=(0.0,) * 14)
     row = dict(zip([column.name for column in columns], table_of([sample], columns)[:, 0].tolist(), strict=True))
     for name in ("throttle_{}", "thrust_{}_N", "spool_speed_{}_rad_s", "health_{}"):
         assert [row[name.format(jet)] for jet in range(1, 9)] == list(eight)

@@ -26,7 +26,7 @@ from cosim.results.verdict import describe_end, judge
         ("crashed", ["position.drift_m"], None, "not completed"),
     ],
 )
-def test_a_verdict_follows_from_outcome_limits_and_expectations(
+def test_a_verdict_is_of_outcome_limits_and_expectations(
     outcome: str, beyond: list[str], met: bool | None, verdict: str
 ) -> None:
     assert judge(outcome, beyond, met) == verdict

@@ -31,11 +31,8 @@ def runs(tmp_path: Path) -> Path:
 
 def test_what_a_folder_holds(runs: Path) -> None:
     found = {entry.name: entry for entry in list_entries(runs)}
-    assert {name: entry.kind for name, entry in found.items()} == {
-        **{f"run-{k:05d}": RUN for k in range(6)},
-        "drawn": PAGE,
-        "flying": UNFINISHED,
-    }
+    kinds = {f"run-{k:05d}": RUN for k in range(6)} | {"drawn": PAGE, "flying": UNFINISHED}
+    assert {name: entry.kind for name, entry in found.items()} == kinds
     third = found["run-00003"]
     assert third.details["controller"] == "smith"
     assert third.metrics == {"roll.rmse_rad": 0.003, "position.drift_m": 4.0, "own.jerk": 2.0, "duration_s": 20.0}
@@ -99,7 +96,7 @@ def test_wrong_folders_and_ports(hexjet: Hexjet, tmp_path: Path) -> None:
     assert "index.html: was not written by hexjet open" in done.err
 
 
-def test_the_page_lists_every_entry_and_names_that_are_code_stay_text(
+def test_the_page_lists_every_entry_and_code_in_names_stays_text(
     hexjet: Hexjet, runs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = json.loads((runs / "run-00001" / "summary.json").read_text())
@@ -139,9 +136,7 @@ def test_the_page_lists_every_entry_and_names_that_are_code_stay_text(
         ("scenario = ", "", (None, None)),
     ],
 )
-def test_a_campaign_is_named_as_its_files_say(
-    study: str, scenario: str, details: tuple[str | None, str | None], tmp_path: Path
-) -> None:
+def test_a_campaign_is_named_as_its_files_say(study: str, scenario: str, details: tuple, tmp_path: Path) -> None:
     (tmp_path / "flights").mkdir()
     (tmp_path / "study.toml").write_text(study)
     (tmp_path / "scenario.toml").write_text(scenario)

@@ -168,39 +168,18 @@ def test_payloads_share_one_centre() -> None:
 
 
 def test_torque_commands_by_axis_and_shape() -> None:
-    entries = [
-        {"kind": "torque_command", "axis": "yaw", "start_s": 0.0, "duration_s": 0.004, "amplitude": 0.3},
-        {
-            "kind": "torque_command",
-            "axis": "roll",
-            "shape": "doublet",
-            "start_s": 0.0,
-            "duration_s": 0.016,
-            "amplitude": 0.1,
-        },
-    ]
-    disturber = DisturbanceScript(scenario(disturbance=entries))
-    assert [disturber.at(k).torque_command for k in range(5)] == [
-        (0.1, 0.0, 0.3),
-        (0.1, 0.0, 0.0),
-        (-0.1, 0.0, 0.0),
-        (-0.1, 0.0, 0.0),
-        ZERO3,
-    ]
-    odd = entries[1] | {"duration_s": 0.012}
+    yaw = {"kind": "torque_command", "axis": "yaw", "start_s": 0.0, "duration_s": 0.004, "amplitude": 0.3}
+    roll = yaw | {"axis": "roll", "shape": "doublet", "duration_s": 0.016, "amplitude": 0.1}
+    disturber = DisturbanceScript(scenario(disturbance=[yaw, roll]))
+    torques = [disturber.at(k).torque_command for k in range(5)]
+    assert torques == [(0.1, 0.0, 0.3), (0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), ZERO3]
     with pytest.raises(InputError, match=r"even number of 0\.004 s steps"):
-        DisturbanceScript(scenario(disturbance=[odd]))
+        DisturbanceScript(scenario(disturbance=[roll | {"duration_s": 0.012}]))
 
 
 def test_a_gust_is_announced_once() -> None:
-    entry = {
-        "kind": "gust",
-        "start_s": 0.008,
-        "velocity_ned_m_s": [0, 8, 0],
-        "rise_s": 1.0,
-        "hold_s": 0.0,
-        "fall_s": 1.0,
-    }
+    entry = {"kind": "gust", "start_s": 0.008, "velocity_ned_m_s": [0, 8, 0]}
+    entry |= {"rise_s": 1.0, "hold_s": 0.0, "fall_s": 1.0}
     disturber = DisturbanceScript(scenario(disturbance=[entry]))
     assert [disturber.at(k).gust for k in range(4)] == [None, None, ((0.0, 8.0, 0.0), 1.0, 0.0, 1.0), None]
     with pytest.raises(InputError, match="a gust needs a velocity"):

@@ -99,16 +99,11 @@ def test_the_law_by_hand() -> None:
         )
         # sinking by a length, swinging with a time
         same(standing_sink(found), scale * standing_sink(BASE))
-        for new_contact, old_contact in zip(found.contacts, BASE.contacts, strict=True):
-            same(
-                new_contact.damping_n_s_m / new_contact.spring_n_m * root,
-                old_contact.damping_n_s_m / old_contact.spring_n_m * scale,
-            )
+        for new, old in zip(found.contacts, BASE.contacts, strict=True):
+            same(new.damping_n_s_m / new.spring_n_m * root, old.damping_n_s_m / old.spring_n_m * scale)
         # loops: command times effectiveness, which falls with L, is 1/s, 1/s^2, 1
-        for new_gains, old_gains in (
-            (found.control.rate.roll, BASE.control.rate.roll),
-            (found.control.rate.pitch, BASE.control.rate.pitch),
-        ):
+        for axis in ("roll", "pitch"):
+            new_gains, old_gains = getattr(found.control.rate, axis), getattr(BASE.control.rate, axis)
             same(new_gains.p / scale, old_gains.p / root)
             same(new_gains.i / scale, old_gains.i / scale)
             same(new_gains.d / scale, old_gains.d)
@@ -182,13 +177,9 @@ def test_hover_is_below_half_thrust() -> None:
         assert simulation.cascade.allocator.hover == pytest.approx(share, rel=1e-3)  # linear between the curve's points
 
 
-def momentum_theorem(
-    vehicle: Vehicle, thrust: Any, tilt: tuple[float, float], state: State
-) -> tuple[np.ndarray, np.ndarray]:
+def momentum_theorem(vehicle: Vehicle, thrust: Any, tilt: tuple, state: State) -> tuple[np.ndarray, np.ndarray]:
     """What six streams have in force and in moment about the centre of gravity, from what flows in and out.
-
-    Out of all that the stream takes along, the part across the axis; along it, it is the engine's business.
-    """
+    Out of all that the stream takes along, the part across the axis; along it, it is the engine's business."""
     flow = vehicle.airflow
     body = Rotation.from_quat([*state.attitude[1:], state.attitude[0]]).inv()
     through_air = body.apply(np.array(state.velocity) - np.array(state.wind))
@@ -208,24 +199,14 @@ def momentum_theorem(
 
 def test_intake_drag_is_the_momentum_of_the_air() -> None:
     """In JSBSim, in a flight with wind and rates: external force and moment less those of the thrusts alone."""
-    scenario = Scenario.load("hover").replace(
-        aircraft="hexjet-p220",
-        engine="p220",
-        controller="baseline",
-        environment={"wind_ned_m_s": [2.0, -6.0, 1.0]},
-        initial={
-            "rate_deg_s": [30.0, -20.0, 10.0],
-            "velocity_ned_m_s": [3.0, 1.0, 0.5],
-            "attitude_deg": [5.0, 8.0, 40.0],
-        },
-        vehicle={
-            "servo": {"bank_inertia_kg_m2": 0.0},  # the reaction of the banks has a test of its own
-            "jets": {str(jet): {"spin": 0} for jet in range(6)},
-            "fuel": {"position_m": [0.0, 0.0, 0.0]},
-        },
-        expect=[],
-    )
-    with build(scenario) as simulation:
+    flown: dict[str, Any] = {"aircraft": "hexjet-p220", "engine": "p220", "controller": "baseline", "expect": []}
+    flown["environment"] = {"wind_ned_m_s": [2.0, -6.0, 1.0]}
+    moving = {"rate_deg_s": [30.0, -20.0, 10.0], "velocity_ned_m_s": [3.0, 1.0, 0.5]}
+    flown["initial"] = moving | {"attitude_deg": [5.0, 8.0, 40.0]}
+    # the reaction of the banks has a test of its own
+    flown["vehicle"] = {"servo": {"bank_inertia_kg_m2": 0.0}, "jets": {str(jet): {"spin": 0} for jet in range(6)}}
+    flown["vehicle"]["fuel"] = {"position_m": [0.0, 0.0, 0.0]}
+    with build(Scenario.load("hover").replace(**flown)) as simulation:
         for _ in range(20):
             state = simulation.state
             sample = simulation.step()

@@ -61,9 +61,7 @@ def test_force_and_moment_are_r_cross_f(seed: int) -> None:
     with airframe() as (frame, vehicle):
         newtons = rng.uniform(0.0, 20.0, 6).tolist()
         forces = thrust(vehicle, newtons, *rng.uniform(-0.5, 0.5, 2).tolist())
-        payload = (
-            (float(rng.uniform(0.1, 1.0)), *rng.uniform(-0.2, 0.2, 3).tolist()) if seed % 2 else (0.0, 0.0, 0.0, 0.0)
-        )
+        payload = (float(rng.uniform(0.1, 1.0)), *rng.uniform(-0.2, 0.2, 3).tolist()) if seed % 2 else (0.0,) * 4
         frame.step(forces, Disturbance(payload=payload))
         cg = np.array(payload[1:]) * payload[0] / (vehicle.mass_kg + payload[0])
         arms = np.array([jet.position_m for jet in vehicle.jets]) - cg
@@ -263,7 +261,7 @@ def test_with_one_run_a_step_a_moment_is_half_a_step_late() -> None:
 
 
 def test_what_is_read_back_after_a_step_is_what_was_given() -> None:
-    """The change that the first run carries on top is gone by then; a disturbing force acts at the centre of gravity."""
+    """The change that the first run carries on top is gone by then; a force acts at the centre of gravity."""
     with airframe(NO_AERO) as (frame, vehicle):
         for newtons in (5.0, 9.0, 2.0):
             forces = thrust(vehicle, [newtons] * 6, 0.0, 0.0)
@@ -322,10 +320,8 @@ def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
 @pytest.mark.parametrize("substeps", [1, 4])
 def test_friction_holds_and_leaves_nothing_swinging(name: str, substeps: int) -> None:
     """Set down with a sideways speed it slides v^2 / 2 mu g and stops; pushed with less than friction it stays.
-
     With Adams and Bashforth's method the rates would go on swinging from run to run, and with the rectangular rule for
-    one kind of rate and theirs for the other the vehicle would creep by centimetres.
-    """
+    one kind of rate and theirs for the other the vehicle would creep by centimetres."""
     vehicle, folder = load_vehicle(name)
     with closing(Airframe(vehicle, folder, Environment(), STEP, substeps, 1)) as frame:
         weight, off = vehicle.mass_kg * 9.80665, [ZERO3] * len(vehicle.jets)
@@ -414,9 +410,7 @@ def test_gust_keeps_its_size_in_turbulence() -> None:
 
 def test_turbulence_has_the_size_that_the_standard_states() -> None:
     """MIL-F-8785C below 300 m: the vertical gusts' deviation is a tenth of the mean wind at 6 m.
-
-    At 30 m in 10 m/s the gusts last about 3 s: 100 of them in 5 minutes, so that 25 % is three standard errors.
-    """
+    At 30 m in 10 m/s the gusts last about 3 s: 100 of them in 5 minutes, so that 25 % is three standard errors."""
     mean_wind = 8.0
     place = Environment(turbulence_wind_m_s=mean_wind, turbulence_severity=3, wind_ned_m_s=(10.0, 0.0, 0.0))
     with airframe(NO_AERO, environment=place, substeps=1) as (frame, vehicle):

@@ -148,13 +148,9 @@ def pitch_of(aircraft: str, engine: str, **servo: float) -> tuple[Vehicle, Chann
     ("aircraft", "engine", "inertia", "below"),
     [("hexjet-p220", "p220", 0.08, True), ("hexjet-100", "turbine-100", 0.03, True), ("hexjet", "edf", 2e-3, False)],
 )
-def test_the_zeros_of_the_designs_channel_are_those_of_newton(
-    aircraft: str, engine: str, inertia: float, below: bool
-) -> None:
+def test_the_zeros_of_a_designs_channel_are_newtons(aircraft: str, engine: str, inertia: float, below: bool) -> None:
     """T z a + 2 J (a_k - 2 a_k-1 + a_k-2) / T^2 is nothing at 1 - 1/z = +-j w0 T, w0^2 = T z / 2 J: exactly.
-
-    Jets above the centre of gravity turn the vehicle the other way, and the zeros are real: 1 - 1/z = +-w0 T.
-    """
+    Jets above the centre of gravity turn the vehicle the other way, and the zeros are real: 1 - 1/z = +-w0 T."""
     vehicle, pitch = pitch_of(aircraft, engine, bank_inertia_kg_m2=inertia)
     lever = abs(vehicle.jets[0].position_m[2])
     turn = sqrt(vehicle.mass_kg * 9.80665 * lever / (2.0 * inertia)) * pitch.step
@@ -172,10 +168,8 @@ def test_the_zeros_of_the_designs_channel_are_those_of_newton(
 
 def test_a_sweep_in_flight_finds_the_designs_channel_with_its_banks() -> None:
     """``hexjet identify pitch`` in six degrees of freedom, below, in and above the dip at the zeros.
-
     Within 2 % of the thrust's part and the whole together: fuel burns, so the collective falls, and the allocation tilts
-    by 0.4 % (at first) to 1.4 % more for the same moment of the thrust; the reaction is as much larger.
-    """
+    by 0.4 % (at first) to 1.4 % more for the same moment of the thrust; the reaction is as much larger."""
     found = identify_axis("pitch", "hexjet-p220", "p220", settings=["sensor_noise=false"], from_hz=1.0, to_hz=12.0)
     response = found.response
     z = np.exp(2j * np.pi * response.hertz * response.step)

@@ -37,11 +37,8 @@ def test_the_loss_acts_at_the_centre() -> None:
     """Force along body z, no moment, also of jets that do not stand round the centre."""
     vehicle, _ = p220()
     effect = GroundEffect(suckdown=True, planform_m=1.0, jet_m=0.1, planform_z_m=0.2)
-    moved = [
-        jet.model_copy(update={"position_m": (x + 0.1, y - 0.05, z)})
-        for jet in vehicle.jets
-        for x, y, z in [jet.position_m]
-    ]
+    places = [(x + 0.1, y - 0.05, z) for x, y, z in (jet.position_m for jet in vehicle.jets)]
+    moved = [jet.model_copy(update={"position_m": at}) for jet, at in zip(vehicle.jets, places, strict=True)]
     rng = np.random.default_rng(1)
     before = [(float(x), 0.0, -float(z)) for x, z in rng.uniform(10.0, 100.0, (6, 2))]
     after, moment = acted(LiftLoss(effect, moved), before, altitude=1.1)

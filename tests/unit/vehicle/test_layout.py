@@ -166,15 +166,9 @@ def test_two_banks_are_two_hinges_about_minus_y() -> None:
     jets = [Jet(position_m=place, servo="right" if place[1] > 0.0 else "left") for place in places]
     # the imbalance as 1 kg at 0.03 m along the thrust
     common = {"axis": (0.0, -1.0, 0.0), "lag_s": 0.02, "rate_limit_rad_s": 5.0, "range_rad": 0.5, "mass_kg": 1.0}
+    common["inertia_kg_m2"] = 0.002
     hinges = [
-        Hinge(
-            name=name,
-            position_m=(0.0, y, -0.1),
-            centre_m=(0.0, y, -0.13),
-            carries=carries,
-            inertia_kg_m2=0.002,
-            **common,
-        )
+        Hinge(name=name, position_m=(0.0, y, -0.1), centre_m=(0.0, y, -0.13), carries=carries, **common)
         for name, y, carries in (("left", -0.2, [3, 4]), ("right", 0.2, [1, 2]))
     ]
     banks, parts = Banks(servo, jets, STEP), HingeReactions(hinges, jets, STEP)

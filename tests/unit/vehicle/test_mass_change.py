@@ -24,11 +24,9 @@ LOADED, CALM = Disturbance(payload=(MASS, *PLACE)), Disturbance()
 
 
 @contextmanager
-def airframe(
-    overrides: dict[str, object] | None = None, environment: Environment | None = None, substeps: int = 4
-) -> Iterator[Airframe]:
+def airframe(overrides: dict | None = None, air: Environment | None = None, substeps: int = 4) -> Iterator[Airframe]:
     vehicle, folder = load_vehicle("hexjet", {**STILL, **(overrides or {})})
-    with closing(Airframe(vehicle, folder, environment or Environment(), STEP, substeps, 1)) as frame:
+    with closing(Airframe(vehicle, folder, air or Environment(), STEP, substeps, 1)) as frame:
         yield frame
 
 
@@ -44,11 +42,9 @@ def apart(one: State, other: State) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_spinning_body_takes_up_a_load_and_lets_go_of_it() -> None:
     """Free fall with a spin about z: no force but weight, so each centre of gravity flies on by itself.
-
     The body keeps turning and the load takes hold at its velocity, so the centre of both begins at ``c`` with
     ``omega x c``; when the load lets go the body has that velocity less ``omega x c`` as it stands then.  Against the
-    same fall without a load, so that of the Earth's rotation a hundred-thousandth is left.
-    """
+    same fall without a load, so that of the Earth's rotation a hundred-thousandth is left."""
     spin, steps = pi, 100
     initial = Initial(altitude_m=100.0, attitude_deg=(0.0, 0.0, 30.0), rate_deg_s=(0.0, 0.0, np.degrees(spin)))
     carried = fly(initial, OFF, [LOADED] * steps + [CALM] * steps)
@@ -87,9 +83,8 @@ def test_acceleration_jumps_at_once_with_mass_and_inertia(substeps: int) -> None
     place, centre = np.array(PLACE), np.array(PLACE) * MASS / total
     reduced = vehicle.mass_kg * MASS / total
     inertia = np.diag(vehicle.inertia_kg_m2) + reduced * (place @ place * np.eye(3) - np.outer(place, place))
-    moment = sum(
-        np.cross(np.array(jet.position_m) - centre, force) for jet, force in zip(vehicle.jets, lift, strict=True)
-    )
+    arms = [np.array(jet.position_m) - centre for jet in vehicle.jets]
+    moment = sum(np.cross(arm, force) for arm, force in zip(arms, lift, strict=True))
     np.testing.assert_allclose(np.subtract(one.rate, free.rate), np.linalg.solve(inertia, moment) * STEP, atol=2e-5)
     np.testing.assert_allclose(apart(one, free)[1][2], np.sum(lift, axis=0)[2] / total * STEP, rtol=1e-6)
 
@@ -141,7 +136,7 @@ def test_turbulence_goes_on_as_it_was() -> None:
     initial = Initial(altitude_m=100.0, velocity_ned_m_s=(10.0, 0.0, 0.0))
     courses = []
     for load in (CALM, Disturbance(payload=(1e-6, 0.0, 0.0, 0.0))):
-        with airframe(environment=rough) as frame:
+        with airframe(air=rough) as frame:
             frame.reset(initial, OFF, ZERO3)
             courses.append([frame.step(OFF, held) for held in [CALM] * 20 + [load] * 20])
     for one, other in zip(*courses, strict=True):

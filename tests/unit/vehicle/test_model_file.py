@@ -199,9 +199,7 @@ def test_a_missing_property_is_found_in_the_file_that_reads_it(tmp_path: Path) -
         "a vehicle of its own": ('<child name="../other"/>', r"line 2: child: one vehicle flies here"),
     }.values(),
 )
-def test_what_jsbsim_cannot_take_is_one_line(
-    parts: str, line: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_jsbsim_refuses_is_one_line(parts: str, line: str, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     with pytest.raises(InputError, match=line) as caught:
         fly(brought(tmp_path, parts))
     assert "hexjet-scratch" not in str(caught.value)
@@ -217,9 +215,8 @@ def test_what_jsbsim_says_of_a_model_that_flies_is_a_note(tmp_path: Path, capfd:
 
 def test_a_part_keeps_what_it_states_beside_its_file(tmp_path: Path) -> None:
     """As in JSBSim: a property's value is the model's own, and what else either has is there."""
-    part = (
-        '<system name="theirs"><property value="1">my/gain</property><property value="3">my/other</property></system>'
-    )
+    own = '<property value="1">my/gain</property><property value="3">my/other</property>'
+    part = f'<system name="theirs">{own}</system>'
     own = '<system name="mine" file="part"><property value="2">my/gain</property></system>'
     root = ET.fromstring(read_model(brought(tmp_path, own, part=part)))
     values = {element.text: element.get("value") for element in root.findall("system/property")}
@@ -339,9 +336,7 @@ def test_the_seed_reaches_the_random_numbers_of_a_file(tmp_path: Path) -> None:
     assert (drawn(plain, 2, TURBULENCE) == flown[2][0]).all()
 
 
-def test_a_file_is_tried_once_for_what_it_says(
-    tried: list[bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_tried_once_for_what_it_says(tried: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By another process again only where it, or a file that it names, says something else; what is shipped never."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     model = brought(tmp_path, '<system file="part"/>', part='<system name="s"/>')

@@ -190,9 +190,7 @@ def lean_error(measured: Measured, truth: State) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("euler", [(0.0, 0.0, 0.0), (0.3, -0.2, 2.0)])
 @pytest.mark.parametrize(("north", "east"), [(3.0, 0.0), (0.0, -2.0), (1.5, 4.0)])
-def test_an_acceleration_that_lasts_becomes_a_lean(
-    north: float, east: float, euler: tuple[float, float, float]
-) -> None:
+def test_a_lasting_acceleration_becomes_a_lean(north: float, east: float, euler: tuple[float, float, float]) -> None:
     """atan(a/g) (1 - exp(-t/tau)) about the horizontal axis across it, whatever the attitude: exact at the samples."""
     tau = 0.5
     sensors = suite(attitude={"ahrs_time_constant_s": tau})
@@ -216,10 +214,8 @@ def test_no_acceleration_no_error() -> None:
 @pytest.mark.parametrize("bias", [(0.01, -0.02, 0.0), (0.0, 0.0, 0.05), (0.01, -0.02, 0.05)])
 def test_a_bias_of_the_gyro_leans_and_leaves_the_heading(bias: tuple[float, float, float]) -> None:
     """b tau: of a first-order lag driven by b T a step, b T (1 - s) / s with s = 1 - exp(-T / tau).
-
     The magnetometer turns the estimate, lean included, back about the vertical by what the bias in yaw has turned it, so
-    the error e = x + i y obeys e' = b - e / tau - i b_z e.
-    """
+    the error e = x + i y obeys e' = b - e / tau - i b_z e."""
     quiet = {"noise_rad": 0.0, "bias_rad": (0.0, 0.0, 0.0)}
     sensors = suite(
         True,

@@ -152,9 +152,7 @@ def test_a_free_gyroscope_follows_euler(momentum: Vector3) -> None:
 
 def test_nutation_neither_grows_nor_dies() -> None:
     """A symmetric body with a rotor about z, rocked: p and q turn at ((C - A) r + H_z) / A for good.
-
-    Closed form.  With the rectangular rule the swing would grow by a factor of 1.5 in these two seconds.
-    """
+    Closed form.  With the rectangular rule the swing would grow by a factor of 1.5 in these two seconds."""
     A, C, H = 0.05, 0.07, -1.0
     with airframe({**NO_AERO, "inertia_kg_m2": [A, A, C]}) as (frame, _):
         frame.reset(Initial(rate_deg_s=(10.0, 0.0, 0.0), altitude_m=500.0), OFF, ZERO3, (0.0, 0.0, H))
@@ -168,9 +166,8 @@ def test_nutation_neither_grows_nor_dies() -> None:
     np.testing.assert_allclose(swing, np.hypot(p0, q0), rtol=1e-3)
     # one rad of phase in 5/12 (turning h)^2 of the angle, the error of the second-order rule
     phase = np.unwrap(np.arctan2([q for _, q, _ in rates], [p for p, _, _ in rates]))
-    np.testing.assert_allclose(
-        phase, np.arctan2(q0, p0) + turning * t, atol=1.2 * 5 / 12 * (turning * 1e-3) ** 2 * 40.0
-    )
+    expected = np.arctan2(q0, p0) + turning * t
+    np.testing.assert_allclose(phase, expected, atol=1.2 * 5 / 12 * (turning * 1e-3) ** 2 * 40.0)
 
 
 def test_spinning_up_turns_the_airframe_the_other_way() -> None:
@@ -381,9 +378,7 @@ def test_an_engine_without_a_shut_off_loses_its_thrust_with_the_fuel(monkeypatch
 
 def test_the_altitude_controller_counts_the_fuel() -> None:
     """What is fed forward follows the weight, so that nothing is left to the integral.
-
-    Alone it would leave a height error of g m'/m over both gains, for a weight that falls at g m'.
-    """
+    Alone it would leave a height error of g m'/m over both gains, for a weight that falls at g m'."""
     vehicle = {**GENTLE, "fuel": {"mass_kg": 1.0, "position_m": [0.0, 0.0, 0.0]}}
     run = fly(scenario(duration_s=60.0, vehicle=vehicle))
     assert run.outcome == "completed", run.reason
@@ -502,9 +497,7 @@ def test_gusts_and_turbulence_are_in_the_air_speed(listening: type[Listening]) -
     assert rows.samples[-1].state.wind[2] == pytest.approx(4.0, rel=1e-9)
 
 
-def test_engines_that_ask_for_no_air_are_given_none(
-    listening: type[Listening], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_engines_that_ask_for_no_air_are_given_none(listening: type, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listening, "asks", False)
     assert fly(scenario(engine="edf-as-flown", duration_s=0.1)).outcome == "completed"
     assert listening.heard == [None] * (1 + 25)
