@@ -63,11 +63,10 @@ def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) ->
     for number in range(times + 1):
         arguments = ["fly", "hover", "--out", str(folder / f"start-{number}")]
         started = time.time()
-        child = start_python(_FIRST_STEP, *arguments)
-        output, _ = child.communicate()
+        child = subprocess.run(python_command(_FIRST_STEP, *arguments), stdout=subprocess.PIPE, text=True, check=False)
         if child.returncode:
             raise FlightError(f"the flight to its first step ended with status {child.returncode}")
-        begun, imported, stepped = (float(word) for word in output.split())
+        begun, imported, stepped = (float(word) for word in child.stdout.split())
         if number:
             rows.append((stepped - started, begun - started, imported - begun, stepped - imported))
         on_start()
@@ -114,13 +113,3 @@ def processor_seconds(code: str, *arguments: str) -> float:
     if ended.returncode:
         raise FlightError(f"{code} {' '.join(arguments)} ended with status {ended.returncode}")
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-
-
-def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:
-    """Start this Python with this package; with ``ask`` its standard input is a pipe."""
-    return subprocess.Popen(
-        python_command(code, *arguments),
-        stdin=subprocess.PIPE if ask else None,
-        stdout=subprocess.PIPE,
-        text=True,
-    )

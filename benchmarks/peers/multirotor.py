@@ -34,12 +34,7 @@ def quadrotor(steps: int) -> Scenario:
     """Return ``hover`` on the quadrotor with its own motors at 400 Hz."""
     step = 0.0025
     return Scenario.load("hover").replace(
-        aircraft="quadrotor",
-        engine="motor",
-        step_s=step,
-        substeps=SUBSTEPS,
-        duration_s=steps * step,
-        expect=[],
+        aircraft="quadrotor", engine="motor", step_s=step, substeps=SUBSTEPS, duration_s=steps * step, expect=[]
     )
 
 

@@ -148,12 +148,6 @@ class Bench:
         return action
 
 
-def _open_bank(stack: ExitStack) -> EngineBank:
-    bank = stack.enter_context(EngineBank(load_engine(ENGINE, {}, STEP_S), JETS, STEP_S))
-    bank.reset(0.0)
-    return bank
-
-
 def _read_archive() -> tuple[Path, int, int]:
     """Return the archive, and the value references of its throttle and its thrust."""
     path = load_engine(ENGINE, {}, STEP_S).path
@@ -164,18 +158,9 @@ def _read_archive() -> tuple[Path, int, int]:
 
 
 def _open_hexjet(stack: ExitStack) -> Stepper:
-    bank = _open_bank(stack)
-
-    def exchange(k: int, throttles: Throttles) -> Sequence[float]:
-        return _read_thrusts(bank.step(k, tuple(throttles)))
-
-    return Stepper(exchange, None)
-
-
-def _read_thrusts(answer: Any) -> Sequence[float]:
-    """Return the thrusts in the output of the engine bank."""
-    thrust: Sequence[float] = getattr(answer, "thrust", answer)
-    return thrust
+    bank = stack.enter_context(EngineBank(load_engine(ENGINE, {}, STEP_S), JETS, STEP_S))
+    bank.reset(0.0)
+    return Stepper(lambda k, throttles: bank.step(k, tuple(throttles)).thrust, None)
 
 
 def _open_fmpy(stack: ExitStack) -> Stepper:
