@@ -124,7 +124,7 @@ def run_page(page: str, hexjet: Hexjet, long: bool) -> None:
             read_command(item.text if item.kind == "command" else "")
             continue
         if item.kind == "command":
-            status, said = call(f"{item.text} {SHORTER.get(row.more, row.more)}".strip(), hexjet)
+            status, said = call(" ".join([item.text, *(SHORTER.get(word, word) for word in row.more.split())]), hexjet)
         else:
             status, said = use_snippet(item, row, hexjet, names)
         said = " ".join(said.split())
