@@ -43,8 +43,9 @@ def install(prefix: Path, name: str, version: str, entry: str) -> Path:
     return place
 
 
-def hexjet_beside(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def hexjet_beside(place: Path, *arguments: str) -> Done:
     """The command where the packages of this folder are installed."""
     installed = f"import site, sys; site.PREFIXES.append({str(place.parents[2])!r}); sys.path.insert(0, {str(place)!r})"
     command = [sys.executable, "-c", f"{installed}; from cosim.cli.main import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=place, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=place, check=False)
+    return Done(done.returncode, done.stdout, done.stderr)

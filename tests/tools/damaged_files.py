@@ -21,22 +21,8 @@ from file_kinds import KINDS, Kind
 from cosim.base.errors import FlightError, InputError
 
 ODD = [
-    b"1e309",
-    b"-1e309",
-    b"nan",
-    b"inf",
-    b"9" * 400,
-    b"-1",
-    b"0",
-    b"0x7fffffff",
-    b"1_000",
-    b"'",
-    b"[",
-    b"true",
-    b"",
-    b"\xff",
-    b"1e-320",
-    b'"' + b"x" * 300 + b'"',
+    *(b"1e309", b"-1e309", b"nan", b"inf", b"9" * 400, b"-1", b"0", b"0x7fffffff", b"1_000", b"'", b"[", b"true", b""),
+    *(b"\xff", b"1e-320", b'"' + b"x" * 300 + b'"'),
 ]
 _TOKENS = re.compile(rb"[-+]?[0-9][0-9.eE+-]*|\w+")
 MEGABYTES = 1500.0  # that one file may ask for

@@ -101,10 +101,9 @@ class Driven:
         return callbacks
 
     def set(self, name: str, value: float) -> None:
-        if name in self.integers:
-            (self.fmu.setInteger if self.fmi == 2 else self.fmu.setInt32)([self.reference[name]], [int(value)])
-        else:
-            (self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64)([self.reference[name]], [value])
+        whole = name in self.integers
+        kind = ("Integer" if whole else "Real") if self.fmi == 2 else ("Int32" if whole else "Float64")
+        getattr(self.fmu, f"set{kind}")([self.reference[name]], [int(value) if whole else value])
 
     def get(self, name: str) -> float:
         getter = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
@@ -160,20 +159,8 @@ def edit_description(source: Path, target: Path, old: str, new: str) -> Path:
 
 
 FAULT_THROTTLE = 0.512  # not a point of the static curve, so measuring the engine does not trip it
-FAULTS = {
-    "nan": 1,
-    "error": 2,
-    "terminate": 3,
-    "early": 4,
-    "event": 5,
-    "fatal": 6,
-    "discard": 7,
-    "infinite": 8,
-    "get": 9,
-    "set": 10,
-    "warning": 11,
-    "pending": 12,
-}
+_FAULT_NAMES = "nan error terminate early event fatal discard infinite get set warning pending"
+FAULTS = {name: number for number, name in enumerate(_FAULT_NAMES.split(), 1)}
 
 _FAULTY_TOML = """
 title = "Faulty"

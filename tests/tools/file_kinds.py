@@ -9,11 +9,13 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from unittest import mock
 from zlib import crc32
 
 import numpy as np
 from dataflash_writer import HEAD, describe, pack
+from places import DESIGNS
 
 from cosim.base.errors import InputError
 
@@ -25,6 +27,11 @@ class Kind:
     make: Callable[[Path], Path]
     read: Callable[[Path], object]
     text: bool = False  # words and numbers are exchanged too
+
+
+def by(name: str) -> Callable[[Path], object]:
+    """Read by the function ``module:function``, which is imported when it is needed."""
+    return lambda path: resolve_name(name)(path)
 
 
 def _log(path: Path) -> None:
@@ -120,22 +127,16 @@ def _run(folder: Path) -> Path:
     return folder / "run"
 
 
-def _ulog(folder: Path) -> Path:
-    from cosim.results.export import export_log
+def _exported(kind: str, name: str) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        from cosim.results.export import export_log
 
-    run = _run(folder)
-    export_log("ulog", run, folder / "flight.ulg")
-    shutil.rmtree(run)
-    return folder / "flight.ulg"
+        run = _run(folder)
+        export_log(kind, run, folder / name)
+        shutil.rmtree(run)
+        return folder / name
 
-
-def _mat(folder: Path) -> Path:
-    from cosim.results.export import export_log
-
-    run = _run(folder)
-    export_log("mat", run, folder / "flight.mat")
-    shutil.rmtree(run)
-    return folder / "flight.mat"
+    return make
 
 
 def _parquet(folder: Path) -> Path:
@@ -223,28 +224,16 @@ def _read_described(path: Path) -> None:
     with zipfile.ZipFile(path.with_name("engine.fmu")) as whole, zipfile.ZipFile(path.with_name("x.fmu"), "w") as made:
         for name in whole.namelist():
             made.writestr(name, path.read_bytes() if name == path.name else whole.read(name))
-    _read_fmu(path.with_name("x.fmu"))
+    read_fmu(path.with_name("x.fmu"))
 
 
-def _read_fmu(path: Path) -> None:
-    from cosim.engine.fmu.archive import read_archive
-
-    read_archive(path)
+read_fmu = by("cosim.engine.fmu.archive:read_archive")
 
 
 def _mapping(folder: Path) -> Path:
     _fmu(folder)
-    text = """fmu = "engine.fmu"
-title = "Somebody's engine"
-
-[ports]
-throttle = "throttle"
-thrust = "thrust"
-
-[range]
-throttle = [0.0, 1.0]
-"""
-    (folder / "theirs.toml").write_text(text)
+    text = 'fmu = "engine.fmu"\ntitle = "Somebody\'s engine"\n\n[ports]\nthrottle = "throttle"\nthrust = "thrust"\n\n'
+    (folder / "theirs.toml").write_text(f"{text}[range]\nthrottle = [0.0, 1.0]\n")
     return folder / "theirs.toml"
 
 
@@ -256,40 +245,10 @@ def _read_mapping(path: Path) -> None:
     read_archive(archive, ports)
 
 
-def _scenario(path: Path) -> None:
-    from cosim.spec.scenario import Scenario
-
-    Scenario.load(path)
-
-
-def _read_vehicle(path: Path) -> None:
-    from cosim.spec.vehicle.files import load_vehicle
-
-    load_vehicle(str(path))
-
-
-def _study(path: Path) -> None:
-    from cosim.campaign.study.study import Study
-
-    Study.load(path)
-
-
-def _controller(path: Path) -> None:
-    from cosim.simulation.controllers.controller_file import read_controller
-
-    read_controller(path)
-
-
-def _model(path: Path) -> None:
-    from hexjet_identify.prediction_error.validate import read_model
-
-    read_model(path)
-
-
 KINDS = {
     "dataflash": Kind(_written("flight.bin", _dataflash()), _log_here),
-    "ulog": Kind(_ulog, _log),
-    "mat": Kind(_mat, _log),
+    "ulog": Kind(_exported("ulog", "flight.ulg"), _log),
+    "mat": Kind(_exported("mat", "flight.mat"), _log),
     "blackbox": Kind(_written("LOG00001.BFL", _blackbox()), _log_here, text=True),
     "crazyflie": Kind(_written("log00", _crazyflie()), _log_here),
     "tlog": Kind(_written("flight.tlog", _tlog()), _log_here),
@@ -298,16 +257,18 @@ KINDS = {
     "summary": Kind(_of_run("summary.json"), _open_run, text=True),
     "rows": Kind(_of_run("flight.parquet"), _open_run),
     "stream": Kind(_killed, _open_run),
-    "scenario": Kind(_shipped("scenarios", "fault-flame-out.toml"), _scenario, text=True),
-    "vehicle": Kind(_vehicle, _read_vehicle, text=True),
-    "study": Kind(_shipped("studies", "predictor-robustness.toml"), _study, text=True),
+    "scenario": Kind(_shipped("scenarios", "fault-flame-out.toml"), by("cosim.spec.scenario:Scenario.load"), text=True),
+    "vehicle": Kind(_vehicle, lambda path: resolve_name("cosim.spec.vehicle.files:load_vehicle")(str(path)), text=True),
+    "study": Kind(
+        _shipped("studies", "predictor-robustness.toml"), by("cosim.campaign.study.study:Study.load"), text=True
+    ),
     "controller": Kind(
-        _written("design.toml", (Path(__file__).parents[1] / "designs" / "turbojet.toml").read_bytes()),
-        _controller,
+        _written("design.toml", (DESIGNS / "turbojet.toml").read_bytes()),
+        by("cosim.simulation.controllers.controller_file:read_controller"),
         text=True,
     ),
-    "model": Kind(_model_file, _model, text=True),
-    "fmu": Kind(_fmu, _read_fmu),
+    "model": Kind(_model_file, by("hexjet_identify.prediction_error.validate:read_model"), text=True),
+    "fmu": Kind(_fmu, read_fmu),
     "mapping": Kind(_mapping, _read_mapping, text=True),
     "description": Kind(_described_fmu, _read_described, text=True),
 }

@@ -148,34 +148,21 @@ def scenario(**changes: Any) -> Scenario:
 
 def setup(**changes: Any) -> Setup:
     """What is known before that flight."""
-    known: dict[str, Any] = {
-        "scenario": "roll-doublet",
-        "title": "Roll doublet",
-        "description": "Ten degrees of roll, one way and then the other, at 30 m.",
-        "aircraft": "hexjet",
-        "engine": "edf-as-flown",
-        "controller": "smith",
-        "seed": 1,
-        "step_s": STEP,
+    places = ((0.15, 0.15), (-0.15, -0.15), (0.15, -0.15), (-0.15, 0.15), (0.0, 0.15), (0.0, -0.15))
+    flown, limits = scenario(), {"roll.overshoot_percent": Range(max=35.0)}
+    stated = ("title", "description", "aircraft", "engine", "controller", "seed", "step_s")
+    known: dict[str, Any] = {name: getattr(flown, name) for name in stated} | {
+        "scenario": flown.name,
         "planned_s": 8.0,
         "started": "2030-01-01T12:00:00+00:00",
         "engine_curve": [(0.0, 0.0), (0.5, 10.0), (1.0, 20.0)],
-        "jets_m": [
-            (0.15, 0.15, 0.0),
-            (-0.15, -0.15, 0.0),
-            (0.15, -0.15, 0.0),
-            (-0.15, 0.15, 0.0),
-            (0.0, 0.15, 0.0),
-            (0.0, -0.15, 0.0),
-        ],
+        "jets_m": [(x, y, 0.0) for x, y in places],
         "delay_ledger": [
             DelayRow(element="command held over the step", owner="control step", kind="hold", samples=0.5),
             DelayRow(element="transport delay", owner="engine edf-as-flown", kind="transport", samples=25.0),
             DelayRow(element="force acts half a JSBSim run late", owner="JSBSim", kind="transport", samples=0.5),
         ],
-        "expectation": Expectation(
-            controller="smith", engine="edf-as-flown", metrics={"roll.overshoot_percent": Range(max=35.0)}
-        ),
+        "expectation": Expectation(controller="smith", engine="edf-as-flown", metrics=limits),
         "versions": {"python": "3.11.0", "hexjet-cosim": "0.2.0"},
         "sha256": {"hexjet.xml": "ab" * 32, "edf-as-flown.fmu": "cd" * 32},
     }

@@ -52,19 +52,8 @@ def sample(k: int = 250, **changes: Any) -> Sample:
     """Half a second after something: nose east, 10 m up, climbing with 2 m/s, every number different."""
     position, velocity = (3.0, 4.0, -10.0), (1.0, 0.5, -2.0)
     attitude, rate = (HALF, 0.0, 0.0, HALF), (0.1, 0.2, 0.3)
-    state = State(
-        position,
-        velocity,
-        attitude,
-        (0.0, 0.0, 1.5707963),
-        rate,
-        (0.1, 0.2, -9.8),
-        10.0,
-        (4.0, 5.0, 0.0),
-        5.5,
-        False,
-        False,
-    )
+    euler, force, wind = (0.0, 0.0, 1.5707963), (0.1, 0.2, -9.8), (4.0, 5.0, 0.0)
+    state = State(position, velocity, attitude, euler, rate, force, 10.0, wind, 5.5, False, False)
     made = Sample(
         k, k * 0.004, Command((0.05, -0.04, 1.5), 10.0), state, Measured(rate, attitude, position, velocity, 10.0),
         ControlSignals((0.4, 0.5, 0.6), (0.11, 0.22, 0.33), (0.01, 0.02, 0.03), 0.45, 0.45),

@@ -18,7 +18,7 @@ from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import MissionItem
 from cosim.simulation.autopilot_setup import attach_autopilot, make_fault
 from cosim.simulation.build import build
-from cosim.spec.scenario import FlameOut, Scenario, SensorBias
+from cosim.spec.scenario import Fault, FlameOut, Scenario, SensorBias
 from cosim.spec.vehicle import load_vehicle
 
 STANDING = 0.125
@@ -30,9 +30,7 @@ def test_from_the_ground_to_a_place_and_back() -> None:
         pilot, simulation = flight.pilot, flight.simulation
         assert pilot.engines is EngineState.IDLE
         flight.take_off(10.0)
-        landed = [sample.state.on_ground for sample in flight.samples]
-        assert landed[0]
-        assert not landed[-1]
+        assert [flight.samples[k].state.on_ground for k in (0, -1)] == [True, False]
         assert simulation.state.altitude == pytest.approx(10.0 + STANDING, abs=0.5)
         flight.fly(3.0)
         assert simulation.state.altitude == pytest.approx(10.0 + STANDING, abs=0.2)
@@ -44,26 +42,21 @@ def test_from_the_ground_to_a_place_and_back() -> None:
         flight.fly(30 / 4.0 + 4.0 / 3.0 + 4.0 / 2.25 + 1.0 + 1.0)
         assert flight.away(0.0, 30.0) < 0.6
         flight.fly(4.0)
-        east = [sample.state.position[1] for sample in flight.samples[begun:]]
-        assert max(east) < 30.0 + 0.5
         assert flight.away(0.0, 30.0) < 0.4
-        speeds = [hypot(*sample.state.velocity[:2]) for sample in flight.samples[begun:]]
-        assert max(speeds) < 4.0 * 1.15
-        lean = [abs(sample.state.euler[0]) for sample in flight.samples[begun:]]
-        assert radians(8.0) < max(lean) < radians(16.0)
+        states = [sample.state for sample in flight.samples[begun:]]
+        assert max(state.position[1] for state in states) < 30.0 + 0.5
+        assert max(hypot(*state.velocity[:2]) for state in states) < 4.0 * 1.15
+        assert radians(8.0) < max(abs(state.euler[0]) for state in states) < radians(16.0)
         flight.ok(rq.SetParameter("HJ_DESC_AUTO", 2.0), rq.SetParameter("HJ_SPEED_DN", 2.0))
         flight.ok(rq.ReturnHome())
         back = len(flight.samples)
         flight.fly(60.0, lambda: pilot.landed is LandedState.ON_GROUND)
         assert max(sample.state.altitude for sample in flight.samples[back:]) == pytest.approx(15.0 + STANDING, abs=0.5)
-        assert pilot.armed
-        assert pilot.engines is EngineState.IDLE
+        assert (pilot.armed, pilot.engines) == (True, EngineState.IDLE)
         flight.fly(2.1)
-        assert not pilot.armed
-        assert pilot.mode is Mode.HOLD
+        assert (pilot.armed, pilot.mode, flight.ending) == (False, Mode.HOLD, None)
         assert flight.away(0.0, 0.0) < 0.7
         assert 0.2 < flight.descent(back) < 0.8
-        assert flight.ending is None
         # standing: least throttle, and nothing turns the tilts
         assert set(flight.samples[-1].actuation.throttle) == {simulation.vehicle.control.allocation.throttle_min}
         assert flight.samples[-1].actuation.tilt == (0.0, 0.0)
@@ -159,13 +152,10 @@ def test_a_mission_returns_home_and_not_to_where_the_flight_began() -> None:
 
 def test_the_same_requests_at_the_same_steps_are_the_same_flight() -> None:
     """To the last bit, with noise, turbulence, a parameter, a predictor and a fault changed on the way."""
+    rough = {"turbulence_severity": 3, "turbulence_wind_m_s": 5.0, "wind_ned_m_s": [3.0, 0.0, 0.0]}
 
     def run() -> list[Sample]:
-        with Flight(
-            airborne=True,
-            monitor=True,
-            environment={"turbulence_severity": 3, "turbulence_wind_m_s": 5.0, "wind_ned_m_s": [3.0, 0.0, 0.0]},
-        ) as flight:
+        with Flight(airborne=True, monitor=True, environment=rough) as flight:
             flight.ok(rq.Goto(10.0, 5.0, 11.0, 1.0))
             flight.fly(2.0)
             flight.ok(rq.SetParameter("HJ_VEL_P", 0.8), rq.SetParameter("HJ_PRED_TYPE", 2))
@@ -251,6 +241,7 @@ def test_a_mission_climbs_before_it_leaves() -> None:
 
 def test_gains_and_predictor_change_in_hover_without_a_bump() -> None:
     """The torque commands move by no more in the step of the change than noise moves them in any other."""
+    changes = {"HJ_PRED_DELAY": 28.0, "HJ_ROLL_P": 0.015, "HJ_ATT_ROLL": 3.0, "HJ_PITCH_P": 0.2, "HJ_VEL_P": 0.7}
     with Flight(airborne=True) as flight:
         flight.ok(rq.Goto(5.0, 5.0))
         flight.fly(2.0)
@@ -262,15 +253,7 @@ def test_gains_and_predictor_change_in_hover_without_a_bump() -> None:
             return [max(abs(b - a) for a, b in zip(p.control.torque, q.control.torque, strict=True)) for p, q in pairs]
 
         usual = max(jumps(flight.samples[quiet:]))
-        for name, value in (
-            ("HJ_PRED_TYPE", 2),
-            ("HJ_PRED_DELAY", 28.0),
-            ("HJ_ROLL_P", 0.015),
-            ("HJ_ATT_ROLL", 3.0),
-            ("HJ_PITCH_P", 0.2),
-            ("HJ_VEL_P", 0.7),
-            ("HJ_PRED_TYPE", 5),
-        ):
+        for name, value in (("HJ_PRED_TYPE", 2), *changes.items(), ("HJ_PRED_TYPE", 5)):
             at = len(flight.samples)
             flight.ok(rq.SetParameter(name, value))
             flight.fly(0.2)
@@ -292,16 +275,25 @@ def test_the_quadrotor_flies_as_well() -> None:
         assert flight.ending is None
 
 
-def test_faults_by_request_are_the_scenarios_own() -> None:
-    assert make_fault(rq.InjectFault("flame_out", (2, 3), duration_s=4.0)) == FlameOut(
-        kind="flame_out", start_s=0.0, duration_s=4.0, jet=[2, 3]
-    )
-    assert make_fault(rq.InjectFault("sensor_bias", sensor="barometer", amount=2.0)) == SensorBias(
-        kind="sensor_bias", start_s=0.0, sensor="barometer", bias=[2.0]
-    )
-    assert make_fault(rq.InjectFault("sensor_bias", sensor="gyro", vector=(0.1, 0.0, 0.0))) == SensorBias(
-        kind="sensor_bias", start_s=0.0, sensor="gyro", bias=[0.1, 0.0, 0.0]
-    )
+@pytest.mark.parametrize(
+    ("asked", "fault"),
+    [
+        (
+            rq.InjectFault("flame_out", (2, 3), duration_s=4.0),
+            FlameOut(kind="flame_out", start_s=0.0, duration_s=4.0, jet=[2, 3]),
+        ),
+        (
+            rq.InjectFault("sensor_bias", sensor="barometer", amount=2.0),
+            SensorBias(kind="sensor_bias", start_s=0.0, sensor="barometer", bias=[2.0]),
+        ),
+        (
+            rq.InjectFault("sensor_bias", sensor="gyro", vector=(0.1, 0.0, 0.0)),
+            SensorBias(kind="sensor_bias", start_s=0.0, sensor="gyro", bias=[0.1, 0.0, 0.0]),
+        ),
+    ],
+)
+def test_faults_by_request_are_the_scenarios_own(asked: rq.InjectFault, fault: Fault) -> None:
+    assert make_fault(asked) == fault
 
 
 @pytest.mark.parametrize(

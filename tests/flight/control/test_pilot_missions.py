@@ -6,6 +6,7 @@ from math import hypot
 
 import pytest
 from failsafe_flights import Flight
+from long_cases import long_after
 
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot import requests as rq
@@ -23,6 +24,7 @@ QGC_WPL = """QGC WPL 110
 """
 GEODESY = Geodesy(22.35, 113.59, 12.0)
 LAND = MissionItem("land")
+FLOWN = ("hexjet-p220", "hexjet", "hexjet-100", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 
 
 def read_waypoints(text: str) -> tuple[MissionItem, ...]:
@@ -49,16 +51,7 @@ def begin(flight: Flight, *items: MissionItem) -> None:
     flight.ok(rq.MissionUpload(items), rq.Arm(), rq.MissionStart())
 
 
-@pytest.mark.parametrize(
-    "aircraft",
-    [
-        "hexjet-p220",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in ("hexjet", "hexjet-100", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
-        ),
-    ],
-)
+@pytest.mark.parametrize("aircraft", long_after(1, FLOWN))
 def test_a_file_whose_first_item_is_home_is_flown_to_its_end(aircraft: str) -> None:
     """At that item hexjet-p220 lost its barometer on its legs, and jetwing stood there until its fuel was low."""
     with on_the_ground(aircraft) as flight:

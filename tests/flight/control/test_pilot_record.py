@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from hexjet_export.logs.ulog_autopilot import NAV_STATE
 from hexjet_export.logs.ulog_topics import INTERVAL_S, TOPICS
 
 SECONDS = 24.0
-ASKED = [
+ASKED: list[tuple[float, rq.Request]] = [
     (1.2, rq.SetParameter("MPC_XY_VEL_MAX", 3.0)),
     (1.2, rq.Arm()),
     (1.2, rq.Takeoff(4.0)),
@@ -38,85 +38,84 @@ ASKED = [
 ]
 
 
-@pytest.fixture(scope="module")
-def piloted(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    folder = tmp_path_factory.mktemp("piloted")
-    waiting = make_ground_scenario(Scenario.load("hover"), SECONDS)
+def flown(asked: list[tuple[float, rq.Request]], folder: Path, seconds: float) -> tuple[Run, Path]:
+    """A flight of these requests, each at its second, and the folder of its run."""
+    waiting = make_ground_scenario(Scenario.load("hover"), seconds)
     log = RequestLog(folder / REQUESTS)
-    for at, request in ASKED:
+    for at, request in asked:
         log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
     log.close()
     scenario = Scenario.from_table(waiting.model_dump(mode="json", exclude_none=True), folder, "waiting")
-    return fly(scenario, folder / "run", report=False)
+    return fly(scenario, folder / "run", report=False), folder / "run"
 
 
 @pytest.fixture(scope="module")
-def ulog(piloted: Run, tmp_path_factory: pytest.TempPathFactory) -> ULog:
-    return exported(piloted.folder, tmp_path_factory.mktemp("exported") / "flight.ulg")
+def piloted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    return flown(ASKED, tmp_path_factory.mktemp("piloted"), SECONDS)
 
 
-def of(run: Run, kind: str) -> list[dict[str, object]]:
-    assert run.folder is not None
-    return [line for line in read_pilot_record(run.folder) if line["kind"] == kind]
+@pytest.fixture(scope="module")
+def ulog(piloted: tuple[Run, Path], tmp_path_factory: pytest.TempPathFactory) -> ULog:
+    return exported(piloted[1], tmp_path_factory.mktemp("exported") / "flight.ulg")
 
 
-def test_the_record_tells_the_flight(piloted: Run) -> None:
-    assert piloted.outcome == "completed", piloted.summary.reason
-    states = of(piloted, "state")
-    modes = [state["mode"] for state in states]
-    assert list(dict.fromkeys(modes)) == ["HOLD", "TAKEOFF", "LAND"]
+@pytest.fixture(scope="module")
+def record(piloted: tuple[Run, Path]) -> dict[str, list[dict[str, Any]]]:
+    """The record's lines by their kind."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
+    for line in read_pilot_record(piloted[1]):
+        assert isinstance(line["k"], int)
+        kinds.setdefault(str(line["kind"]), []).append(line)
+    return kinds
+
+
+def test_the_record_tells_the_flight(piloted: tuple[Run, Path], record: dict[str, list[dict[str, Any]]]) -> None:
+    assert piloted[0].outcome == "completed", piloted[0].summary.reason
+    states = record["state"]
+    assert list(dict.fromkeys(state["mode"] for state in states)) == ["HOLD", "TAKEOFF", "LAND"]
     assert not states[0]["armed"]
-    assert any(state["armed"] for state in states)
-    armed = next(state["k"] for state in states if state["armed"])
-    assert armed == 300  # the step before which it was asked for
-    (first,) = of(piloted, "parameters")
-    values = first["values"]
-    assert isinstance(values, dict)
-    assert values["MPC_XY_VEL_MAX"] != 3.0
-    assert isinstance(values["HJ_PRED_TYPE"], int)
-    changed = {line["name"]: (line["k"], line["value"]) for line in of(piloted, "parameter")}
+    assert next(state["k"] for state in states if state["armed"]) == 300  # the step before which it was asked for
+    (first,) = record["parameters"]
+    assert first["values"]["MPC_XY_VEL_MAX"] != 3.0
+    assert isinstance(first["values"]["HJ_PRED_TYPE"], int)
+    changed = {line["name"]: (line["k"], line["value"]) for line in record["parameter"]}
     assert changed == {"MPC_XY_VEL_MAX": (300, 3.0), "HJ_FENCE_RAD": (3000, 50.0)}
-    assert "armed" in [line["text"] for line in of(piloted, "message")]
-    assert of(piloted, "mission")[-1]["count"] == 1
-    estimates = of(piloted, "estimate")
-    assert [line["k"] for line in estimates] == list(range(0, len(piloted.log["time_s"]), 25))
-    steps = [line["k"] for line in read_pilot_record(piloted.folder or Path())]
-    assert all(isinstance(k, int) for k in steps)
+    assert "armed" in [line["text"] for line in record["message"]]
+    assert record["mission"][-1]["count"] == 1
+    assert [line["k"] for line in record["estimate"]] == list(range(0, len(piloted[0].log), 25))
 
 
-def test_the_same_flight_has_the_same_record(piloted: Run, tmp_path: Path) -> None:
-    assert piloted.folder is not None
-    again = fly(Scenario.load(piloted.folder / "scenario.toml"), tmp_path / "again", report=False)
-    assert again.folder is not None
-    assert (again.folder / AUTOPILOT).read_bytes() == (piloted.folder / AUTOPILOT).read_bytes()
+def test_the_same_flight_has_the_same_record(piloted: tuple[Run, Path], tmp_path: Path) -> None:
+    fly(Scenario.load(piloted[1] / "scenario.toml"), tmp_path / "again", report=False)
+    assert (tmp_path / "again" / AUTOPILOT).read_bytes() == (piloted[1] / AUTOPILOT).read_bytes()
 
 
-def test_states_are_px4s(piloted: Run, ulog: ULog) -> None:
+def test_states_are_px4s(record: dict[str, list[dict[str, Any]]], ulog: ULog) -> None:
     """vehicle_status at each change, and once a second in between."""
     data = ulog.get_dataset("vehicle_status").data
-    states = of(piloted, "state")
     k = np.rint(data["timestamp"] / 4000.0)
-    for state in states:
+    for state in record["state"]:
         (row, *_) = np.flatnonzero(k == state["k"])
-        assert data["nav_state"][row] == NAV_STATE[str(state["mode"])]
+        assert data["nav_state"][row] == NAV_STATE[state["mode"]]
         assert data["arming_state"][row] == (2 if state["armed"] else 1)
     assert {NAV_STATE["HOLD"], NAV_STATE["TAKEOFF"], NAV_STATE["LAND"]} <= set(data["nav_state"].tolist())
     assert np.max(np.diff(data["timestamp"])) <= 1_000_000
-    landed = ulog.get_dataset("vehicle_land_detected").data
-    assert landed["landed"][0] == 1
-    assert 0 in landed["landed"].tolist()
+    landed = ulog.get_dataset("vehicle_land_detected").data["landed"].tolist()
+    assert landed[0] == 1
+    assert 0 in landed
 
 
-def test_position_is_the_autopilots_and_set_points_are_there(piloted: Run, ulog: ULog) -> None:
+def test_position_is_the_autopilots_and_set_points_are_there(
+    piloted: tuple[Run, Path], record: dict[str, list[dict[str, Any]]], ulog: ULog
+) -> None:
     data = ulog.get_dataset("vehicle_local_position").data
-    estimates = of(piloted, "estimate")
-    position = np.array([line["position"] for line in estimates])
-    np.testing.assert_array_equal(data["x"][::25], position[:, 0].astype(np.float32))
-    np.testing.assert_array_equal(data["y"][24::25][:100], position[:100, 1].astype(np.float32))  # held in between
+    position = np.array([line["position"] for line in record["estimate"]]).astype(np.float32)
+    np.testing.assert_array_equal(data["x"][::25], position[:, 0])
+    np.testing.assert_array_equal(data["y"][24::25][:100], position[:100, 1])  # held in between
     assert data["xy_valid"].all()
     assert data["v_xy_valid"].all()
     raw = ulog.get_dataset("hexjet_gnss").data
-    np.testing.assert_array_equal(raw["x"], piloted.log["north_measured_m"].astype(np.float32))
+    np.testing.assert_array_equal(raw["x"], piloted[0].log["north_measured_m"].astype(np.float32))
     wanted = ulog.get_dataset("vehicle_local_position_setpoint").data
     hovering = slice(2700, 3000)  # at 4 m, before the landing
     np.testing.assert_allclose(wanted["z"][hovering], -4.0, atol=0.3)
@@ -125,53 +124,51 @@ def test_position_is_the_autopilots_and_set_points_are_there(piloted: Run, ulog:
 
 def test_without_fixes_the_position_is_not_valid(tmp_path: Path) -> None:
     """A second after the last fix, as the ground station is told."""
-    waiting = make_ground_scenario(Scenario.load("hover"), 4.0)
-    log = RequestLog(tmp_path / REQUESTS)
     silent = rq.InjectFault("sensor_dropout", sensor="gnss")
-    for at, request in ((0.4, rq.SetParameter("SYS_FAILURE_EN", 1)), (0.5, silent)):
-        log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
-    log.close()
-    scenario = Scenario.from_table(waiting.model_dump(mode="json", exclude_none=True), tmp_path, "waiting")
-    run = fly(scenario, tmp_path / "run", report=False)
-    data = exported(run.folder, tmp_path / "flight.ulg").get_dataset("vehicle_local_position").data
+    _, folder = flown([(0.4, rq.SetParameter("SYS_FAILURE_EN", 1)), (0.5, silent)], tmp_path, 4.0)
+    data = exported(folder, tmp_path / "flight.ulg").get_dataset("vehicle_local_position").data
     lost = data["timestamp"] > 2e6
     assert data["xy_valid"][~lost][:100].all()
     assert not data["xy_valid"][lost].any()
     assert data["z_valid"].all()
 
 
-def test_messages_and_parameters(piloted: Run, ulog: ULog) -> None:
+def test_messages_and_parameters(
+    piloted: tuple[Run, Path], record: dict[str, list[dict[str, Any]]], ulog: ULog
+) -> None:
     said = {message.message for message in ulog.logged_messages}
-    assert {str(line["text"]) for line in of(piloted, "message")} <= said
-    end = f"completed: {piloted.summary.reason}; completed, nothing checked"
+    assert {line["text"] for line in record["message"]} <= said
+    end = f"completed: {piloted[0].summary.reason}; completed, nothing checked"
     assert {"mode TAKEOFF", "mode LAND", end} <= said
     times = [message.timestamp for message in ulog.logged_messages]
     assert times == sorted(times)
-    (first,) = of(piloted, "parameters")
-    assert isinstance(first["values"], dict)
+    (first,) = record["parameters"]
     # beside the vehicle's and the scenario's numbers, whose names have a /
     assert {name for name in ulog.initial_parameters if "/" not in name} == first["values"].keys()
     assert ulog.initial_parameters["HJ_PRED_TYPE"] == first["values"]["HJ_PRED_TYPE"]
-    assert [(name, value) for _, name, value in ulog.changed_parameters] == [
-        ("MPC_XY_VEL_MAX", 3.0),
-        ("HJ_FENCE_RAD", 50.0),
-    ]
+    changed = [(name, value) for _, name, value in ulog.changed_parameters]
+    assert changed == [("MPC_XY_VEL_MAX", 3.0), ("HJ_FENCE_RAD", 50.0)]
 
 
-def test_at_px4s_rates_a_log_is_a_tenth(piloted: Run, tmp_path: Path) -> None:
-    """A download at 225 kB/s takes a tenth of the flight."""
-    assert piloted.folder is not None
-    export_log("ulog", piloted.folder, tmp_path / "small.ulg", rates="px4")
-    log = ULog(str(tmp_path / "small.ulg"))
+def small(folder: Path, path: Path, seconds: float) -> ULog:
+    """The log at PX4's rates: a download at 225 kB/s takes a tenth of the flight."""
+    export_log("ulog", folder, path, rates="px4")
+    log = ULog(str(path))
     assert not log.file_corruption
     fixed = 8_000  # formats and parameters, whatever the flight's length
-    assert (tmp_path / "small.ulg").stat().st_size < fixed + 22_500 * SECONDS
+    assert path.stat().st_size < fixed + 22_500 * seconds
+    return log
+
+
+def test_at_px4s_rates_a_log_is_a_tenth(piloted: tuple[Run, Path], tmp_path: Path) -> None:
+    log = small(piloted[1], tmp_path / "small.ulg", SECONDS)
     for topic in log.data_list:
         if topic.name in INTERVAL_S and topic.name not in ("vehicle_status", "vehicle_land_detected"):
             every = 4000 * round(INTERVAL_S[topic.name] / 0.004)
             times = topic.data["timestamp"]
             assert set(np.diff(times[:-1]).tolist()) == {every}, topic.name
-            assert times[-1] == 4000 * (len(piloted.log) - 1), topic.name  # the last step is there, whatever the rate
+            # the last step is there, whatever the rate
+            assert times[-1] == 4000 * (len(piloted[0].log) - 1), topic.name
             assert times[-1] - times[-2] <= every, topic.name
     # nothing that is rare is thinned out
     assert len(log.logged_messages) > 5
@@ -200,27 +197,14 @@ def test_a_torn_last_line_is_left_out_and_no_file_is_no_record(tmp_path: Path) -
 def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
     """Six engines with all that they tell, a minute in wind, from which on every minute is as the one before."""
     seconds = 60.0
-    (tmp_path / "asked.jsonl").write_text(
-        json.dumps({"step": 1000, "sender": "test", "request": "Goto", "north": 10.0, "east": 5.0}) + "\n"
-    )
+    asked = {"step": 1000, "sender": "test", "request": "Goto", "north": 10.0, "east": 5.0}
+    (tmp_path / "asked.jsonl").write_text(json.dumps(asked) + "\n")
     held = {"name": "long", "aircraft": "hexjet-p220", "engine": "p220", "controller": "smith", "duration_s": seconds}
-    scenario = Scenario.from_table(
-        held
-        | {
-            "requests": "asked.jsonl",
-            "initial": {"altitude_m": 20.0},
-            "environment": {"wind_ned_m_s": [0.0, 5.0, 0.0]},
-        },
-        tmp_path,
-        "long",
-    )
-    run = fly(scenario, tmp_path / "run", report=False)
+    held |= {"requests": "asked.jsonl", "initial": {"altitude_m": 20.0}}
+    held |= {"environment": {"wind_ned_m_s": [0.0, 5.0, 0.0]}}
+    run = fly(Scenario.from_table(held, tmp_path, "long"), tmp_path / "run", report=False)
     assert run.outcome == "completed"
-    assert run.folder is not None
-    export_log("ulog", run.folder, tmp_path / "long.ulg", rates="px4")
-    fixed = 8_000
-    assert (tmp_path / "long.ulg").stat().st_size < fixed + 22_500 * seconds
-    assert not ULog(str(tmp_path / "long.ulg")).file_corruption
+    small(tmp_path / "run", tmp_path / "long.ulg", seconds)
     got, took = downloaded(tmp_path / "long.ulg")
     assert got == (tmp_path / "long.ulg").read_bytes()
     assert took < 0.1 * seconds

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Callable
 from math import exp
 from pathlib import Path
 from typing import Any
@@ -19,21 +21,13 @@ from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples
 from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models, compare_models, list_model_notes
-from cosim.spec.vehicle import RateModel, Vehicle, aircraft_names, load_vehicle
+from cosim.spec.vehicle import Vehicle, aircraft_names, load_vehicle
 
-ROWS = {
-    "hexjet, edf-as-flown": ("hexjet", "edf-as-flown", 1.0),
-    "hexjet, edf": ("hexjet", "edf", 1.0),
-    "hexjet-100, turbine-100, full": ("hexjet-100", "turbine-100", 1.0),
-    "hexjet-100, turbine-100, empty": ("hexjet-100", "turbine-100", 0.0),
-    "hexjet-p220, p220, full": ("hexjet-p220", "p220", 1.0),
-    "hexjet-p220, p220, empty": ("hexjet-p220", "p220", 0.0),
-    "hexjet-p220, p220-2025, full": ("hexjet-p220", "p220-2025", 1.0),
-    "hexjet-p220, p220-2025, empty": ("hexjet-p220", "p220-2025", 0.0),
-    "octojet, turbine-100, full": ("octojet", "turbine-100", 1.0),
-    "octojet, turbine-100, empty": ("octojet", "turbine-100", 0.0),
-    "quadrotor, motor": ("quadrotor", "motor", 1.0),
-}
+# Engine by aircraft, and whether it burns fuel.
+SHIPPED = (
+    ("hexjet", "edf-as-flown", False), ("hexjet", "edf", False), ("hexjet-100", "turbine-100", True), ("hexjet-p220", "p220", True),
+    ("hexjet-p220", "p220-2025", True), ("octojet", "turbine-100", True), ("quadrotor", "motor", False),
+)  # fmt: skip
 LEVER_M, THRUST_N, INERTIA = 0.15, 20.005, 0.041571  # aircraft/hexjet/README.md
 
 
@@ -42,48 +36,57 @@ def scenario_of(aircraft: str = "hexjet", engine: str = "edf-as-flown", **change
     return Scenario.from_table({**table, **changes}, Path(), "test")
 
 
-def agreements(scenario: Scenario) -> list[ModelAgreement]:
+def of(compare: Callable[..., Any], scenario: Scenario, fuel: float | None = None) -> list[Any]:
+    """What a comparison of the scenario's vehicle comes to."""
     vehicle, _ = scenario.resolved_vehicle()
-    return compare_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
+    vehicle = vehicle if fuel is None else vehicle.with_fuel(fuel)
+    return list(compare(scenario, vehicle, load_engines(scenario, vehicle)[0]))
+
+
+def agreements(scenario: Scenario) -> list[ModelAgreement]:
+    return of(compare_models, scenario)
 
 
 def notes(scenario: Scenario) -> list[str]:
-    vehicle, _ = scenario.resolved_vehicle()
-    return list_model_notes(scenario, vehicle, load_engines(scenario, vehicle)[0])
+    return of(list_model_notes, scenario)
 
 
 def test_the_table_has_every_shipped_model() -> None:
     vehicles = {name: load_vehicle(name)[0] for name in aircraft_names()}
-    assert set(ROWS.values()) == {
-        (name, engine, fuel)
-        for name, vehicle in vehicles.items()
-        for engine in vehicle.identified
-        for fuel in ((1.0, 0.0) if vehicle.fuel else (1.0,))
-    }
+    stated = {(name, engine, bool(it.fuel)) for name, it in vehicles.items() for engine in it.identified}
+    assert set(SHIPPED) == stated
 
 
-@pytest.mark.parametrize("cell", ROWS)
-def test_shipped_models_are_their_vehicles(cell: str) -> None:
+@pytest.mark.parametrize(
+    ("aircraft", "engine", "fuel"),
+    [(name, engine, fuel) for name, engine, burns in SHIPPED for fuel in ((1.0, 0.0) if burns else (1.0,))],
+)
+def test_shipped_models_are_their_vehicles(aircraft: str, engine: str, fuel: float) -> None:
     """With full and with empty tank."""
-    aircraft, engine, fuel = ROWS[cell]
-    scenario = scenario_of(aircraft, engine)
-    vehicle, _ = scenario.resolved_vehicle()
-    (found,) = compare_models(scenario, vehicle.with_fuel(fuel), load_engines(scenario, vehicle)[0])
+    (found,) = of(compare_models, scenario_of(aircraft, engine), fuel)
     assert found.axis == "roll"
     assert not found.is_noteworthy, found.note
-    if cell.endswith(", full"):  # designs swept the engine at this throttle, and composed the model from that
+    # designs swept the engine at the throttle of a full tank, and composed the model from that
+    if (aircraft, engine, True) in SHIPPED and fuel:
         assert found.ratio == pytest.approx(1.0, abs=0.005)
         assert found.model_delay == pytest.approx(found.vehicle_delay, abs=0.5)
 
 
+def inertia(factor: float) -> dict[str, Any]:
+    """About roll."""
+    return {"vehicle": {"inertia_kg_m2": [INERTIA * factor, 0.052, 0.07]}}
+
+
+HEAVY: dict[str, Any] = {"vehicle": {"inertia_kg_m2": [0.08, 0.09, 0.12]}}
+
+
+def delay(samples: int) -> dict[str, Any]:
+    return {"engine_parameters": {"delay_samples": samples}}
+
+
 @pytest.mark.parametrize(
     ("changes", "settles"),
-    [
-        ({"vehicle": {"inertia_kg_m2": [0.041571 * 1.5, 0.052, 0.07]}}, True),
-        ({"vehicle": {"inertia_kg_m2": [0.041571 * 1.75, 0.052, 0.07]}}, False),
-        ({"engine_parameters": {"delay_samples": 25 + 10}}, True),
-        ({"engine_parameters": {"delay_samples": 25 + 15}}, False),
-    ],
+    [(inertia(1.5), True), (inertia(1.75), False), (delay(25 + 10), True), (delay(25 + 15), False)],
 )
 def test_where_a_model_is_unfit_the_doublet_does_not_settle(changes: dict[str, Any], settles: bool) -> None:
     scenario = Scenario.load("roll-doublet").replace(expect=[], **changes)
@@ -116,14 +119,14 @@ def changed(vehicle: Vehicle, **model: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("changes", "ratio", "later", "noted", "unfit"),
     [
-        ({"vehicle": {"inertia_kg_m2": [0.041571 * 1.1, 0.052, 0.07]}}, 1.1, 0.0, False, False),
-        ({"vehicle": {"inertia_kg_m2": [0.041571 * 1.3, 0.052, 0.07]}}, 1.3, 0.0, True, False),
-        ({"vehicle": {"inertia_kg_m2": [0.041571 * 0.7, 0.052, 0.07]}}, 0.7, 0.0, True, False),
-        ({"vehicle": {"inertia_kg_m2": [0.08, 0.09, 0.12]}}, 0.08 / 0.041571, 0.0, True, True),
+        (inertia(1.1), 1.1, 0.0, False, False),
+        (inertia(1.3), 1.3, 0.0, True, False),
+        (inertia(0.7), 0.7, 0.0, True, False),
+        (HEAVY, 0.08 / INERTIA, 0.0, True, True),
         ({"vehicle": {"mass_kg": 6.5}}, 1.0, 0.0, False, False),  # throttles turn it, whatever it weighs
-        ({"engine_parameters": {"delay_samples": 29}}, 1.0, -4.0, False, False),
-        ({"engine_parameters": {"delay_samples": 35}}, 1.0, -10.0, True, False),
-        ({"engine_parameters": {"delay_samples": 60}}, 1.0, -35.0, True, True),
+        (delay(29), 1.0, -4.0, False, False),
+        (delay(35), 1.0, -10.0, True, False),
+        (delay(60), 1.0, -35.0, True, True),
         ({"engine_parameters": {"newton_per_unit": 2.0 * 9.80665}}, 0.5, 0.0, True, True),
         ({"vehicle": {"sensors": {"gyro": {"latency_samples": 10}}}}, 1.0, -10.0, True, False),
     ],
@@ -133,9 +136,8 @@ def test_what_is_changed_is_found_by_its_size(
 ) -> None:
     (right,), (found,) = agreements(scenario_of()), agreements(scenario_of(**changes))
     assert found.ratio / right.ratio == pytest.approx(ratio, rel=0.03)
-    assert (found.model_delay - found.vehicle_delay) - (right.model_delay - right.vehicle_delay) == pytest.approx(
-        later, abs=0.6
-    )
+    off, usual = (each.model_delay - each.vehicle_delay for each in (found, right))
+    assert off - usual == pytest.approx(later, abs=0.6)
     assert (found.is_noteworthy, found.is_unfit) == (noted, unfit)
 
 
@@ -156,21 +158,13 @@ def test_a_model_of_another_form_is_found(model: dict[str, Any], said: str) -> N
 def test_an_axis_that_banks_turn_goes_with_the_weight() -> None:
     """Pitch by tilt: a model of its own gain and lag agrees, and one made at twice the weight does not."""
     vehicle, _ = load_vehicle("hexjet")
-    servo = vehicle.servo
-    assert servo is not None
+    assert vehicle.servo is not None
     height = abs(sum(jet.position_m[2] for jet in vehicle.jets)) / 6.0
     gain = height * vehicle.mass_kg * 9.80665 / vehicle.inertia_kg_m2[1]
-    with build(scenario_of()) as simulation:
-        step = simulation.dt
-    servos, gyro = exp(-step / servo.lag_s), exp(-step / vehicle.sensors.gyro.filter_s)
-    model = RateModel(
-        gain=gain * step * (1.0 - servos) * (1.0 - gyro),
-        zeros=[0.0, 0.0],
-        poles=[0.9999, servos, gyro],
-        delay_samples=0,
-        sample_time_s=step,
-        source="by hand",
-    ).model_dump(mode="json")
+    step = scenario_of().step_s
+    servos, gyro = exp(-step / vehicle.servo.lag_s), exp(-step / vehicle.sensors.gyro.filter_s)
+    model = {"gain": gain * step * (1.0 - servos) * (1.0 - gyro), "zeros": [0.0, 0.0], "poles": [0.9999, servos, gyro]}
+    model |= {"delay_samples": 0, "sample_time_s": step, "source": "by hand"}
     stated = {"identified": {"edf-as-flown": {"pitch": model}}}
     found = agreements(scenario_of(vehicle=stated))[-1]
     assert found.unit == "rad/s^2 per rad"
@@ -204,9 +198,8 @@ def test_a_flight_says_it_once_and_everywhere(hexjet: Hexjet) -> None:
 
 def test_who_believes_no_model_is_told_nothing() -> None:
     """And a mismatch is what no controller knows of."""
-    heavy: dict[str, Any] = {"vehicle": {"inertia_kg_m2": [0.08, 0.09, 0.12]}}
-    assert notes(scenario_of(**heavy))
-    assert not notes(scenario_of(**heavy, controller="baseline"))
+    assert notes(scenario_of(**HEAVY))
+    assert not notes(scenario_of(**HEAVY, controller="baseline"))
     assert not notes(scenario_of(mismatch={"mass_factor": 1.5, "delay_samples": 20}))
     assert not notes(scenario_of(added_delay_samples=20))
 
@@ -216,30 +209,24 @@ def test_a_payload_and_a_part_of_the_tank_count() -> None:
     (said,) = notes(scenario_of(disturbance=[load]))
     assert "with the payload of 1.5 kg" in said
     assert fly(scenario_of(disturbance=[load])).summary.notes == [said]
-    scenario = scenario_of("hexjet-p220", "p220", initial={"fuel": 0.25})
-    vehicle, _ = scenario.resolved_vehicle()
-    found = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
+    found = of(compare_flown_models, scenario_of("hexjet-p220", "p220", initial={"fuel": 0.25}))
     assert [each.state for each in found] == ["with 25 % of its fuel"]
 
 
 def test_a_study_says_it_once() -> None:
-    study = open_study(
-        "roll-doublet", controllers=["baseline", "smith"], vary=["vehicle.inertia_kg_m2.0*=0.7:1.3"], runs=20
-    )
-    (note,) = model_notes(study)
+    vary = ["vehicle.inertia_kg_m2.0*=0.7:1.3"]
+    (note,) = model_notes(open_study("roll-doublet", controllers=["baseline", "smith"], vary=vary, runs=20))
     assert "is not that of the vehicle" in note
     assert "the farthest off of 2 among 3 at the ends of what varies" in note
-    quiet = open_study("roll-doublet", vary=["mismatch.delay_samples=0:20"], runs=5)
-    assert model_notes(quiet) == []
+    quiet = open_study("roll-doublet", controllers=["smith"], vary=["mismatch.delay_samples=0:20"], runs=5)
+    assert model_notes(quiet) == design_warnings(quiet) == []
 
 
 def test_a_study_says_which_design_is_for_another_engine() -> None:
-    design = str(ROOT / "tests" / "designs" / "edf.toml")
-    study = open_study("roll-doublet", controllers=[design, "smith"], vary=["environment.ground_m=0:10"], runs=2)
+    controllers = [str(ROOT / "tests" / "designs" / "edf.toml"), "smith"]
+    study = open_study("roll-doublet", controllers=controllers, vary=["environment.ground_m=0:10"], runs=2)
     (note,) = design_warnings(study)
     assert note.startswith("edf.toml: designed for engine edf (")
-    quiet = open_study("roll-doublet", controllers=["smith"], vary=["mismatch.delay_samples=0:20"], runs=2)
-    assert design_warnings(quiet) == []
 
 
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,18 +238,15 @@ def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest
     path = Path("mine/vehicle.toml")
     text = path.read_text()
     assert check_aircraft("./mine").is_fit
-    lines = [
-        "inertia_kg_m2 = [0.08, 0.09, 0.12]" if line.startswith("inertia_kg_m2") else line for line in text.splitlines()
-    ]
-    path.write_text("\n".join(lines).replace("mass_kg = 5.525", "mass_kg = 7.5"))
+    edited = re.sub("(?m)^inertia_kg_m2 = .*$", "inertia_kg_m2 = [0.08, 0.09, 0.12]", text)
+    path.write_text(edited.replace("mass_kg = 5.525", "mass_kg = 7.5"))
     done = hexjet("aircraft", "check", "./mine")
     assert done.status == 1
     assert "not fit to fly\nroll model, edf-as-flown: not of this vehicle" in done.out
     assert "\nroll model, edf: not of this vehicle" in done.out
-    report = check_aircraft("./mine")
-    of = {line.name: line for line in report.lines}
-    assert "and 225.1 by geometry, inertia and engine (1.92 times)" in of["roll model, edf-as-flown"].text
-    assert "hexjet identify roll" in of["roll model, edf-as-flown"].fault
+    said = {line.name: line for line in check_aircraft("./mine").lines}["roll model, edf-as-flown"]
+    assert "and 225.1 by geometry, inertia and engine (1.92 times)" in said.text
+    assert "hexjet identify roll" in said.fault
     path.write_text(text.replace("[identified.edf.roll]", '[identified."theirs.fmu".roll]'))
-    text = next(line.text for line in check_aircraft("./mine").lines if line.name == "roll model, theirs.fmu")
-    assert text == "not compared: state as engine the file of engine theirs.fmu"
+    told = {line.name: line.text for line in check_aircraft("./mine").lines}
+    assert told["roll model, theirs.fmu"] == "not compared: state as engine the file of engine theirs.fmu"

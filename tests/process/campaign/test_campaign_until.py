@@ -49,6 +49,11 @@ def rows(campaign: Campaign) -> list[Row]:
     return [without_chance(campaign.row(int(number or 0))) for number in campaign.columns["flight"]]
 
 
+def run(study: Study | None, folder: Path, most: int | None = None) -> Campaign:
+    """The study in another order, or what is left of a campaign."""
+    return run_campaign(study, folder, Reversed(most), resume=study is None)  # type: ignore[arg-type]
+
+
 def verdict(campaign: Campaign) -> ClaimResult:
     judged = judge_claim(campaign)
     assert judged is not None
@@ -64,48 +69,41 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 
 def test_it_stops_at_the_first_flight_that_decides(flown: Campaign) -> None:
     result = verdict(flown)
+    smith = result.verdicts["smith"]
     assert result.is_finished
-    assert len(flown) == result.verdicts["smith"].flights < flown.of == 290
-    assert result.verdicts["smith"].decision == "shown"
-    assert result.verdicts["smith"].failures == flown.columns["success"].count(False)
-    assert result.verdicts["smith"].bound == 0.9
+    assert len(flown) == smith.flights < flown.of == 290
+    assert (smith.decision, smith.bound, smith.failures) == ("shown", 0.9, flown.columns["success"].count(False))
 
 
 def test_two_workers_and_another_order_leave_the_same_rows(flown: Campaign, tmp_path: Path) -> None:
     with LocalWorkers(2, fly=light) as workers:
         assert rows(run_campaign(known(), tmp_path / "two", workers)) == rows(flown)
-    turned = run_campaign(known(), tmp_path / "turned", Reversed())  # type: ignore[arg-type]
-    assert rows(turned) == rows(flown)
-    assert verdict(turned) == verdict(flown)
+    turned = run(known(), tmp_path / "turned")
+    assert (rows(turned), verdict(turned)) == (rows(flown), verdict(flown))
 
 
 def test_stopped_and_resumed_it_comes_to_the_same(flown: Campaign, tmp_path: Path) -> None:
-    first = run_campaign(known(), tmp_path / "c", Reversed(20))  # type: ignore[arg-type]
+    first = run(known(), tmp_path / "c", 20)
     assert len(first) < len(flown)
     assert not verdict(first).is_finished
     assert campaign_summary(first)["finished"] is False
-    second = run_campaign(None, tmp_path / "c", Reversed(), resume=True)  # type: ignore[arg-type]
-    assert rows(second) == rows(flown)
-    third = run_campaign(None, tmp_path / "c", Reversed(), resume=True)  # type: ignore[arg-type]
-    assert rows(third) == rows(flown)  # decided: nothing more is flown
+    for _ in range(2):  # decided the first time: nothing more is flown
+        assert rows(run(None, tmp_path / "c")) == rows(flown)
 
 
 def test_a_campaign_without_a_rule_goes_on_with_one(flown: Campaign, tmp_path: Path, hexjet: Hexjet) -> None:
-    plain = tools.study(runs=10, vary=["vehicle.mass_kg=5.4:5.8"], controllers=["smith"], design="random")
-    run_campaign(plain, tmp_path / "c", Reversed())  # type: ignore[arg-type]
-    refused = hexjet("sweep", str(tmp_path / "c"), "--resume", "--until", "99.9%@95%", "--runs", "20")
-    assert (refused.status, refused.err.count("\n")) == (2, 1)
-    assert "20 flights do not show it" in refused.err
+    run(tools.study(runs=10, vary=["vehicle.mass_kg=5.4:5.8"], controllers=["smith"], design="random"), tmp_path / "c")
+    refused = hexjet(*["sweep", "c", "--resume", "--until", "99.9%@95%", "--runs", "20"]).refusal
+    assert "20 flights do not show it" in refused
     assert read_toml(tmp_path / "c" / STUDY).get("until") is None
     extend_campaign(tmp_path / "c", until="90%@95%")
-    longer = run_campaign(None, tmp_path / "c", Reversed(), resume=True)  # type: ignore[arg-type]
-    assert rows(longer) == rows(flown)
+    assert rows(run(None, tmp_path / "c")) == rows(flown)
     with pytest.raises(InputError, match="has 290 draws"):
         extend_campaign(tmp_path / "c", runs=100)
 
 
 def test_a_claim_that_was_judged_by_all_draws_takes_no_more_of_them(tmp_path: Path) -> None:
-    used_up = run_campaign(known("95%@95%", runs=60), tmp_path / "c", Reversed())  # type: ignore[arg-type]
+    used_up = run(known("95%@95%", runs=60), tmp_path / "c")
     assert verdict(used_up).is_finished
     assert len(used_up) == 60
     with pytest.raises(InputError, match="was judged by all of its 60 draws"):
@@ -142,12 +140,10 @@ def test_a_pair_needs_controllers_that_fly(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
 
 
-def test_real_flights_stop_too(tmp_path: Path, hexjet: Hexjet) -> None:
-    answer = hexjet(
-        "sweep", "hover", "--vary", "vehicle.mass_kg=5.4:5.8", "--set", "duration_s=0.1", "--until", "50%@90%", "--json",
-        "--out", str(tmp_path / "c"), "--workers", "2",
-    )  # fmt: skip
-    summary = json.loads(answer.out)
-    assert summary["flights"] == 5  # 0.5^5 < 0.05 < 0.5^4
-    assert len(open_campaign(tmp_path / "c")) == 5
-    assert [flight.number for flight in flights(open_campaign(tmp_path / "c").study)][:3] == [0, 1, 2]
+def test_real_flights_stop_too(hexjet: Hexjet) -> None:
+    asked = "--set duration_s=0.1 --until 50%@90% --json --out c --workers 2"
+    answer = hexjet("sweep", "hover", "--vary", "vehicle.mass_kg=5.4:5.8", *asked.split())
+    assert json.loads(answer.out)["flights"] == 5  # 0.5^5 < 0.05 < 0.5^4
+    made = open_campaign("c")
+    assert len(made) == 5
+    assert [flight.number for flight in flights(made.study)][:3] == [0, 1, 2]

@@ -11,12 +11,12 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import campaign_tools as tools
 import psutil
 import pytest
 from campaign_tools import NOTES, TROUBLED, without_chance
-from long_cases import long_after
 from patience import PATIENCE, stretched
 from places import TOOLS
 
@@ -71,8 +71,8 @@ def test_a_campaign_loads_nothing_that_takes_long_and_that_it_does_not_use(code:
 
 def test_flights_are_numbered_and_those_of_a_draw_are_neighbours(study: Study) -> None:
     planned = flights(study)
-    assert [flight.number for flight in planned] == list(range(12))
-    assert [flight.controller for flight in planned] == ["smith", "baseline"] * 6
+    numbered = [(flight.number, flight.controller) for flight in planned]
+    assert numbered == [(number, ("smith", "baseline")[number % 2]) for number in range(12)]
     for one, other in zip(planned[::2], planned[1::2], strict=True):
         assert (one.draw, one.seed, one.values) == (other.draw, other.seed, other.values)
     assert len({flight.seed for flight in planned}) == 6
@@ -96,20 +96,14 @@ def test_a_row_says_what_a_flight_alone_says(study: Study, rows: list[Row]) -> N
     run = fly(scenario_of(study, flight))
     assert list(row) == list(kinds(study))
     assert all(type(row[name]) is kind for name, kind in kinds(study).items() if row[name] is not None)
-    assert {name: row[name] for name in run.summary.flat_metrics} == run.summary.flat_metrics
-    assert (row["outcome"], row["reason"], row["success"]) == ("completed", "flew 50 steps", True)
-    assert (row["steps"], row["duration_s"]) == (50, 0.2)
-    assert (row["flight"], row["draw"], row["controller"], row["seed"]) == (0, 0, "smith", flight.seed)
-    assert {key: row[key] for key in flight.values} == flight.values
-
-
-def test_the_hash_is_of_the_whole_log(study: Study, rows: list[Row]) -> None:
-    log = fly(scenario_of(study, flights(study)[0])).log
-    assert rows[0]["log_sha256"] == log_digest(log)
+    told = run.summary.flat_metrics | dict(flight.values)
+    told |= {"outcome": "completed", "reason": "flew 50 steps", "success": True, "steps": 50, "duration_s": 0.2}
+    told |= {"flight": 0, "draw": 0, "controller": "smith", "seed": flight.seed, "log_sha256": log_digest(run.log)}
+    assert {name: row[name] for name in told} == told
     assert len({row["log_sha256"] for row in rows}) == 12
 
 
-def test_success_is_what_the_study_says(study: Study) -> None:
+def test_success_is_what_the_study_says() -> None:
     strict = tools.study(success=["altitude.rmse_m<=0"])
     row = fly_one(strict, flights(strict)[0])
     assert (row["outcome"], row["success"]) == ("completed", False)
@@ -155,10 +149,8 @@ def test_a_full_disk_is_not_the_flights_fault(study: Study, monkeypatch: pytest.
 
 
 def test_a_machine_in_trouble_ends_it(study: Study) -> None:
-    with LocalWorkers(1, fly=tools.in_trouble) as workers:
-        found = workers.fly(study, flights(study))
-        with pytest.raises(FlightError, match="no room"):
-            list(found)
+    with LocalWorkers(1, fly=tools.in_trouble) as workers, pytest.raises(FlightError, match="no room"):
+        list(workers.fly(study, flights(study)))
 
 
 def test_who_interrupts_a_flight_interrupts_it_all(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,20 +220,16 @@ def test_no_more_workers_than_flights(study: Study) -> None:
         assert len(children()) <= 2
 
 
-def test_the_flight_of_a_killed_worker_is_flown_again(study: Study, rows: list[Row], notes: Path) -> None:
-    with LocalWorkers(2, fly=tools.lost_once) as workers:
-        found = by_number(workers.fly(study, flights(study)))
-    assert (notes / "lost").exists()
-    assert found == [without_chance(row) for row in rows]
-
-
-@pytest.mark.parametrize("count", long_after(1, [1, 2]))
-def test_a_worker_whose_folder_was_cleared_away_is_replaced(
-    study: Study, rows: list[Row], notes: Path, count: int
+@pytest.mark.parametrize(
+    ("count", "mark"), [(2, "lost"), (1, "cleared"), pytest.param(2, "cleared", marks=pytest.mark.long)]
+)
+def test_the_flight_of_a_worker_that_is_lost_is_flown_again(
+    study: Study, rows: list[Row], notes: Path, count: int, mark: str
 ) -> None:
-    with LocalWorkers(count, fly=tools.cleared) as workers:
+    """Killed, or its folder cleared away."""
+    with LocalWorkers(count, fly={"lost": tools.lost_once, "cleared": tools.cleared}[mark]) as workers:
         found = by_number(workers.fly(study, flights(study)))
-    assert (notes / "cleared").exists()
+    assert (notes / mark).exists()
     assert found == [without_chance(row) for row in rows]
 
 
@@ -258,11 +246,11 @@ def test_no_room_for_a_workers_folder(study: Study, monkeypatch: pytest.MonkeyPa
 def test_a_flight_that_takes_its_process_along_is_given_up(study: Study, rows: list[Row]) -> None:
     with LocalWorkers(2, fly=tools.lost) as workers:
         found = by_number(workers.fly(study, flights(study)))
-    assert found[TROUBLED]["outcome"] == "failed"
-    assert found[TROUBLED]["reason"] == "the process was lost in this flight 3 times; the last was ended by SIGSEGV"
-    assert found[TROUBLED]["vehicle.mass_kg"] == rows[TROUBLED]["vehicle.mass_kg"]
-    others = [number for number in range(12) if number != TROUBLED]
-    assert [found[number] for number in others] == [without_chance(rows[number]) for number in others]
+    lost = found.pop(TROUBLED)
+    assert lost["outcome"] == "failed"
+    assert lost["reason"] == "the process was lost in this flight 3 times; the last was ended by SIGSEGV"
+    assert lost["vehicle.mass_kg"] == rows[TROUBLED]["vehicle.mass_kg"]
+    assert found == [without_chance(row) for row in rows if row["flight"] != TROUBLED]
 
 
 @pytest.mark.long
@@ -276,21 +264,30 @@ def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], note
     assert len(found) == 12
 
 
-def test_processes_that_do_not_start_end_it(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "MAX_FAILED_STARTS", 3)
-    with LocalWorkers(2, fly=tools.Deadly()) as workers:  # type: ignore[arg-type]
-        with pytest.raises(FlightError, match="3 processes in a row ended before they could fly; the last ended with"):
-            list(workers.fly(study, flights(study)))
-        assert all_gone()
-
-
-def test_processes_that_start_too_slowly_are_called_that(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They have neither left nor closed anything: the machine has too much to do."""
-    monkeypatch.setattr(local, "MAX_START_S", 0.0)
-    monkeypatch.setattr(local, "CHECK_INTERVAL_S", 0.0)
-    monkeypatch.setattr(local, "MAX_FAILED_STARTS", 2)
-    with LocalWorkers(1) as workers:
-        with pytest.raises(FlightError, match="the last was not ready after 0 s"):
+@pytest.mark.parametrize(
+    ("fly", "limits", "said"),
+    [
+        (
+            tools.Deadly(),
+            {"MAX_FAILED_STARTS": 3},
+            "3 processes in a row ended before they could fly; the last ended with",
+        ),
+        # they have neither left nor closed anything: the machine has too much to do
+        (
+            fly_one,
+            {"MAX_START_S": 0.0, "CHECK_INTERVAL_S": 0.0, "MAX_FAILED_STARTS": 2},
+            "the last was not ready after 0 s",
+        ),
+    ],
+    ids=["ended", "slow"],
+)
+def test_processes_that_do_not_start_end_it(
+    study: Study, monkeypatch: pytest.MonkeyPatch, fly: Any, limits: dict[str, float], said: str
+) -> None:
+    for name, value in limits.items():
+        monkeypatch.setattr(local, name, value)
+    with LocalWorkers(2, fly=fly) as workers:
+        with pytest.raises(FlightError, match=said):
             list(workers.fly(study, flights(study)))
         assert all_gone()
 

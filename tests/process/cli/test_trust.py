@@ -149,16 +149,15 @@ def test_commands_that_look_run_nothing(flown: Path, mark: Path, hexjet: Hexjet,
 
 def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mark: Path, hexjet: Hexjet) -> None:
     """Rows, metrics of one's own and the units of its parameters, without the code; campaigns from before 0.2.0 have no columns."""
-    page = (flown / "many" / REPORT).read_text(encoding="utf-8").replace(str(made / "many"), str(flown / "many"))
-    said = json.loads((flown / "many" / "columns.json").read_text())
-    assert said["own"] == ["own.worst"]
-    assert [key["path"] for key in said["keys"]] == ["controller_parameters.share"]
-    assert hexjet("show", str(flown / "many"), "--page").status == 0
-    assert (flown / "many" / REPORT).read_text(encoding="utf-8") == page
-    (flown / "many" / "columns.json").unlink()
-    done = hexjet("show", str(flown / "many"), "--page")
-    assert (done.status, done.err.count("\n")) == (2, 1)
-    assert "columns.json is missing, as where it was written before version 0.2.0; open it with 0.2.0" in done.err
+    many = flown / "many"
+    page = (many / REPORT).read_text(encoding="utf-8").replace(str(made / "many"), str(many))
+    said = json.loads((many / "columns.json").read_text())
+    assert (said["own"], [key["path"] for key in said["keys"]]) == (["own.worst"], ["controller_parameters.share"])
+    assert hexjet("show", str(many), "--page").status == 0
+    assert (many / REPORT).read_text(encoding="utf-8") == page
+    (many / "columns.json").unlink()
+    line = hexjet("show", str(many), "--page").refusal
+    assert "columns.json is missing, as where it was written before version 0.2.0; open it with 0.2.0" in line
     assert not mark.exists()
 
 
@@ -167,12 +166,10 @@ def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mar
 )
 def test_columns_that_are_none(text: str, flown: Path, hexjet: Hexjet) -> None:
     (flown / "many" / "columns.json").write_text(text)
-    done = hexjet("show", str(flown / "many"), "--page")
-    assert done.status == 2
-    assert done.err.count("\n") == 1
-    assert "columns.json: not the columns of a campaign" in done.err
-    if text:
-        assert 'must be an object with "own", a list of names, and "keys", a list of objects with path, ' in done.err
+    line = hexjet("show", str(flown / "many"), "--page").refusal
+    assert "columns.json: not the columns of a campaign" in line
+    stated = 'must be an object with "own", a list of names, and "keys", a list of objects with path, '
+    assert not text or stated in line
 
 
 def test_what_was_killed_is_finished_without_its_metric(
@@ -186,9 +183,8 @@ def test_what_was_killed_is_finished_without_its_metric(
         recording._sink.close()  # type: ignore[union-attr]
     mark.unlink()
     forget(tmp_path)
-    done = hexjet("show", str(tmp_path / "killed"), "--page")
-    assert done.status == 0, done.err
-    assert "metric own.py:worst: not measured: the flight was killed" in done.out
+    told = hexjet("show", "killed", "--page").told
+    assert "metric own.py:worst: not measured: the flight was killed" in told
     assert not mark.exists()
     assert {LOG, SUMMARY} <= {path.name for path in (tmp_path / "killed").iterdir()}
     assert len(open_run(tmp_path / "killed").log) == 50
@@ -204,48 +200,44 @@ def test_a_page_of_the_folder_of_runs_compares_without_running(flown: Path, mark
     assert not mark.exists()
 
 
-def commands(theirs: Path, flown: Path, out: Path) -> dict[str, tuple[list[str], list[Path]]]:
-    """What flies somebody else's code, and the files of it."""
-    run, many = flown / "run", flown / "many"
-    law = ("law.py", "own.py", "helper.py")
-    ours, runs, campaigns = [[folder / name for name in law] for folder in (theirs, run, many)]
-    return {
-        "fly": (["fly", str(theirs / "scenario.toml"), "--out", str(out)], ours),
-        "engine": (["fly", str(theirs / "engine.toml"), "--out", str(out)], [theirs / "their.fmu"]),
-        "process": (["fly", str(theirs / "process.toml"), "--out", str(out)], [theirs / "program.py"]),
-        "run": (["fly", str(run / "scenario.toml"), "--out", str(out)], runs),
-        "sweep": (["sweep", str(theirs / "study.toml"), "--workers", "1", "--out", str(out)], ours),
-        "resume": (["sweep", str(many), "--resume", "--workers", "1"], campaigns),
-        "again": (["fly", str(many), "--flight", "0", "--out", str(out)], campaigns),
-        "compare": (["compare", f"{many}:0", f"{many}:1", "--out", str(out)], campaigns),
-        "scenario": (["compare", str(run), str(theirs / "scenario.toml"), "--out", str(out)], ours),
-        "search": (["search", str(theirs / "scenario.toml"), "--vary", "vehicle.mass_kg=5.5:5.6:2", "--workers", "1",
-                    "--out", str(out)], ours),
-    }  # fmt: skip
+LAW = ("law.py", "own.py", "helper.py")
+# What flies somebody else's code, and the files of it; THEIRS, RUN and MANY are folders.
+COMMANDS = {
+    "fly": ("fly THEIRS/scenario.toml", "THEIRS", LAW),
+    "engine": ("fly THEIRS/engine.toml", "THEIRS", ("their.fmu",)),
+    "process": ("fly THEIRS/process.toml", "THEIRS", ("program.py",)),
+    "run": ("fly RUN/scenario.toml", "RUN", LAW),
+    "sweep": ("sweep THEIRS/study.toml --workers 1", "THEIRS", LAW),
+    "resume": ("sweep MANY --resume --workers 1", "MANY", LAW),
+    "again": ("fly MANY --flight 0", "MANY", LAW),
+    "compare": ("compare MANY:0 MANY:1", "MANY", LAW),
+    "scenario": ("compare RUN THEIRS/scenario.toml", "THEIRS", LAW),
+    "search": ("search THEIRS/scenario.toml --vary vehicle.mass_kg=5.5:5.6:2 --workers 1", "THEIRS", LAW),
+}
 
 
-@pytest.mark.parametrize(
-    "which", ["fly", "engine", "process", "run", "sweep", "resume", "again", "compare", "scenario", "search"]
-)
+@pytest.mark.parametrize("which", COMMANDS)
 def test_what_flies_asks_for_trust_once_and_again_for_another_byte(
     which: str, theirs: Path, flown: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
 ) -> None:
-    out = tmp_path / "out"
-    words, files = commands(theirs, flown, out)[which]
+    folders = {"THEIRS": theirs, "RUN": flown / "run", "MANY": flown / "many"}
+    asked, owner, names = COMMANDS[which]
+    for name, folder in folders.items():
+        asked = asked.replace(name, str(folder))
+    out, files = tmp_path / "out", [folders[owner] / name for name in names]
+    words = [*asked.split(), *(() if which == "resume" else ("--out", str(out)))]
 
     def refused(by: Path) -> None:
         mark.unlink(missing_ok=True)
-        done = hexjet(*words)
-        assert (done.status, done.err.count("\n")) == (2, 1), done.err
-        is_edited = which in ("again", "compare") and "changed since its first flight" in done.err
-        assert is_edited or (f"{by.parent} (" in done.err and f": {REFUSED}" in done.err and "--trust" in done.err)
+        line = hexjet(*words).refusal
+        is_edited = which in ("again", "compare") and "changed since its first flight" in line
+        assert is_edited or (f"{by.parent} (" in line and f": {REFUSED}" in line and "--trust" in line)
         assert not mark.exists()
         assert not out.exists()
 
     def flies(*more: str) -> None:
         done = hexjet(*words, *more)
-        assert done.err == ""
-        assert done.status == 0
+        assert (done.status, done.err) == (0, "")
         shutil.rmtree(out, ignore_errors=True)
 
     refused(files[0])
@@ -279,16 +271,19 @@ def test_what_the_user_names_is_his_and_so_are_his_runs(
 def test_the_engine_of_a_named_aircraft_is_asked_for(theirs: Path, hexjet: Hexjet, tmp_path: Path) -> None:
     """Who names a folder has not named what it names in turn."""
     assert hexjet("aircraft", "new", "drone").status == 0
-    table = (tmp_path / "drone" / "vehicle.toml").read_text()
-    assert "engine = " in table
-    lines = ['engine = "their.fmu"' if line.startswith("engine = ") else line for line in table.splitlines()]
-    (tmp_path / "drone" / "vehicle.toml").write_text("\n".join(lines) + "\n")
+    give_engine(tmp_path / "drone", "their.fmu")
     shutil.copy(theirs / "their.fmu", tmp_path / "drone" / "their.fmu")
     for words in (("fly", "hover", "--aircraft", "./drone"), ("aircraft", "check", "./drone")):
-        done = hexjet(*words)
-        assert (done.status, done.err.count("\n")) == (2, 1), words
-        assert REFUSED in done.err
-        assert "their.fmu" in done.err
+        line = hexjet(*words).refusal
+        assert REFUSED in line
+        assert "their.fmu" in line
+
+
+def give_engine(folder: Path, engine: str) -> None:
+    """State the engine of the vehicle in this folder."""
+    text, count = re.subn('(?m)^engine = ".*"$', f'engine = "{engine}"', (folder / "vehicle.toml").read_text())
+    assert count == 1
+    (folder / "vehicle.toml").write_text(text)
 
 
 def test_an_engine_that_an_identification_wrote_is_flown_without_a_question(hexjet: Hexjet, tmp_path: Path) -> None:
@@ -297,15 +292,12 @@ def test_an_engine_that_an_identification_wrote_is_flown_without_a_question(hexj
     np.savetxt(tmp_path / "bench.csv", rows, "%.9g", ",", header="time_s,throttle,thrust_N", comments="")
     assert hexjet("engine", "from-bench", "bench.csv", "--out", "my-engine").status == 0
     assert hexjet("aircraft", "new", "gryphon").status == 0
-    vehicle = tmp_path / "gryphon" / "vehicle.toml"
-    text = vehicle.read_text()
-    assert text.count('\nengine = "') == 1
-    vehicle.write_text(re.sub('\nengine = ".*"', '\nengine = "../my-engine/engine.toml"', text))
-    done = hexjet("fly", "hover", "--aircraft", "./gryphon", "--set", "duration_s=0.1", "--controller", "baseline")
-    assert (done.status, REFUSED in done.err) == (0, False), done.err
-    forget(tmp_path)
-    done = hexjet("fly", "hover", "--aircraft", "./gryphon", "--set", "duration_s=0.1", "--controller", "baseline")
-    assert (done.status, REFUSED in done.err) == (2, True), done.err
+    give_engine(tmp_path / "gryphon", "../my-engine/engine.toml")
+    asked = "fly hover --aircraft ./gryphon --set duration_s=0.1 --controller baseline"
+    for status in (0, 2):
+        done = hexjet(*asked.split())
+        assert (done.status, REFUSED in done.err) == (status, status == 2), done.err
+        forget(tmp_path)
 
 
 def test_a_terminal_is_asked_once_for_all(

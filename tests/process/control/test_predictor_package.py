@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_tools import hexjet_beside, install
+from command_tools import Done, hexjet_beside, install
 
 
 @pytest.fixture
@@ -25,20 +25,14 @@ def package(tmp_path: Path) -> Path:
 
 
 def test_a_package_brings_one(package: Path) -> None:
-    listed = hexjet_beside(package, "show", "controllers")
-    assert re.search("my-smith +Smith, from a package", listed.stdout)
-    swept = hexjet_beside(
-        package, "sweep", "hover", "--vary", "vehicle.mass_kg=5.6:5.8", "--runs", "1", "--set", "duration_s=0.2",
-        "--controller", "my-smith", "--controller", "smith", "--workers", "1", "--out", "out", "--json",
-    )  # fmt: skip
-    assert swept.returncode == 0, swept.stderr
-    assert "my-smith" in json.dumps(json.loads(swept.stdout))
-    searched = hexjet_beside(
-        package, "search", "hover", "--vary", "mismatch.delay_samples=0:1", "--set", "duration_s=0.2",
-        "--controller", "my-smith", "--workers", "1", "--out", "found",
-    )  # fmt: skip
-    assert searched.returncode in (0, 1), searched.stderr
-    assert "my-smith" in searched.stdout
+    assert re.search("my-smith +Smith, from a package", hexjet_beside(package, "show", "controllers").told)
+    short = "--set duration_s=0.2 --controller my-smith --workers 1"
+    sweep = f"sweep hover --vary vehicle.mass_kg=5.6:5.8 --runs 1 {short} --controller smith --out out --json"
+    assert "my-smith" in json.dumps(json.loads(hexjet_beside(package, *sweep.split()).told))
+    search = f"search hover --vary mismatch.delay_samples=0:1 {short} --out found"
+    searched = hexjet_beside(package, *search.split())
+    assert searched.status in (0, 1), searched.err
+    assert "my-smith" in searched.out
 
 
 def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,43 +41,32 @@ def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pyte
         file.write("# nobody has flown this one\n")
     monkeypatch.delenv("HEXJET_TRUST", raising=False)
     script = f"import sys; sys.path.insert(0, {str(package)!r}); from cosim.cli.main import main; main()"
-    listed, misspelt, named = (
-        subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, cwd=package, check=False)
-        for words in (
-            ["show", "controllers"],
-            ["fly", "hover", "--controller", "my-smit"],
-            ["fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1"],
-        )
-    )
-    assert listed.returncode == 0, listed.stderr
-    assert "my-smith" not in listed.stdout
-    assert misspelt.returncode == 2
-    assert "entry point 'my-smith' of hexjet.predictors" in misspelt.stderr
-    assert "has code that has not been run before" in misspelt.stderr
-    assert named.returncode == 0, named.stderr
+
+    def here(words: str) -> Done:
+        command = [sys.executable, "-c", script, *words.split()]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=package, check=False)
+        return Done(done.returncode, done.stdout, done.stderr)
+
+    assert "my-smith" not in here("show controllers").told
+    misspelt = here("fly hover --controller my-smit").refusal
+    assert "entry point 'my-smith' of hexjet.predictors" in misspelt
+    assert "has code that has not been run before" in misspelt
+    assert here("fly hover --controller my-smith --set duration_s=0.1").told
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "my-smith = my_predictors:NONE",
-            "entry point 'my-smith' of hexjet.predictors: my_predictors:NONE cannot be loaded: AttributeError",
-        ),
-        (
-            "other = my_predictors:SPEC",
-            "entry point 'other' of hexjet.predictors: must be a PredictorSpec of this name",
-        ),
+        ("my-smith = my_predictors:NONE", "'my-smith' of hexjet.predictors: my_predictors:NONE cannot be loaded: Attr"),
+        ("other = my_predictors:SPEC", "'other' of hexjet.predictors: must be a PredictorSpec of this name"),
     ],
 )
 def test_a_package_that_does_not_is_told_in_one_line(package: Path, text: str, message: str) -> None:
     (package / "my_predictors-1.0.dist-info" / "entry_points.txt").write_text(f"[hexjet.predictors]\n{text}\n")
-    done = hexjet_beside(package, "fly", "hover", "--controller", "my-smith")
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert "importlib" not in done.stderr
-    assert "__init__.py" not in done.stderr
-    assert "Traceback" not in done.stderr
+    said = hexjet_beside(package, "fly", "hover", "--controller", "my-smith").refusal
+    assert f"entry point {message}" in said
+    assert "importlib" not in said
+    assert "__init__.py" not in said
 
 
 def test_two_of_one_name_are_refused_and_the_same_one_twice_is_not(package: Path) -> None:
@@ -91,10 +74,13 @@ def test_two_of_one_name_are_refused_and_the_same_one_twice_is_not(package: Path
     other = package / "other_predictors-1.0.dist-info"
     other.mkdir()
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other-predictors\nVersion: 1.0\n")
-    for value, status in (("my_predictors:SPEC", 0), ("my_predictors:OTHER", 2)):
+
+    def flown(value: str) -> Done:
         (other / "entry_points.txt").write_text(f"[hexjet.plugins]\npredictor.my-smith = {value}\n")
-        done = hexjet_beside(package, "fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1")
-        assert done.returncode == status, done.stderr
-    assert "predictor 'my-smith': there is one of this name already: " in done.stderr
-    assert "my_predictors:SPEC" in done.stderr
-    assert "my_predictors:OTHER" in done.stderr
+        return hexjet_beside(package, *["fly", "hover", "--controller", "my-smith", "--set", "duration_s=0.1"])
+
+    assert flown("my_predictors:SPEC").told
+    said = flown("my_predictors:OTHER").refusal
+    assert "predictor 'my-smith': there is one of this name already: " in said
+    assert "my_predictors:SPEC" in said
+    assert "my_predictors:OTHER" in said

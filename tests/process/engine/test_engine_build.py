@@ -7,7 +7,6 @@ import math
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import fmpy
@@ -42,30 +41,21 @@ def test_the_same_input_gives_the_same_bytes_and_no_words(
 def test_what_is_up_to_date_is_left_alone_and_what_is_not_is_built(
     engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copytree(data_folder("fmus"), tmp_path / "fmus")
-    compiled = []
+    fmus = Path(shutil.copytree(data_folder("fmus"), tmp_path / "fmus"))
+    compiled: list[str] = []
     monkeypatch.setattr(archives, "compile_sources", lambda folder, label: compiled.append(label))
-    built = build_all(engines, tmp_path / "fmus")
-    assert sorted(path.name for path in built) == sorted(f"{n}{s}.fmu" for n in load_names() for s in ("", "-fmi2"))
+    built = build_all(engines, fmus)
+    names = library.list_engines(data_folder("engines"))
+    assert sorted(path.name for path in built) == sorted(f"{n}{s}.fmu" for n in names for s in ("", "-fmi2"))
     assert compiled == []
-
     source = engines / "delayed_lag.c"
     source.write_text(source.read_text() + "\n")
-    build_all(engines, tmp_path / "fmus", ["turbojet"])
-    assert compiled == ["turbojet.fmu", "turbojet-fmi2.fmu"]
-
-    compiled.clear()
-    rewrite(
-        archive("edf", 3), tmp_path / "fmus" / "edf.fmu", lambda contents: contents.pop("modelDescription.xml") and None
-    )
-    (tmp_path / "fmus" / "edf-fmi2.fmu").write_bytes(b"half an archive")
+    build_all(engines, fmus, ["turbojet"])
+    rewrite(archive("edf", 3), fmus / "edf.fmu", lambda contents: contents.pop("modelDescription.xml") and None)
+    (fmus / "edf-fmi2.fmu").write_bytes(b"half an archive")
     source.write_text(source.read_text()[:-1])
-    build_all(engines, tmp_path / "fmus", ["edf"])
-    assert compiled == ["edf.fmu", "edf-fmi2.fmu"]
-
-
-def load_names() -> list[str]:
-    return library.list_engines(data_folder("engines"))
+    build_all(engines, fmus, ["edf"])
+    assert compiled == ["turbojet.fmu", "turbojet-fmi2.fmu", "edf.fmu", "edf-fmi2.fmu"]
 
 
 def test_the_token_is_that_of_the_content(engines: Path) -> None:
@@ -105,10 +95,8 @@ def test_nothing_but_fmi_functions_is_exported(tmp_path: Path) -> None:
     for fmi in (2, 3):
         fmpy.extract(str(archive("edf", fmi)), str(tmp_path / str(fmi)))
         (library,) = (tmp_path / str(fmi) / "binaries").rglob("edf.so")
-        symbols = subprocess.run(
-            ["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True
-        ).stdout
-        names = [line.split()[-1] for line in symbols.splitlines()]
+        told = subprocess.run(["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True)
+        names = [line.split()[-1] for line in told.stdout.splitlines()]
         assert names
         assert [name for name in names if not name.startswith(f"fmi{fmi}")] == []
 
@@ -129,104 +117,84 @@ print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]
 
 
 def test_an_unknown_engine_is_refused(engines: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        BuildError,
-        match="unknown engine 'rocket'; allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, p220-2025, turbine-100, ",
-    ):
+    allowed = "edf, edf-as-flown, fitted, jetcat-p300, motor, p220, p220-2025, turbine-100, "
+    with pytest.raises(BuildError, match=f"unknown engine 'rocket'; allowed: {allowed}"):
         build_all(engines, tmp_path, ["rocket"])
     with pytest.raises(InputError, match="unknown engine 'rocket'"):
         build_engines(["rocket"])
 
 
-def test_a_build_needs_a_compiler(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("CC", "CXX"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("PATH", str(make(tmp_path)))
-    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: no C compiler found \(on Debian"):
-        build_all(engines, tmp_path / "fmus", ["edf"])
-    assert list((tmp_path / "fmus").iterdir()) == []
-
-
-def make(folder: Path) -> Path:
-    """A folder that holds make and nothing else."""
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine that has make and nothing else."""
     tool = shutil.which("make")
     assert tool is not None
-    (folder / "bin").mkdir()
-    (folder / "bin" / "make").symlink_to(tool)
-    return folder / "bin"
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "make").symlink_to(tool)
+    for name in ("CC", "CXX"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
 
 
-def test_a_build_without_cmake_is_refused(engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cmake", None)
-    monkeypatch.setenv("PATH", str(make(tmp_path)))
-    with pytest.raises(BuildError, match=r"^edf\.fmu: cannot be compiled: cmake is not found"):
+@pytest.mark.parametrize(
+    ("cmake", "said"), [(True, r"no C compiler found \(on Debian"), (False, "cmake is not found")], ids=["cc", "cmake"]
+)
+def test_a_build_needs_a_compiler_and_cmake(
+    engines: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bare: None, cmake: bool, said: str
+) -> None:
+    if not cmake:
+        monkeypatch.setitem(sys.modules, "cmake", None)
+    with pytest.raises(BuildError, match=rf"^edf\.fmu: cannot be compiled: {said}"):
         build_all(engines, tmp_path / "fmus", ["edf"])
+    assert list((tmp_path / "fmus").iterdir()) == []
 
 
 def test_a_fault_in_the_c_source_is_quoted(engines: Path, tmp_path: Path) -> None:
     source = engines / "delayed_lag.c"
     source.write_text(source.read_text().replace("v->thrust = v->newton", "v->thrust = w->newton"))
-    with pytest.raises(
-        BuildError, match=r"^edf\.fmu: cannot be compiled: .*delayed_lag\.c:\d+:\d+: error: .w. undeclared"
-    ):
+    said = r"^edf\.fmu: cannot be compiled: .*delayed_lag\.c:\d+:\d+: error: .w. undeclared"
+    with pytest.raises(BuildError, match=said):
         build_all(engines, tmp_path / "fmus", ["edf"])
 
 
-def replaced(old: str, new: str) -> Callable[[str], str]:
-    def change(text: str) -> str:
-        assert old in text
-        return text.replace(old, new, 1)
-
-    return change
-
-
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("old", "new", "words"),
     [
-        (
-            replaced("title = ", "titel = "),
-            "unknown key titel; allowed: description, flame_out, internal_step_s, ledger, ports,",
-        ),
-        (replaced("electric = true", "electric = false"), "flame_out.electric = False: allowed: true"),
-        (replaced("electric = true", "thrust_left = 0.4"), "flame_out.exponent is missing"),
-        (replaced("title", "title title"), "not valid TOML: "),
-        (
-            replaced("internal_step_s = 0.004", "internal_step_s = nan"),
-            "internal_step_s = nan: must be a finite number",
-        ),
-        (replaced("../delayed_lag.c", "missing.c"), "sources: there is no file "),
-        (replaced('thrust = "thrust"', 'thrust = "force"'), "thrust = 'force': must name an output (allowed: thrust)"),
-        (
-            replaced('causality = "input"', 'causality = "in"'),
-            "variables.throttle.causality = 'in': allowed: input, output,",
-        ),
-        (replaced('unit = "N"', 'unit = "lbf"'), "variables.thrust.unit = 'lbf': allowed: 1, N, K, "),
-        (replaced('unit = "N"', 'unit = "kg"'), "variables.thrust.unit = 'kg': the port thrust is in N"),
-        (
-            replaced("[ledger]", "[rotor]\ninertia_kg_m2 = -1e-4\n[ledger]"),
-            "rotor.inertia_kg_m2 = -0.0001: must not be below 0",
-        ),
-        (replaced("max = 0.999999", "max = 0.0"), "variables.pole: min = 0 is not below max = 0"),
-        (replaced("start = 0.8748", "start = 1.5"), "variables.pole.start = 1.5 is outside min and max"),
-        (replaced("start = 0.2554", ""), "variables.gain: inputs and parameters have a start, outputs have none"),
-        (replaced("min = 0\n", ""), "variables.delay_samples: an integer needs min and max"),
-        (
-            replaced("[variables.gain]", "[variables.Gain]"),
-            "variables.Gain: a variable's name is a C identifier in lower case",
-        ),
+        ("title = ", "titel = ", "unknown key titel; allowed: description, flame_out, internal_step_s, ledger, ports,"),
+        ("electric = true", "electric = false", "flame_out.electric = False: allowed: true"),
+        ("electric = true", "thrust_left = 0.4", "flame_out.exponent is missing"),
+        ("title", "title title", "not valid TOML: "),
+        ("internal_step_s = 0.004", "internal_step_s = nan", "internal_step_s = nan: must be a finite number"),
+        ("../delayed_lag.c", "missing.c", "sources: there is no file "),
+        ('thrust = "thrust"', 'thrust = "force"', "thrust = 'force': must name an output (allowed: thrust)"),
+        ('causality = "input"', 'causality = "in"', "variables.throttle.causality = 'in': allowed: input, output,"),
+        ('unit = "N"', 'unit = "lbf"', "variables.thrust.unit = 'lbf': allowed: 1, N, K, "),
+        ('unit = "N"', 'unit = "kg"', "variables.thrust.unit = 'kg': the port thrust is in N"),
+        ("[ledger]", "[rotor]\ninertia_kg_m2 = -1e-4\n[ledger]", "rotor.inertia_kg_m2 = -0.0001: must not be below 0"),
+        ("max = 0.999999", "max = 0.0", "variables.pole: min = 0 is not below max = 0"),
+        ("start = 0.8748", "start = 1.5", "variables.pole.start = 1.5 is outside min and max"),
+        ("start = 0.2554", "", "variables.gain: inputs and parameters have a start, outputs have none"),
+        ("min = 0\n", "", "variables.delay_samples: an integer needs min and max"),
+        ("[variables.gain]", "[variables.Gain]", "variables.Gain: a variable's name is a C identifier in lower case"),
     ],
 )
-def test_a_wrong_engine_toml_gets_one_line(engines: Path, change: Callable[[str], str], words: str) -> None:
+def test_a_wrong_engine_toml_gets_one_line(engines: Path, old: str, new: str, words: str) -> None:
     path = engines / "edf" / "engine.toml"
-    path.write_text(change(path.read_text()))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
     with pytest.raises(BuildError) as caught:
         read_engine(path.parent)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: {words}")
-    assert "\n" not in text
+    assert str(caught.value).startswith(f"{path}: {words}")
+    assert "\n" not in str(caught.value)
 
 
-SPOOL_TOML = """
+def variable(name: str, causality: str, unit: str, *lines: str) -> str:
+    more = "\n".join(lines)
+    return f'[variables.{name}]\ncausality = "{causality}"\nunit = "{unit}"\ndescription = "{name}"\n{more}\n'
+
+
+SPOOL_TOML = f"""
 title = "Spool"
 description = "A spool with inertia, exhaust temperature, fuel flow and an ambient pressure"
 sources = ["spool.c"]
@@ -234,41 +202,13 @@ internal_step_s = 0.002
 [ports]
 throttle = "lever"
 thrust = "net_thrust"
-[variables.lever]
-causality = "input"
-unit = "1"
-min = 0.0
-max = 1.0
-start = 0.0
-description = "Lever"
-[variables.ambient_pressure]
-causality = "input"
-unit = "Pa"
-min = 0.0
-start = 101325.0
-description = "Ambient pressure"
-[variables.net_thrust]
-causality = "output"
-unit = "N"
-description = "Thrust"
-[variables.spool_speed]
-causality = "output"
-unit = "rpm"
-description = "Speed"
-[variables.exhaust_temperature]
-causality = "output"
-unit = "K"
-description = "EGT"
-[variables.fuel_flow]
-causality = "output"
-unit = "kg/s"
-description = "Fuel"
-[variables.idle]
-causality = "parameter"
-unit = "rpm"
-min = 1000.0
-start = 30000.0
-description = "Idle speed"
+{variable("lever", "input", "1", "min = 0.0", "max = 1.0", "start = 0.0")}
+{variable("ambient_pressure", "input", "Pa", "min = 0.0", "start = 101325.0")}
+{variable("net_thrust", "output", "N")}
+{variable("spool_speed", "output", "rpm")}
+{variable("exhaust_temperature", "output", "K")}
+{variable("fuel_flow", "output", "kg/s")}
+{variable("idle", "parameter", "rpm", "min = 1000.0", "start = 30000.0")}
 """
 
 SPOOL_C = """

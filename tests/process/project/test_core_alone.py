@@ -33,30 +33,27 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "venv" / "bin" / "python"
 
 
-def hexjet(python: Path, folder: Path, *arguments: str) -> Done:
-    done = subprocess.run(
-        [python, "-c", RUN, *arguments], cwd=folder, capture_output=True, text=True, timeout=20 * PATIENCE, check=False
-    )
+def run(python: Path, folder: Path, code: str, *arguments: str) -> Done:
+    command = [python, "-c", code, *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=20 * PATIENCE, check=False)
     return Done(done.returncode, done.stdout, done.stderr)
 
 
 def test_the_core_alone_has_no_tools(python: Path, tmp_path: Path) -> None:
     code = f"from importlib.util import find_spec; print([find_spec('hexjet_' + name) for name in {TOOLS}])"
-    done = subprocess.run([python, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == str([None] * len(TOOLS))
+    assert run(python, tmp_path, code).told.strip() == str([None] * len(TOOLS))
 
 
 def test_it_flies_and_sweeps(python: Path, tmp_path: Path) -> None:
-    flown = hexjet(python, tmp_path, "fly", "hover", "--set", "duration_s=2", "--out", "run")
-    assert (flown.status, flown.err.count("Traceback")) == (0, 0), flown.err
-    assert (tmp_path / "run" / "report.html").is_file()
-    swept = hexjet(
-        python, tmp_path, "sweep", "hover", "--set", "duration_s=1", "--vary", "vehicle.mass_kg*=0.9:1.1", "--runs", "2", "--out", "sweep"
-    )  # fmt: skip
-    assert swept.status == 0, swept.err
-    assert (tmp_path / "sweep" / "report.html").is_file()
-    shown = hexjet(python, tmp_path, "show", "run")
-    assert shown.status == 0, shown.err
+    for asked, folder in (
+        ("fly hover --set duration_s=2 --out run", "run"),
+        ("sweep hover --set duration_s=1 --vary vehicle.mass_kg*=0.9:1.1 --runs 2 --out sweep", "sweep"),
+    ):
+        done = run(python, tmp_path, RUN, *asked.split())
+        assert done.told
+        assert "Traceback" not in done.err
+        assert (tmp_path / folder / "report.html").is_file()
+    assert run(python, tmp_path, RUN, "show", "run").told
 
 
 def test_it_serves_a_ground_station(python: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,13 +69,9 @@ def test_it_serves_a_ground_station(python: Path, tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("command", ["design hover", "margins hover", "sitl hover", "replay log.ulg", "search hover"])
 def test_the_command_of_a_tool_says_that_it_is_not_there(python: Path, tmp_path: Path, command: str) -> None:
-    done = hexjet(python, tmp_path, *command.split())
-    assert done.status == 2
-    assert len(done.err.splitlines()) == 1
-    assert "is not installed" in done.err
+    assert "is not installed" in run(python, tmp_path, RUN, *command.split()).refusal
 
 
 def test_a_name_of_a_tool_says_that_it_is_not_there(python: Path, tmp_path: Path) -> None:
     code = "import cosim\ntry:\n    cosim.design\nexcept ImportError as error:\n    print(error)"
-    done = subprocess.run([python, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert "none of the tools that are installed has it" in done.stdout
+    assert "none of the tools that are installed has it" in run(python, tmp_path, code).told

@@ -46,10 +46,7 @@ def trapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     assert sorted(folder.rglob("*.sprung")) == []
 
 
-WAYS = [isolated_engines, worker]
-
-
-@pytest.mark.parametrize("way", WAYS, ids=[way.__name__ for way in WAYS])
+@pytest.mark.parametrize("way", [isolated_engines, worker])
 def test_a_process_runs_nothing_that_lies_in_the_current_folder(way: Callable[[], None], trapped: Path) -> None:
     way()
 
@@ -62,17 +59,13 @@ def starts(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, next((each for each in rest if each != "'-B'"), "nothing")  # -B is of what it writes
 
 
+FOLDERS = ("cosim", "tools", "docs", "examples", "benchmarks")
+SOURCES = [ROOT / "setup.py", *(path for name in FOLDERS for path in (ROOT / name).rglob("*.py"))]
+
+
 def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
     """Every start has -P or -I first, or a script, whose own folder it then sees and no other."""
-    files = [
-        ROOT / "setup.py",
-        *(
-            path
-            for name in ("cosim", "tools", "docs", "examples", "benchmarks")
-            for path in (ROOT / name).rglob("*.py")
-        ),
-    ]
-    found = {f"{path.relative_to(ROOT)}:{line}": flag for path in files for line, flag in starts(path)}
+    found = {f"{path.relative_to(ROOT)}:{line}": flag for path in SOURCES for line, flag in starts(path)}
     assert len(found) >= 5
     scripts = {"__file__", "str(HERE)", "str(path)"}
     assert {where: flag for where, flag in found.items() if flag not in {"'-P'", "'-I'", *scripts}} == {}
@@ -81,7 +74,4 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
 
 def test_no_pool_of_processes_is_started() -> None:
     """Its children look into the current folder: nothing but the environment tells them not to."""
-    files = [
-        path for name in ("cosim", "tools", "docs", "examples", "benchmarks") for path in (ROOT / name).rglob("*.py")
-    ]
-    assert [path for path in files if "ProcessPoolExecutor(" in path.read_text(encoding="utf-8")] == []
+    assert [path for path in SOURCES if "ProcessPoolExecutor(" in path.read_text(encoding="utf-8")] == []

@@ -316,7 +316,7 @@ def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
 
 
 def test_nothing_imports_cmake_but_what_compiles() -> None:
-    """docs/versions.md: it may be uninstalled; what compiles says so then (`test_a_build_without_cmake_is_refused`)."""
+    """docs/versions.md: it may be uninstalled; what compiles says so then (`test_a_build_needs_a_compiler_and_cmake`)."""
     (builder,) = [
         (path, found[0])
         for folder in (ROOT / "cosim", *map(Path, import_module("fmpy").__path__))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_tools import Hexjet
+from command_tools import Hexjet, install
 from places import of_page
 
 from cosim import InputError, Scenario, fly
@@ -54,32 +54,23 @@ def test_each_engine_feels_the_wind_at_its_own_place(mine: str) -> None:
     with build(scenario) as simulation:
         for _ in range(3):
             simulation.step()
-        state, propulsion = simulation.state, simulation.propulsion
+        state, propulsion, jets = simulation.state, simulation.propulsion, simulation.vehicle.jets
         simulation.step()
-        air = propulsion.ambient(state, state.wind).air_speed
-        for speed, jet in zip(air, simulation.vehicle.jets, strict=True):
-            _, east, down = (a + b for a, b in zip(state.position, rotate(state.attitude, jet.position_m), strict=True))
+        air = np.array(propulsion.ambient(state, state.wind).air_speed)
+
+        def blows(height: float, east: float) -> np.ndarray:
+            return np.array([0.2 * height, 0.0, 0.5 * east])
+
+        for speed, jet in zip(air, jets, strict=True):
+            _, east, down = np.add(state.position, rotate(state.attitude, jet.position_m))
             height = state.altitude - (down - state.position[2])
-            blows = (0.2 * height, 0.0, 0.5 * east)
             # state.wind is the field at the centre of gravity, a step ago: what was added there counts
-            there = [
-                w + b - a
-                for w, b, a in zip(state.wind, blows, (0.2 * state.altitude, 0.0, 0.5 * state.position[1]), strict=True)
-            ]
-            through = rotate(
-                conjugate(state.attitude), tuple(v - w for v, w in zip(state.velocity, there, strict=True))
-            )
+            there = state.wind + blows(height, east) - blows(state.altitude, state.position[1])
+            through = rotate(conjugate(state.attitude), tuple((state.velocity - there).tolist()))
+            turning = np.cross(state.rate, jet.position_m)
             axis = jet_axis(propulsion.tilt[jet.servo == "right"])
-            x, y, z = jet.position_m
-            p, q, r = state.rate
-            turning = (q * z - r * y, r * x - p * z, p * y - q * x)
-            assert speed == pytest.approx(
-                sum((a + b) * e for a, b, e in zip(through, turning, axis, strict=True)), abs=1e-9
-            )
-        left, right = (
-            np.mean([s for s, j in zip(air, simulation.vehicle.jets, strict=True) if j.servo == side])
-            for side in ("left", "right")
-        )
+            assert speed == pytest.approx(np.dot(through + turning, axis), abs=1e-9)
+        left, right = (air[[jet.servo == side for jet in jets]].mean() for side in ("left", "right"))
         assert abs(left - right) > 0.1
 
 
@@ -87,14 +78,11 @@ def test_a_table_is_straight_between_its_rows_and_held_at_its_ends(tmp_path: Pat
     path = tmp_path / "gusts.csv"
     path.write_text("time_s,north_m_s,east_m_s,down_m_s\n1,0,2,0\n3,4,0,-1\n", encoding="utf-8")
     table = WindTable.read(path)
-    for time, velocity in (
-        (0.0, (0, 2, 0)),
-        (1.0, (0, 2, 0)),
-        (2.0, (2, 1, -0.5)),
-        (3.0, (4, 0, -1)),
-        (9.0, (4, 0, -1)),
-    ):
-        assert table.velocity(time, 0.0, 0.0, 0.0) == velocity
+    found = {time: table.velocity(time, 0.0, 0.0, 0.0) for time in (0.0, 1.0, 2.0, 3.0, 9.0)}
+    assert found == {0.0: (0, 2, 0), 1.0: (0, 2, 0), 2.0: (2, 1, -0.5), 3.0: (4, 0, -1), 9.0: (4, 0, -1)}
+
+
+HEAD = "time_s,north_m_s,east_m_s,down_m_s\n"
 
 
 @pytest.mark.parametrize(
@@ -102,10 +90,10 @@ def test_a_table_is_straight_between_its_rows_and_held_at_its_ends(tmp_path: Pat
     [
         ("time,north\n", "line 1: the first column must be time_s"),
         ("time_s,north_m_s\n", "line 1: must be time_s,north_m_s,east_m_s,down_m_s"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n", "no rows of data"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2\n", "line 2: 3 cells, the header has 4"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n0,1,2,nan\n", "line 2: 'nan' is not a finite number"),
-        ("time_s,north_m_s,east_m_s,down_m_s\n1,0,0,0\n1,0,0,0\n", "line 3: time_s does not grow"),
+        (HEAD, "no rows of data"),
+        (f"{HEAD}0,1,2\n", "line 2: 3 cells, the header has 4"),
+        (f"{HEAD}0,1,2,nan\n", "line 2: 'nan' is not a finite number"),
+        (f"{HEAD}1,0,0,0\n1,0,0,0\n", "line 3: time_s does not grow"),
     ],
 )
 def test_a_table_that_does_not_do_is_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -156,12 +144,10 @@ def test_a_campaign_has_it_in_every_row_and_counts_by_it(mine: str, tmp_path: Pa
 
 
 def test_a_metric_that_fails_says_so_and_the_flight_stands(tmp_path: Path) -> None:
-    (tmp_path / "bad.py").write_text(
-        "def raises(log, step_s):\n    return log['nothing']\n\n\ndef two(log, step_s):\n    return {'two': 1.0, 'three': 2.0}\n\n\n"
-        "def good(log, step_s):\n    return float('inf')\n"
-    )
-    names = [f"{tmp_path / 'bad.py'}:{name}" for name in ("raises", "two", "good")]
-    run = fly(SHORT.replace(metrics=names))
+    given = {"raises": "log['nothing']", "two": "{'two': 1.0, 'three': 2.0}", "good": "float('inf')"}
+    text = "\n".join(f"def {name}(log, step_s):\n    return {value}\n" for name, value in given.items())
+    (tmp_path / "bad.py").write_text(text)
+    run = fly(SHORT.replace(metrics=[f"{tmp_path / 'bad.py'}:{name}" for name in given]))
     assert run.outcome == "completed"
     assert run.summary.own_metrics == {"own.raises": None, "own.two": None, "own.good": None}
     first, second = run.summary.own_metrics_failed
@@ -170,13 +156,8 @@ def test_a_metric_that_fails_says_so_and_the_flight_stands(tmp_path: Path) -> No
 
 
 def test_a_run_has_the_files_and_flies_them_again_or_says_what_is_another(mine: str, tmp_path: Path) -> None:
-    names = {
-        "metrics": [f"{mine}:Swing"],
-        "observers": [f"{mine}:Highest"],
-        "sensors": f"{mine}:Drifting",
-        "wind": f"{mine}:Shear",
-    }
-    run = fly(SHORT.replace(**names), tmp_path / "run", report=False)
+    lists = {"metrics": [f"{mine}:Swing"], "observers": [f"{mine}:Highest"]}
+    run = fly(SHORT.replace(**lists, sensors=f"{mine}:Drifting", wind=f"{mine}:Shear"), tmp_path / "run", report=False)
     Path(mine).unlink()
     assert [each.key for each in run.summary.brought] == ["metrics", "observers", "sensors", "wind"]
     again = fly(tmp_path / "run" / "scenario.toml")
@@ -192,10 +173,6 @@ WRONG = """
 class Wind:
     def velocity(self, time, north, east, height):
         return (0.0, 1.0 / (0.0 if time > 0.01 else 1.0), 0.0)
-
-class Few:
-    def velocity(self, time, north, east, height):
-        return (0.0, 1.0)
 
 class Blind:
     def observe(self, sample):
@@ -252,27 +229,19 @@ def test_wrong_names_are_one_line(changes: dict[str, Any], message: str) -> None
     assert "\n" not in str(error.value)
 
 
-def test_the_command_takes_them_from_here(
-    mine: str, hexjet: Hexjet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = hexjet("fly", "roll-doublet", "--set", "duration_s=0.1", "--metric", "mine.py:Swing", "--wind", "mine.py:Shear",
-                  "--out", "run", "--json")  # fmt: skip
-    assert done.status == 0, done.err
-    assert list(json.loads(done.out)["own_metrics"]) == ["own.swing_rad", "own.swing_at_s"]
-    done = hexjet("fly", "roll-doublet", "--metric", "mine.py:Swings")
-    assert (done.status, done.err.count("\n")) == (2, 1)
-    assert "did you mean" in done.err
+def test_the_command_takes_them_from_here(mine: str, hexjet: Hexjet) -> None:
+    asked = "--set duration_s=0.1 --metric mine.py:Swing --wind mine.py:Shear --out run --json"
+    told = json.loads(hexjet("fly", "roll-doublet", *asked.split()).told)
+    assert list(told["own_metrics"]) == ["own.swing_rad", "own.swing_at_s"]
+    assert "did you mean" in hexjet("fly", "roll-doublet", "--metric", "mine.py:Swings").refusal
 
 
 @pytest.mark.parametrize(
     "text", ["[hexjet.winds]\nshear = mine:Shear\n", "[hexjet.plugins]\nwind.shear = mine:Shear\n"]
 )
 def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mine: str, text: str) -> None:
-    info = tmp_path / "my_blocks-1.2.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-blocks\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text(text)
+    place = install(tmp_path, "my-blocks", "1.2", text)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(place)
     found = find_block("wind", "shear", tmp_path)
     assert (found.version, list(found.files), found.is_copied) == ("my-blocks 1.2", ["mine.py"], False)

@@ -397,9 +397,8 @@ def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(whole: s
     """From what is in the folder alone, the file that was flown being gone."""
     run = fly(SHORT.replace(controller=whole, monitor=True), tmp_path / "run", report=False)
     Path(whole.removesuffix(":Cascade")).unlink()
-    again = hexjet_beside(tmp_path, "show", "run", "--page")
-    assert again.returncode == 0, again.stderr
-    assert "engines were not watched: cascade.py:Cascade is a whole controller" in again.stdout
+    told = hexjet_beside(tmp_path, "show", "run", "--page").told
+    assert "engines were not watched: cascade.py:Cascade is a whole controller" in told
     assert own_of(run).sha256[:12] in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
@@ -431,9 +430,8 @@ def test_a_ground_station_session_of_one_leaves_a_run_with_it(whole: str, tmp_pa
     (tmp_path / "mine.py").write_text(BLOCKS)
     blocks = "--metric mine.py:rows --wind mine.py:Blows --sensors mine.py:Low --observer mine.py:Counts"
     link = "--mavlink udpout:127.0.0.1:9 --duration 0.2 --rtf 0 --params none --out run --json"
-    done = hexjet_beside(tmp_path, "gcs", "--controller", whole, *link.split(), *blocks.split())
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)["runs"][0]
+    told = hexjet_beside(tmp_path, "gcs", "--controller", whole, *link.split(), *blocks.split()).told
+    summary = json.loads(told)["runs"][0]
     own = summary["own_controller"]
     assert own["level"] == "controller"
     assert own["sha256"] == hashlib.sha256((tmp_path / "run" / "cascade.py").read_bytes()).hexdigest()
@@ -458,16 +456,13 @@ def test_its_parameters_are_keys(mine: str) -> None:
 def test_an_installed_package_brings_one(tmp_path: Path) -> None:
     package = install(tmp_path, "my-controllers", "1.2", "[hexjet.controllers]\nmine = my_controllers:Mine\n")
     source = of_page("predictor", package / "my_controllers.py")
-    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet_beside(package, "show", "controllers").stdout)
+    assert re.search(r"mine +my_controllers:Mine \(predictor\)", hexjet_beside(package, "show", "controllers").out)
     asked = "--set duration_s=0.2 --set controller_parameters.share=0.5 --out run --json"
-    done = hexjet_beside(package, "fly", "roll-doublet", "--controller", "mine", *asked.split())
-    assert done.returncode == 0, done.stderr
-    own = json.loads(done.stdout)["own_controller"]
+    told = hexjet_beside(package, "fly", "roll-doublet", "--controller", "mine", *asked.split()).told
+    own = json.loads(told)["own_controller"]
     assert (own["name"], own["version"], own["parameters"]) == ("mine", "my-controllers 1.2", {"share": 0.5})
     source.write_text(source.read_text() + "# edited\n")
-    again = hexjet_beside(package, "fly", "run/scenario.toml")
-    assert again.returncode == 2
-    assert "controller mine is not the one that was flown" in again.stderr
+    assert "controller mine is not the one that was flown" in hexjet_beside(package, "fly", "run/scenario.toml").err
 
 
 @pytest.mark.parametrize("name", ["mine", "whole"])

@@ -51,10 +51,20 @@ def mark(tmp_path: Path) -> Path:
 def write(path: str, mark: Path) -> Path:
     file = Path(path).absolute()
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(
-        f"# {path}\nwith open({str(mark)!r}, 'a') as file:\n    file.write('ran ')\n\n\nclass Mine:\n    pass\n"
-    )
+    marks = f"with open({str(mark)!r}, 'a') as file:\n    file.write('ran ')\n"
+    file.write_text(f"# {path}\n{marks}\n\nclass Mine:\n    pass\n")
     return file
+
+
+def state(folder: Path, name: str, **files: str) -> Path:
+    """The metadata of a package that is developed in the current folder."""
+    facts = folder / f"{name}-1.dist-info"
+    facts.mkdir(parents=True)
+    place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
+    files = {"METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"} | files
+    for file, text in (files | {"direct_url.json": json.dumps(place)}).items():
+        (facts / file).write_text(text)
+    return facts
 
 
 def refused(module: str) -> None:
@@ -89,20 +99,13 @@ def test_a_name_that_is_installed_elsewhere_is_asked_for(mark: Path, monkeypatch
 
 def test_metadata_beside_it_are_not_believed(mark: Path) -> None:
     write("theirs/__init__.py", mark)
-    facts = Path("theirs-1.dist-info")
-    facts.mkdir()
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
-    (facts / "RECORD").write_text("theirs/__init__.py,,\n")
-    (facts / "top_level.txt").write_text("theirs\n")
-    place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
-    (facts / "direct_url.json").write_text(json.dumps(place))
+    facts = state(Path(), "theirs", RECORD="theirs/__init__.py,,\n", **{"top_level.txt": "theirs\n"})
     refused("theirs")
     with pytest.raises(trust.CodeRefusedError, match=REFUSED):
         load_entry(EntryPoint("theirs", "theirs:Mine", "hexjet.controllers"))
     (facts / "entry_points.txt").write_text("[hexjet.controllers]\nstrange = theirs:Mine\n")
-    assert (
-        dict(list_installed())["strange"] == "theirs:Mine (not where packages are installed, and not run to look at it)"
-    )
+    said = "theirs:Mine (not where packages are installed, and not run to look at it)"
+    assert dict(list_installed())["strange"] == said
     assert not mark.exists()
 
 
@@ -170,11 +173,7 @@ def test_a_package_that_is_developed_in_place_is_installed(
     mark: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the installer has noted it, and nothing else that lies there."""
-    facts = tmp_path / "site" / "developed-1.dist-info"
-    facts.mkdir(parents=True)
-    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: developed\nVersion: 1\n")
-    place = {"url": Path().absolute().as_uri(), "dir_info": {"editable": True}}
-    (facts / "direct_url.json").write_text(json.dumps(place))
+    state(tmp_path / "site", "developed")
     monkeypatch.setattr(execute, "_installed_folders", lambda: frozenset([tmp_path / "site"]))
     execute._editable_folders.cache_clear()
     try:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_tools import Done
 
 from cosim.spec.vehicle import load_vehicle
 
@@ -31,14 +32,10 @@ COMMANDS = {
 }
 
 
-def hexjet(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", "from cosim.cli.main import main; main()", *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+def hexjet(folder: Path, command: str) -> Done:
+    words = [sys.executable, "-c", "from cosim.cli.main import main; main()", *command.split()]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300)
+    return Done(done.returncode, done.stdout, done.stderr)
 
 
 def with_model(folder: Path, name: str, text: str) -> None:
@@ -55,12 +52,11 @@ def with_model(folder: Path, name: str, text: str) -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_property_that_is_not_there_is_one_line_and_status_2(command: str, tmp_path: Path) -> None:
     with_model(tmp_path, "wing.xml", MODEL)
-    done = hexjet(tmp_path, *COMMANDS[command].split())
-    assert done.returncode == 2, done.stderr
-    *notes, line = done.stderr.splitlines()
+    done = hexjet(tmp_path, COMMANDS[command])
+    assert (done.status, done.out) == (2, ""), done.err
+    *notes, line = done.err.splitlines()
     assert LINE in line
     assert all("note:" in note or "runs from source" in note for note in notes)
-    assert not done.stdout
 
 
 def test_what_is_left_out_of_a_model_is_said_once(tmp_path: Path) -> None:
@@ -68,13 +64,11 @@ def test_what_is_left_out_of_a_model_is_said_once(tmp_path: Path) -> None:
     written = tmp_path / "written.csv"
     output = f'<output name="{written}" type="CSV" rate="50"><rates>ON</rates></output>'
     with_model(tmp_path, "../own.xml", f"<fdm_config>\n{output}\n</fdm_config>")  # a path may lead out: it is read
-    done = hexjet(tmp_path, "fly", "hover", "--aircraft", "./mine", "--set", "duration_s=1", "--out", "flown")
-    assert done.returncode == 0, done.stderr
-    notes = [line for line in done.stderr.splitlines() if "left out" in line]
-    assert len(notes) == 1
-    assert notes[0].startswith("hexjet: note: ")
-    assert notes[0].endswith("mine/../own.xml: left out, as no part of what flies: <output> (line 2)")
-    assert not written.exists()
+    done = hexjet(tmp_path, "fly hover --aircraft ./mine --set duration_s=1 --out flown")
+    assert done.told
+    (note,) = [line for line in done.err.splitlines() if "left out" in line]
+    assert note.startswith("hexjet: note: ")
+    assert note.endswith("mine/../own.xml: left out, as no part of what flies: <output> (line 2)")
     assert b"<output" not in (tmp_path / "flown" / "own.xml").read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"mine", "own.xml", "flown"}  # nothing is written elsewhere
 
@@ -89,8 +83,8 @@ CRASHES = {
 @pytest.mark.parametrize("crash", CRASHES)
 def test_a_file_that_crashes_jsbsim_is_one_line(crash: str, tmp_path: Path) -> None:
     with_model(tmp_path, "own.xml", f"<fdm_config>\n{CRASHES[crash]}\n</fdm_config>")
-    done = hexjet(tmp_path, "aircraft", "check", "./mine")
-    assert done.returncode == 2, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if "runs from source" not in line]
+    done = hexjet(tmp_path, "aircraft check ./mine")
+    assert done.status == 2, done.err
+    (line,) = [line for line in done.err.splitlines() if "runs from source" not in line]
     part = "own.xml, line 2: system late" if crash == "SIGABRT" else "own.xml: aerodynamics"
     assert f"{part}: JSBSim fails: the process was ended by {crash}" in line
