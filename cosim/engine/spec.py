@@ -129,6 +129,7 @@ class EngineSpec:
 
     @property
     def transport_delay(self) -> float | None:
+        """Delay from throttle to thrust [s]; None where the engine states none."""
         if self.specified_delay is not None:
             return self.specified_delay
         if self.delay_samples is None or self.internal_step is None:

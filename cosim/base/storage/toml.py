@@ -91,10 +91,8 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # s since the start of the flight, or span
 Duration = Annotated[float, Field(gt=0.0, le=1e6)]  # s, of a duration
-Samples = Annotated[
-    int,
-    Field(ge=0, le=1000, description="a sample is one control step (step_s, 0.004 s on the Hex-Jet: 60 ms are 15)"),
-]
+_SAMPLE = "a sample is one control step (step_s, 0.004 s on the Hex-Jet: 60 ms are 15)"
+Samples = Annotated[int, Field(ge=0, le=1000, description=_SAMPLE)]
 Vector = tuple[float, float, float]
 Axis3 = tuple[NotNegative, NotNegative, NotNegative]
 

@@ -28,6 +28,7 @@ class EngineReference(NamedTuple):
     longest: float  # s, longest lag in its range
 
     def thrust_at(self, throttle: float) -> float:
+        """Return the thrust at rest [N]."""
         return _interpolate(self.throttle, self.thrust, throttle)
 
     def reported_to_thrust(self, thrust: float, speed: float) -> float:

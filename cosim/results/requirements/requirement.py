@@ -106,7 +106,9 @@ class Requirement(Record):
 
     def assess(self, flight: FlightSignals, lost: FailedFlight | None = None) -> Assessment:
         """Assess a flight; if it failed, none of the user's requirements is met."""
-        formula, whole = self.parsed.formula, self._is_for_whole_flight(flight)
+        formula = self.parsed.formula
+        # A formula of metrics alone, which are equal in all rows.
+        whole = flight.metrics.keys() >= _names_of(self.formula).keys() and not any(formula.events)
         flight = flight.one_row() if whole else flight
         value = float(formula.margins(flight)[0]) if flight.rows else nan
         end, latest = flight.rows * flight.step_s, formula.last_relevant_time_s([0.0], flight.times_s)
@@ -131,10 +133,6 @@ class Requirement(Record):
         if lost is None or self.source not in ("require", "success"):
             return assessment
         return self._assess_failed(assessment, lost)
-
-    def _is_for_whole_flight(self, flight: FlightSignals) -> bool:
-        """Return whether the formula uses only whole-flight metrics, which are equal in all rows."""
-        return flight.metrics.keys() >= _names_of(self.formula).keys() and not any(self.parsed.formula.events)
 
     def _assess_failed(self, assessment: Assessment, lost: FailedFlight) -> Assessment:
         """Return the assessment of a failed flight: not met, with a lower margin the earlier it failed."""

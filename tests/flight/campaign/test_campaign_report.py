@@ -356,7 +356,6 @@ def test_a_campaign_from_before_there_were_limits_is_read(tmp_path: Path) -> Non
     old = {name: values for name, values in made.columns.items() if not name.startswith(("beyond", "position"))}
     flown = read_flight_table(Campaign(made.folder, made.study, old, made.of))
     assert flown.beyond == [[] for _ in flown.reason]
-    assert flown.beyond == [[] for _ in flown.reason]
     table = tmp_path / "part.parquet"
     write_table(table, {"flight": [1, 2]})
     assert read_table(table, ("flight", "beyond"), lacking=True) == {"flight": [1, 2], "beyond": [None, None]}

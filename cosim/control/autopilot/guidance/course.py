@@ -103,6 +103,7 @@ class Course:
         return max(stop, min(measured.altitude, self.landmarks.ground + MIN_HEIGHT_M))
 
     def distance_to(self, position: Pair) -> float:
+        """Return the horizontal distance from the estimated to another position [m]."""
         n, e = self.estimates.fix.position
         return hypot(position[0] - n, position[1] - e)
 
