@@ -7,6 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from cosim.campaign.analysis.claim import format_interval
 from cosim.campaign.analysis.sensitivity import Ranking
 from cosim.campaign.analysis.statistics import Interval, Proportion
 from cosim.campaign.analysis.summary import (
@@ -99,7 +100,7 @@ def success_card(table: FlightTable, named: Sequence[str], found: Sequence[Propo
     rows = [
         (
             name, f"{each.of:,}", f"{each.hits:,}", NONE if each.value is None else f"{100.0 * each.value:.1f}",
-            format_span(each.wilson, ".1f", 100.0), format_span(each.exact, ".1f", 100.0),
+            format_interval(each.wilson), format_interval(each.exact),
             *(f"{count_kinds(table, number)[kind]:,}" for kind in kinds),
         )
         for number, (name, each) in enumerate(zip(named, found, strict=True))

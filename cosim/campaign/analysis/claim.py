@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -93,6 +93,11 @@ def format_bound(verdict: Verdict) -> str:
     if verdict.decision == "open":
         return f"at least {format_percent(verdict.bound, up=False)}"
     return f"at {'most' if verdict.decision == 'refuted' else 'least'} {100.0 * verdict.bound:.12g} %"
+
+
+def format_interval(ends: Sequence[float]) -> str:
+    """Format an interval of a probability: ``99.9996 % to 100.0 %``."""
+    return f"{format_percent(ends[0], up=False)} to {format_percent(ends[1], up=True)}"
 
 
 def format_percent(probability: float, up: bool) -> str:

@@ -15,15 +15,8 @@ from markupsafe import Markup
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import parse_json, read_text
-from cosim.campaign.analysis.cards import (
-    comparison_cards,
-    format_span,
-    metrics_card,
-    ranking_cards,
-    referee_cards,
-    success_card,
-)
-from cosim.campaign.analysis.claim import judge_claim
+from cosim.campaign.analysis.cards import comparison_cards, metrics_card, ranking_cards, referee_cards, success_card
+from cosim.campaign.analysis.claim import format_interval, judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAX_MAP_KEYS, map_tables
@@ -153,7 +146,7 @@ def _success_sentence(name: Markup, found: Proportion, is_grid: bool, stops: boo
     share, counted = f"{100.0 * found.value:.1f} %", f"{found.hits:,} of {found.of:,}"
     if is_grid:
         return Markup("{}: {} of the grid's flights succeed ({}).").format(name, share, counted)
-    bounds = "" if stops else f" (95 % interval {format_span(found.wilson, '.1f', 100.0)} %)"
+    bounds = "" if stops else f" (95 % interval {format_interval(found.wilson)})"
     return Markup("{}: {} succeed, {}{}.").format(name, share, counted, bounds)
 
 

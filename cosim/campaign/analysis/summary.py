@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.claim import judge_claim
+from cosim.campaign.analysis.claim import format_interval, judge_claim
 from cosim.campaign.analysis.sensitivity import Ranking, rank_effects
 from cosim.campaign.analysis.statistics import (
     Interval,
@@ -275,7 +275,7 @@ def with_referee(lines: Iterable[str], referee: Mapping[str, Any]) -> list[str]:
 def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     """Return lines for a terminal: how often each controller succeeds, and how the other flights ended."""
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
-    yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
+    yield f"{summary['flights']:,} flights{whole}; success: {summary['success_is']}"
     for line in (summary["until"] or {"says": []})["says"]:
         yield f"  {line}"
     for name, entry in summary["controllers"].items():
@@ -337,11 +337,8 @@ def _format_median(name: str, entry: Mapping[str, Any] | None) -> str:
 def _describe_probability(entry: Mapping[str, Any]) -> str:
     if entry["success"] is None:
         return "no flight yet"
-    text = f"{100.0 * entry['success']:.1f} % of {entry['flights']}"
-    if entry["wilson_95"] is None:
-        return text
-    low, high = entry["wilson_95"]
-    return f"{text} ({100.0 * low:.1f} to {100.0 * high:.1f} %)"
+    text = f"{100.0 * entry['success']:.1f} % of {entry['flights']:,}"
+    return text if entry["wilson_95"] is None else f"{text} ({format_interval(entry['wilson_95'])})"
 
 
 def _count_failures(outcomes: Mapping[str, int]) -> str:

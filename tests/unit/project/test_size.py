@@ -12,9 +12,9 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 3_403,
-    "cosim": 64_725,
+    "cosim": 64_721,
     "docs": 1_631,
-    "tests": 66_493,
+    "tests": 66_489,
     "tools/hexjet_batch": 2_919,
     "tools/hexjet_design": 8_190,
     "tools/hexjet_export": 3_786,
