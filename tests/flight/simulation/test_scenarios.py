@@ -92,7 +92,7 @@ DOUBLET = "[[command]]\nkind = 'doublet'\nsignal = 'roll_deg'\nstart_s = 0\nampl
             r"x\.toml: command: there is no entry 0 to write over; a new list is \[\{\.\.\.\}\]$",
         ),
         (f"{NAME}duration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
-        (f"{X}controler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
+        (f"{X}controler = 'smith'", r"unknown key 'controler'; did you mean 'controller'"),
         (
             f"{X}[[command]]\nkind = 'stp'",
             r"command\.0\.kind = 'stp': did you mean 'step'\? allowed: doublet, place, ramp, step, ",
