@@ -212,15 +212,15 @@ def inputs(run: Run) -> str:
     return json.dumps({"versions": summary.versions, "sha256": files}, sort_keys=True)
 
 
-def hash_inputs(files: str, scenario: Scenario) -> str:
+def hash_inputs(inputs_text: str, scenario: Scenario) -> str:
     """Return the hash of :func:`inputs` and of every number that the aircraft and the engines flew with."""
-    return hashlib.sha256("\n".join([files, scenario.model_dump_json()]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([inputs_text, scenario.model_dump_json()]).encode()).hexdigest()
 
 
 def outcome_row(study: Study, run: Run, digest: str) -> Row:
     """Return the columns of a row that a finished flight determines; ``digest`` is its log's hash."""
     summary, controller = run.summary, run.summary.own_controller
-    measured, files = summary.flat_metrics, inputs(run)
+    measured, inputs_text = summary.flat_metrics, inputs(run)
     brought = "; ".join(f"{block.key} {block.name} {block.sha256}" for block in summary.brought)
     return {
         "outcome": summary.outcome,
@@ -237,8 +237,8 @@ def outcome_row(study: Study, run: Run, digest: str) -> Row:
         "controller_sha256": None if controller is None else controller.sha256,
         "controller_repeatable": None if controller is None else controller.repeatable,
         "log_sha256": digest,
-        "inputs_sha256": hash_inputs(files, run.scenario),
-        "inputs": files,
+        "inputs_sha256": hash_inputs(inputs_text, run.scenario),
+        "inputs": inputs_text,
         **({"brought_sha256": brought} if brought else {}),
     }
 
